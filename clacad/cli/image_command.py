@@ -152,11 +152,13 @@ def _notes(found: Image, unit: str) -> list[str]:
         notes.append(f"sampling: the law of the cell hit turns light {1e3 * found.sampling.slope:.3g} mrad rms from the smooth law, whose spot "
                      f"at {_place(found.sampling.smooth.point)} would be {spot} {unit}")  # fmt: skip
     if found.zone is not None:
-        zone, number = (
-            ", ".join(f"{v:.4g}" for v in pair) for pair in (found.zone.width, found.zone.f_number)
+        zone, number, moire = (
+            ", ".join(f"{v:.4g}" for v in pair)
+            for pair in (found.zone.width, found.zone.f_number, found.zone.moire)
         )
-        notes.append(f"array 2 has a pitch of its own: light along the normal stays with its partner over {zone} {unit} (x, y), one lens of "
-                     f"F-number {number} of a lattice of them; one large lens: [law.varying] f_image")  # fmt: skip
+        notes.append(f"array 2 has a pitch of its own or is turned: light along the normal stays with its partner over {zone} {unit} (x, y), "
+                     f"one lens of F-number {number} of a lattice of them, and no field of a cell survives beyond the moire period {moire} "
+                     f"{unit}; one large lens: [law.varying] f_image")  # fmt: skip
     return notes
 
 

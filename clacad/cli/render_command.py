@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.machine_rates import Rates
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text, table
 from clacad.cli.option_values import parse_angle
@@ -38,7 +39,11 @@ class RenderRequest:
 
 
 def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, json: bool, quiet: bool) -> int:
-    """Render a scene file: a picture, or a movie where the scene is animated and the ending allows it."""
+    """Render a scene file: a picture, or a movie where the scene is animated and the ending allows it.
+
+    Where what draws a picture must be compiled first, it is drawn coarsely by numpy, and written, before that.
+    """
+    from clacad.rendering.coarse_first import BLOCK, must_compile, view_coarsely
     from clacad.rendering.picture import view_through
     from clacad.rendering.picture_files import write_picture
     from clacad.scene import load_scene
@@ -50,28 +55,58 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
         return _movie(scene, request, progress, json=json, quiet=quiet)
     if scene.animation is not None:
         scene = scene.at(request.frame or 0)
-    with _announced(scene, progress, quiet=quiet) as passage:
+    passage = _planned(scene, progress)
+    coarse = must_compile(scene, passage)
+    if coarse:
+        first = view_coarsely(scene, passage, progress=_coarsely(progress))
+        write_picture(first.enlarged(), request.out, overwrite=request.overwrite)
+        progress.say(f"{request.out} is coarse as yet, in blocks of {BLOCK} pixels, and is refined now")
+    with _announced(scene, passage, progress, quiet=quiet):
         picture = view_through(scene, progress=progress, passage=passage)
     progress.done()
-    write_picture(picture, request.out, overwrite=request.overwrite)
+    write_picture(picture, request.out, overwrite=request.overwrite or coarse)
     _told([picture], [request.out], json=json, quiet=quiet)
     return 0
 
 
-@contextmanager
-def _announced(scene: Scene, progress: Progress, frames: int = 1, *, quiet: bool) -> Iterator[Passage]:
-    """Plan a still, try some of its pixels, and say before the block what all of them will take; gives the plan."""
+def _planned(scene: Scene, progress: Progress) -> Passage:
+    """How light passes the sheets of a still."""
     from clacad.prescription.prescribe import prescribe
-    from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.sheet_passage import plan_passage
 
     progress("planning the effects")
-    passage = plan_passage(scene, prescribe(scene.design()))
-    progress("trying some pixels")
-    modelled = picture_seconds(scene, passage, frames)
+    return plan_passage(scene, prescribe(scene.design()))
+
+
+def _coarsely(progress: Progress) -> Callable[[str, float | None], None]:
+    """Progress of a picture that is drawn small."""
+    return lambda _, share: progress("drawing it coarsely", share)
+
+
+@contextmanager
+def _announced(
+    scene: Scene, passage: Passage, progress: Progress, frames: int = 1, *, quiet: bool
+) -> Iterator[None]:
+    """Try some pixels of a still, and say before the block what all of them will take; what compiling takes is said first."""
+    from clacad.rendering.coarse_first import must_compile
+    from clacad.rendering.picture_cost import COMPILED, COMPILING, picture_seconds, task
+
+    rates = Rates.here()
+    with ExitStack() as compiling:
+        if must_compile(scene, passage):
+            takes = rates.span(COMPILED, COMPILING)
+            say(
+                f"what draws it is compiled first, once on this machine: {takes} of processor time",
+                quiet=quiet,
+            )
+            progress("compiling")
+            compiling.enter_context(rates.noting(COMPILED, COMPILING))
+        else:
+            progress("trying some pixels")
+        modelled = picture_seconds(scene, passage, frames)
     with forecast(task(scene), modelled, quiet=quiet, measured=True) as span:
         progress.expect(span.middle)
-        yield passage
+        yield
 
 
 def _adjusted(scene: Scene, request: RenderRequest) -> Scene:
@@ -110,7 +145,8 @@ def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bo
     from clacad.rendering.picture_files import write_movie
 
     assert scene.animation is not None
-    with _announced(scene.at(0), progress, scene.animation.frames, quiet=quiet):
+    still = scene.at(0)
+    with _announced(still, _planned(still, progress), progress, scene.animation.frames, quiet=quiet):
         frames = write_movie(
             render_movie(scene, progress=progress),
             request.out,
@@ -188,23 +224,14 @@ def render_eye(
 
 def _seen_coarsely(scene: Scene, progress: Progress) -> CoarseView:
     """Plan what an eye sees, and draw it small."""
-    from clacad.prescription.prescribe import prescribe
     from clacad.rendering.coarse_first import view_coarsely
-    from clacad.rendering.sheet_passage import plan_passage
 
-    progress("planning the effects")
-    passage = plan_passage(scene, prescribe(scene.design()))
-    return view_coarsely(scene, passage, progress=lambda _, share: progress("drawing it coarsely", share))
+    return view_coarsely(scene, _planned(scene, progress), progress=_coarsely(progress))
 
 
 def _refined(coarse: CoarseView, progress: Progress, *, quiet: bool) -> Picture:
     """Draw it fine; what that takes is forecast by some of its pixels."""
-    from clacad.rendering.picture_cost import picture_seconds, task
-
-    progress("trying some pixels")
-    modelled = picture_seconds(coarse.scene, coarse.fine_passage)
-    with forecast(task(coarse.scene), modelled, quiet=quiet, measured=True) as span:
-        progress.expect(span.middle)
+    with _announced(coarse.scene, coarse.fine_passage, progress, quiet=quiet):
         return coarse.refined(progress=progress)
 
 

@@ -49,6 +49,8 @@ def to_dict(design: Design) -> dict[str, Any]:
                 values[name] = _written(value, key, design)
         if section == "lattice" and design.lattice.kind != "rectangular":
             values |= {name: values[name][0] for name in ("pitch", "pitch_2") if name in values}
+        if section == "lattice" and not design.lattice.rotation_2:
+            del values["rotation_2"]  # a later key at its default has no place in the text
         made[section] = values
     return made
 

@@ -43,6 +43,17 @@ def has_plate(a: Ask) -> bool:
     return polygon or any(bool(a(f"body.{key}")) for key in ("holes", "corners", "pins"))
 
 
+def _tilted(a: Ask) -> bool:
+    """Whether lenses lean against the sheet."""
+    return bool((a("law.euler") or (0.0, 0.0, 0.0))[1])
+
+
+def _images(a: Ask) -> bool:
+    """Whether the law varies so that planes are imaged."""
+    varying = a("law.varying")
+    return bool(varying) and varying[0][0] in ("f_image", "conjugates")
+
+
 def _focused(a: Ask) -> bool:
     """Whether pairs are asked to image two planes sharply."""
     return a("pair.focus") not in (None, "afocal")
@@ -74,7 +85,8 @@ FEATURES: Final = (
     Feature("hexagonal cells", "lattice.kind", lambda a: a("lattice.kind") == "hexagonal"),
     Feature("seam", "lattice.seam", lambda a: bool(a("lattice.seam"))),
     Feature("outline", "lattice.outline", lambda a: a("lattice.outline") is not None),
-    Feature("tilt", "law.euler", lambda a: bool((a("law.euler") or (0.0, 0.0, 0.0))[1]), "theta = 0"),
+    Feature("tilt", "law.euler", _tilted, "theta = 0"),
+    Feature("tilt where planes are imaged", "law.euler", lambda a: _tilted(a) and _images(a), "theta = 0, or gradient or table instead of planes"),
     Feature("offset", "law.delta", lambda a: any(a("law.delta") or ())),
     Feature("biconvex", "pair.form", lambda a: a("pair.form") == "biconvex", 'form = "slab"'),
     Feature("plano", "pair.form", lambda a: a("pair.form") == "plano", 'form = "slab"'),
@@ -86,6 +98,7 @@ FEATURES: Final = (
     Feature("traced vertices", "pair.offset", lambda a: a("pair.offset") == "traced", 'offset = "paraxial"'),
     Feature("law that varies", "law.varying", lambda a: a("law.varying") is not None, "leave one of the two out"),
     Feature("other pitch", "lattice.pitch_2", lambda a: a("lattice.pitch_2") is not None, "leave one of the two out"),
+    Feature("turned array", "lattice.rotation_2", lambda a: bool(a("lattice.rotation_2")), "leave one of the two out"),
     Feature("sharp pairs", "pair.focus", _focused, "leave one of the two out"),
     Feature("curved inside", "pair.curved", lambda a: a("pair.form") == "plano" and a("pair.curved") == "inside", 'curved = "outside"'),
     Feature("thin recipe", "pair.confocal", lambda a: a("pair.confocal") == "thin", 'confocal = "exact"'),
@@ -98,46 +111,54 @@ FEATURES: Final = (
 
 VARYING: Final = "law.varying"
 PITCH_2: Final = "lattice.pitch_2"
+ROTATION_2: Final = "lattice.rotation_2"
 FOCUS: Final = "pair.focus"
 SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
     VARYING: lambda a: a(VARYING) is not None,
     PITCH_2: lambda a: a(PITCH_2) is not None,
+    ROTATION_2: lambda a: bool(a(ROTATION_2)),
     FOCUS: _focused,
 }
 """Kinds of sheet whose cells differ, by the key that asks for them."""
 
-_HEIGHTS: Final = "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane"
+_HEIGHTS: Final = "its lenses 2 stand in the middle of their cells in one plane, and tilted pairs would need them to rise with their places"
 _PATTERN: Final = "which cells a plate keeps is asked of one pattern, and array 2's is another"
 _CHANNELS: Final = "the channels of a baffle are alike, and here each would lean its own way"
 _APART: Final = "its cells stand over their partners, and images of sharp pairs would not fall on one another"
 _FOLLOWS: Final = "the pitch of array 2 follows from the two planes"
 
+_OWN_ARRAY: Final[Mapping[str, str]] = {
+    "tilt": _HEIGHTS,
+    "tilt where planes are imaged": _HEIGHTS,
+    "aimed at a point": "its cells look at the nodal point",
+    "steered": "its cells look at the nodal point",
+    "traced vertices": "its lenses stand in the middle of their own cells",
+    "law that varies": "where its lenses stand is its law",
+    "sharp pairs": _FOLLOWS,
+    "confocal best": "its radii are for light along the axis alone",
+    "plate with holes, corners or pins": _PATTERN,
+    "field lens": "field lenses would stand in every cell at a place of their own",
+    "baffle": _CHANNELS,
+}
+"""What a sheet whose array 2 is of another pitch, or turned, does not have."""
+
 _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
     VARYING: {
-        "tilt": _HEIGHTS,
+        "tilt where planes are imaged": "cells of a sheet that leans against its lenses stand at many distances from a plane across them",
         "aimed at a point": "lenses 2 are traced for light of one direction over the sheet",
         "other pitch": "its cells stand over their partners",
+        "turned array": "its cells stand over their partners",
         "sharp pairs": _APART,
         "confocal best": "its radii are for light along the axis alone",
         "plate with holes, corners or pins": _PATTERN,
         "field lens": "field lenses would stand in every cell at a place of their own",
         "baffle": _CHANNELS,
     },
-    PITCH_2: {
-        "tilt": _HEIGHTS,
-        "aimed at a point": "its cells look at the nodal point",
-        "steered": "its cells look at the nodal point",
-        "traced vertices": "its lenses stand in the middle of their own cells",
-        "law that varies": "where its lenses stand is its law",
-        "sharp pairs": _FOLLOWS,
-        "confocal best": "its radii are for light along the axis alone",
-        "plate with holes, corners or pins": _PATTERN,
-        "field lens": "field lenses would stand in every cell at a place of their own",
-        "baffle": _CHANNELS,
-    },
+    PITCH_2: _OWN_ARRAY,
+    ROTATION_2: _OWN_ARRAY,
     FOCUS: {
         "tilt": _HEIGHTS,
-        "biconvex": "thick lenses of two curved faces are solved for an afocal pair",
+        "tilt where planes are imaged": _HEIGHTS,
         "given faces": "its faces follow from the two planes",
         "tolerances": "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
         "aimed at a point": "its cells look along its chief rays",
@@ -145,8 +166,8 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
         "traced vertices": "its lenses stand in the middle of their own cells",
         "law that varies": _APART,
         "other pitch": _FOLLOWS,
-        "curved inside": "the plane faces lie between its lenses and the planes, and shift them by their thickness",
-        "thin recipe": "its lenses are thick ones of one curved face each",
+        "turned array": "its cells look along its chief rays",
+        "thin recipe": "it leaves out the thickness that sharp lenses are solved for",
         "confocal best": "its radii are for parallel light along the axis",
         "plate with holes, corners or pins": _PATTERN,
         "field lens": "there is no common focus for it to stand at",

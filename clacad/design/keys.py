@@ -109,6 +109,7 @@ _CONIC = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
 _SLOPE = Quantity("ratio", "a slope from -100 to 100", least=-100.0, most=100.0)
 _INDEX = Quantity("ratio", "a number > 1, at most 10", above=1.0, most=10.0)
 _WAVELENGTH = Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3)
+_TURN = Quantity("angle", "an angle from -45 to 45 deg", least=-math.pi / 4, most=math.pi / 4, bare=False)
 _SMALL_ANGLE = Quantity("angle", "an angle >= 0 and below 90 deg", least=0.0, most=math.pi / 2)
 _LIMIT_ANGLE = Quantity("angle", "an angle > 0, at most 90 deg", above=0.0, most=math.pi / 2, bare=False)
 _NO_ANGLE = Quantity("angle", "an angle >= 0 and below 90 deg", least=0.0, most=math.pi / 2, bare=False)
@@ -219,6 +220,9 @@ LATTICE: Final[dict[str, Key]] = {
     "land": Key(Word(("clear", "opaque")), "whether land lets light through", "clear"),
     "pitch_2": Key(
         Several(_ABOVE_0, _XY, single=True), "size of a cell of array 2, where it is another: a superlens"
+    ),
+    "rotation_2": Key(
+        _TURN, "turn of array 2 against array 1 about the sheet's normal: a moire magnifier", 0.0
     ),
 }
 BODY: Final[dict[str, Key]] = {

@@ -193,6 +193,8 @@ class LatticeSpec:
         Cells wholly inside are kept; None: the lattice's own outline.
     pitch_2 : (2,) tuple of float or None, length
         Of array 2, whose lenses stand in the middle of their own cells; None: as of array 1.
+    rotation_2 : float, radians
+        Turn of array 2's cells, and with them of the places of their lenses, about its middle; lenses keep the law's axes.
     aperture : "centred", "aligned", (2,) tuple of float or AimedAt
         Cell 2 is cell 1 moved by the height of centre 2 over centre 1 times this slope, or by that of the light of a viewer.
     land : {"clear", "opaque"}
@@ -208,6 +210,7 @@ class LatticeSpec:
     aperture: Literal["centred", "aligned"] | Pair2 | AimedAt
     land: Literal["clear", "opaque"]
     pitch_2: Pair2 | None = None
+    rotation_2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

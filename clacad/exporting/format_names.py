@@ -30,6 +30,9 @@ WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
 REPEATING = ("3mf", "glb")
 """Formats that hold one cell and where it stands, where the sheet is nothing but equal cells."""
 
+FUSABLE = ("step", *REPEATING)
+"""Formats that `fused` decides about."""
+
 MARKED_MESHES = ("marked-stl", "marked-3mf")
 """Meshes with their name and an arrow engraved in the border."""
 

@@ -87,7 +87,7 @@ class Image:
     sampling : Sampling or None
         What it costs that the law changes from cell to cell; None where all cells share one, or a table has none between.
     zone : Zone or None
-        Where array 2 has a pitch of its own.
+        Where array 2 has a pitch of its own, or is turned.
     """
 
     source: Floats
@@ -101,7 +101,9 @@ class Image:
         return {
             "object": self.source.tolist(),
             "width": None if self.width is None else list(self.width),
-            "zone": None if self.zone is None else {"width": list(self.zone.width), "f_number": list(self.zone.f_number)},
+            "zone": None if self.zone is None else {
+                "width": list(self.zone.width), "f_number": list(self.zone.f_number), "moire": list(self.zone.moire),
+            },
             "sampling": None if self.sampling is None else {
                 "slope": self.sampling.slope, "found": self.sampling.smooth.point.tolist(), "spot": list(self.sampling.smooth.spot),
             },

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import fsum
 from typing import TYPE_CHECKING
@@ -137,6 +137,8 @@ class BodyMesh:
         Vertical lines in which two columns touch and nothing else.
     bevel_volume : float
         Volume that bevels at saddles add (length³).
+    cells : (n, 2) ints or None
+        The kept cells whose triangles these are; None: all of them. See `part`.
     """
 
     name: str
@@ -148,12 +150,19 @@ class BodyMesh:
     step: float
     saddles: int = 0
     bevel_volume: float = 0.0
+    cells: Ints | None = None
     _tallied: list[Tally] = field(default_factory=list, init=False, repr=False)
 
     @property
     def own(self) -> bool:
-        """Whether cells differ, so that each has triangles of its own."""
-        return any(tiled.own is not None for tiled in self.tiled)
+        """Whether cells differ, or only some are there, so that triangles are counted one by one."""
+        return self.cells is not None or any(tiled.own is not None for tiled in self.tiled)
+
+    def part(self, cells: Ints) -> BodyMesh:
+        """The triangles of some kept cells (n, 2) and of the plain land, open where others would follow: enough for light that
+        meets no others.
+        """
+        return replace(self, cells=cells, _tallied=[])
 
     @cached_property
     def _errors(self) -> tuple[float, float]:
@@ -181,7 +190,8 @@ class BodyMesh:
         count, volumes = len(self.plain.triangles), [fsum(flux(self.plain.corners).tolist())]
         for tiled in self.tiled:
             for j in range(lattice.count[1]):
-                for block in self._row_blocks(tiled, j):
+                row = lattice.row(j) if self.cells is None else self.cells[self.cells[:, 1] == j]
+                for block in self._row_blocks(tiled, row):
                     yield block
                     if self.own and not self._tallied:
                         count += len(block.cells) * len(block.template.triangles)
@@ -189,8 +199,7 @@ class BodyMesh:
         if self.own and not self._tallied:
             self._tallied.append(Tally(count, fsum(volumes)))
 
-    def _row_blocks(self, tiled: Tiled, j: int) -> Iterator[CellBlock]:
-        row = self.window.lattice.row(j)
+    def _row_blocks(self, tiled: Tiled, row: Ints) -> Iterator[CellBlock]:
         if not len(row):
             return
         states = self._states(tiled, row)
@@ -215,7 +224,7 @@ class BodyMesh:
         templates: dict[int, tuple[Template, Lattice]] = {}
         for tiled in (one for one in self.tiled if one.own is None):
             for j, times in _distinct_rows(lattice.count[1], lattice.outline is None):
-                for block in self._row_blocks(tiled, j):
+                for block in self._row_blocks(tiled, lattice.row(j)):
                     templates[id(block.template)] = block.template, tiled.lattice
                     counts.setdefault(id(block.template), []).append(times * len(block.cells))
         return tuple((*templates[key], sum(number)) for key, number in counts.items())
@@ -230,6 +239,8 @@ class BodyMesh:
     @cached_property
     def facets_about(self) -> int:
         """Number of triangles; where cells differ from those of a sample of them."""
+        if self.cells is not None:
+            return self._tally.facets
         total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
         for tiled in (one for one in self.tiled if one.own is not None):
             cells = sampled_cells(self.window, JUDGED)
@@ -340,6 +351,10 @@ class Mesh:
 
     def __repr__(self) -> str:
         return f"Mesh({self.window.name!r}, {self.quads} quads a cell side, {self.facet_count} facets)"
+
+    def part(self, cells: Ints) -> Mesh:
+        """The triangles of some kept cells (n, 2) and of the plain land; see `BodyMesh.part`."""
+        return replace(self, bodies=tuple(body.part(cells) for body in self.bodies))
 
     @property
     def slope_error(self) -> float:

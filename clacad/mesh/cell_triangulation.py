@@ -62,10 +62,10 @@ def grid(lattice: Lattice, tile: Floats, zone: Floats, quads: int, diagonal: int
 
 def _square(zone: Floats, q: int, diagonal: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
     """Points (n, 2), triangles (t, 3) and the points of each side of a rectangle cut into q × q."""
-    hx, hy = zone[0, 0], zone[1, 1]
     steps = (2 * np.arange(q + 1) - q) / q  # symmetric about the centre to the last bit
-    x, y = np.meshgrid(hx * steps, hy * steps)
-    xy = np.stack([x.ravel(), y.ravel()], axis=1)
+    x, y = np.meshgrid(steps, steps)
+    (ax, ay), (bx, by) = half_axes(zone)
+    xy = np.stack([(ax * x + bx * y).ravel(), (ay * x + by * y).ravel()], axis=1)
     number = np.arange((q + 1) ** 2).reshape(q + 1, q + 1)
     p00, p10, p01, p11 = (
         n.ravel() for n in (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
@@ -77,6 +77,11 @@ def _square(zone: Floats, q: int, diagonal: int) -> tuple[Floats, Ints, tuple[In
     triangles = np.stack([np.stack(t, axis=1) for t in pair], axis=1).reshape(-1, 3)
     sides = (number[:, -1], number[-1, ::-1], number[::-1, 0], number[0, :])
     return xy, triangles, tuple(np.array(s) for s in sides)
+
+
+def half_axes(zone: Floats) -> tuple[Floats, Floats]:
+    """From the middle of a rectangle (4, 2), turned or not, to that of its first side and of its second, lengths."""
+    return 0.5 * (zone[0] + zone[1]), 0.5 * (zone[1] + zone[2])
 
 
 def _hexagon(zone: Floats, q: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import ceil, frexp, ldexp
+from math import ceil, frexp, ldexp, sqrt
 from typing import Any
 
 import numpy as np
@@ -198,7 +198,10 @@ def shortest(make: CellLevels) -> float:
 
 
 def _shortest(make: CellLevels) -> float:
+    place = make.window.placements[make.tiling.array]
     x0, x1, y0, y1 = make.window.lattice.extent()
-    scale = max(make.window.placements[make.tiling.array].scale(make.window.lattice))
+    scale = max(place.scale(make.window.lattice))
+    if place.turn:  # a corner may come to lie on an axis
+        scale *= sqrt(2.0)
     reach = max(abs(x0), abs(x1), abs(y0), abs(y1)) * scale + max(abs(s) for s in make.tiling.shift)
     return 8.0 * 2.0**-23 * reach

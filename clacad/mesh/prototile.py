@@ -201,14 +201,15 @@ def _diagonal(make: CellLevels, zone: Floats, quads: int) -> int:
     if make.window.lattice.hexagonal:
         return 1
     at = (2 * np.arange(5) - 4) / 4 * (1 - 1 / quads)
-    x, y = (v.ravel() for v in np.meshgrid(zone[0, 0] * at, zone[1, 1] * at))
-    ex, ey = zone[0, 0] / quads, zone[1, 1] / quads
+    x, y = (v.ravel()[:, None] for v in np.meshgrid(at, at))
+    a, b = pl.half_axes(zone)
+    places = x * a + y * b
 
-    def bend(sx: float, sy: float) -> float:
-        middle = make.heights(np.stack([x, y], axis=1))
-        ends = [make.heights(np.stack([x + s * sx, y + s * sy], axis=1)) for s in (1.0, -1.0)]
+    def bend(step: Floats) -> float:
+        middle = make.heights(places)
+        ends = [make.heights(places + s * step) for s in (1.0, -1.0)]
         with np.errstate(invalid="ignore"):
             second = np.abs(ends[0] + ends[1] - 2.0 * middle)
         return float(np.nansum(second[np.isfinite(second)]))
 
-    return 1 if bend(ex, ey) <= bend(ex, -ey) * (1.0 + 1e-9) else -1
+    return 1 if bend(a / quads + b / quads) <= bend(a / quads - b / quads) * (1.0 + 1e-9) else -1

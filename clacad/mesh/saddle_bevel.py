@@ -17,6 +17,7 @@ from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import settle_inside
 from clacad.mesh.integer_heights import NONE, VOID, CellLevels, shortest
+from clacad.sheet.turn import turned
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
 
@@ -63,12 +64,12 @@ def in_corners(window: Window, points: Floats, width: float) -> NDArray[np.bool_
     """Whether points (n, 2 or 3) of the sheet lie where bevels of this width may stand, (n,)."""
     if window.lattice.hexagonal:
         return np.zeros(len(points), dtype=bool)
-    half = 0.5 * np.array(window.lattice.pitch)
     inside = np.zeros(len(points), dtype=bool)
-    for shift in set(window.shifts):
-        place = points[:, :2] - np.array(shift)
-        index, _, _ = window.lattice.locate(place[:, 0], place[:, 1])
-        apart = half - np.abs(place - window.lattice.centres(index))
+    for place in set(window.placements):
+        own = place.lattice(window.lattice)
+        at = points[:, :2] - np.array(place.shift)
+        index, _, _ = own.locate(at[:, 0], at[:, 1])
+        apart = 0.5 * np.array(own.pitch) - np.abs(turned(at - own.centres(index), -own.turn))
         inside |= apart.sum(axis=1) < 1.001 * width
     return inside
 

@@ -51,6 +51,7 @@ from clacad.prescription.thickness import auto_thickness
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Plate
+from clacad.sheet.turn import held_when_turned
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
 
 if TYPE_CHECKING:
@@ -83,7 +84,9 @@ class Intent:
         given = self.design.pair.vertex
         focal = lenses.focal_length[0]
         if self.design.pair.focus is not None:  # δ is that of chief rays, whatever lens 1 focuses
-            focal = thin_pair(self.eta, separation_of(self))[0]
+            from clacad.prescription.sharp_pairs import chief_focal_lengths
+
+            focal = chief_focal_lengths(self.design, lenses.thickness, self.index, separation_of(self))
         offset = self.offset(focal) if given is None else np.array(given)
         if not np.isfinite(offset).all():
             raise NoSuchLens(
@@ -256,6 +259,10 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     separation = separation_of(intent)
     if pair.given:
         lenses = given_pair(pair, thickness, intent.index)
+    elif pair.focus is not None:
+        from clacad.prescription.sharp_pairs import sharp_thick_lenses
+
+        lenses = sharp_thick_lenses(intent.eta, separation, pair.focus, thickness, intent.index)
     else:
         recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
         lenses = recipe(intent.eta, separation, thickness, intent.index)
@@ -326,9 +333,12 @@ def _one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
     if pair.given:
         return given_pair(pair, thickness, intent.index)
     if pair.focus is not None:
-        from clacad.prescription.sharp_pairs import sharp_lenses
+        from clacad.prescription.sharp_pairs import behind_plates, seen_through, sharp_lenses
 
-        return sharp_lenses(intent.eta, separation, pair.focus, thickness, intent.index)
+        seen = (
+            seen_through(pair.focus, thickness, intent.index) if behind_plates(intent.design) else pair.focus
+        )
+        return sharp_lenses(intent.eta, separation, seen, thickness, intent.index)
     return single_surface(intent.eta, separation, thickness, intent.index)
 
 
@@ -465,7 +475,21 @@ def _untraced(intent: Intent) -> Intent:
 
 def _plano_auto(intent: Intent, separation: float) -> Pair2:
     """Smallest vertex-to-plane thickness that leaves the neck under the whole lens, and the land when there is one."""
-    trial = _one_faced(intent, separation, (0.0, 0.0))
+    found = _plano_auto_of(intent, separation, _one_faced(intent, separation, (0.0, 0.0)))
+    if intent.design.pair.focus is None:
+        return found
+    for _ in range(SETTLING):  # sharp lenses behind their own plates depend on how thick these are, a little
+        found = _plano_auto_of(intent, separation, _one_faced(intent, separation, found))
+    return found
+
+
+SETTLING = 4
+"""Rounds in which thickness and radii of sharp lenses settle: each gains three digits."""
+
+
+def _plano_auto_of(intent: Intent, separation: float, trial: LensPair) -> Pair2:
+    """The same for lenses as they are."""
+    trial = replace(trial, thickness=(0.0, 0.0))
     window = _plano_placed(
         _untraced(intent), trial, np.array([0.0, 0.0, separation]),
         intent.turn if intent.design.pair.curved == "outside" else poses.shallower(intent.law, intent.index),
@@ -569,6 +593,8 @@ def _assemble_window(
     second, cut = window.placements[1], window.lattice.outline
     moved = second.shift if window.form == "slab" else (0.0, 0.0)
     wider = max(second.scale(window.lattice))
+    if second.turn and isinstance(cut, Rectangle):
+        wider = max(wider, 1.0) / held_when_turned((cut.width, cut.height), second.turn)
     if isinstance(cut, Circle | Rectangle) and (moved != (0.0, 0.0) or wider > 1.0):
         # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`, and may be larger
         window = replace(window, lattice=replace(window.lattice, outline=_within(cut, moved, wider)))
@@ -595,7 +621,7 @@ def _own_places(window: Window, design: Design) -> Window:
         from clacad.prescription.sharp_pairs import with_focus
 
         return with_focus(window, design)
-    if design.lattice.pitch_2 is not None:
+    if design.lattice.pitch_2 is not None or design.lattice.rotation_2:
         from clacad.prescription.superlens import with_pitch_2
 
         return with_pitch_2(window, design)

@@ -131,7 +131,7 @@ def _exact_meridian(eta: float, separation: float, thickness: Pair2, index: floa
     if isinf(thin1):
         return inf, inf
     gap = separation - 0.5 * (thickness[0] + thickness[1])
-    _refuse_too_thick(thin1, thin2, thickness, index, axis, separation)
+    refuse_too_thick(thin1, thin2, thickness, index, axis, separation)
 
     def defect(f1: float) -> float:
         first = back_focal_distance(f1, thickness[0], index)
@@ -154,9 +154,10 @@ def _exact_meridian(eta: float, separation: float, thickness: Pair2, index: floa
     return f1, -eta * f1
 
 
-def _refuse_too_thick(
+def refuse_too_thick(
     f1: float, f2: float, thickness: Pair2, index: float, axis: str, separation: float
 ) -> None:
+    """Refuse a biconvex lens thicker than n f (lengths); CL120."""
     for number, (f, t) in enumerate(zip((f1, f2), thickness, strict=True), start=1):
         if f > 0.0 and t >= index * f:
             raise NoSuchLens(

@@ -3,7 +3,9 @@
 η stays what it is for chief rays, those through the middle of lens 1: so lens 2 is the lens of the afocal pair, t' = (t − δ)/η
 holds for them in every cell, and only lens 1 changes. Every pair then images the object plane to the image plane, and
 images of all pairs fall on one another where array 2 has the pitch p1 (1 − f2/ζ)/(1 + f1/z): D. Gabor, UK patent 541 753
-(1940). Near f1 = −z the image by lens 1 runs away to infinity and the pair is a telescopelet no more: refused, with the
+(1940). Glass takes part: plane faces before lens 1 and behind lens 2 (plano, curved inside) bring the planes nearer by T (1 − 1/n),
+and a biconvex lens is a thin one whose two sides stand its hiatus apart, which separation and planes lose half of. Lenses and pitch
+are solved for what is left; the thin pair is that of the planes as they were asked. Near f1 = −z the image by lens 1 runs away to infinity and the pair is a telescopelet no more: refused, with the
 planes that work.
 """
 
@@ -16,7 +18,15 @@ from typing import TYPE_CHECKING
 from clacad.base.types import Pair2
 from clacad.design.varying import Conjugates
 from clacad.optics.law.focusing import SharpPair
-from clacad.prescription.radii import LensPair, NoSuchLens, thin_focal_lengths
+from clacad.prescription.radii import (
+    LensPair,
+    NoSuchLens,
+    back_focal_distance,
+    refuse_too_thick,
+    symmetric_radius,
+    thin_focal_lengths,
+    thin_pair,
+)
 from clacad.prescription.superlens import spread_to
 from clacad.sheet.window import Window
 
@@ -24,6 +34,8 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 KEY = "pair.focus"
+ROUNDS = 60
+"""Rounds in which principal planes settle: each gains two or three digits."""
 UNLIKE = 2.0
 """Times by which f1, or array 2's pitch, may differ from that of the afocal pair."""
 LADDER = 1.25
@@ -79,34 +91,118 @@ def _shortened(length: float) -> float:
     return float(f"{length:.3g}") if isfinite(length) else length
 
 
+def seen_through(planes: Conjugates, thickness: Pair2, index: float) -> Conjugates:
+    """The planes (lengths) as lenses behind plates of these thicknesses see them: so much air, paraxial."""
+    before, behind = (t * (1.0 - 1.0 / index) for t in thickness)
+    return Conjugates(planes.object + before, planes.image - behind)
+
+
 def sharp_lenses(
     eta: Pair2, separation: float, planes: Conjugates, thickness: Pair2, index: float
 ) -> LensPair:
     """Lenses with one curved face each, R = (n − 1) f, exact in paraxial light for any thickness."""
-    x, y = sharp_pairs(eta, separation, planes)
-    (f1x, f2x), (f1y, f2y) = x.focal_lengths, y.focal_lengths
-    focal = (f1x, f1y), (f2x, f2y)
+    focal = _lens_by_lens(sharp_pairs(eta, separation, planes))
     (a, b), (c, d) = focal
     power = index - 1.0
     return LensPair(focal, ((power * a, power * b), (power * c, power * d)), thickness)
+
+
+def sharp_thick_lenses(
+    eta: Pair2, separation: float, planes: Conjugates, thickness: Pair2, index: float
+) -> LensPair:
+    """Symmetric biconvex lenses, centres `separation` apart, exact in paraxial light for any thickness.
+
+    Raises
+    ------
+    NoSuchLens
+        A lens thicker than n f, or no telescopelet; the message has planes that work.
+    """
+    sharp_pairs(eta, separation, planes)  # refuses what no thickness mends
+    focal = _lens_by_lens(thick_pairs(eta, separation, planes, thickness, index))
+    (f1x, f1y), (f2x, f2y) = focal
+    for axis, f1, f2 in (("x", f1x, f2x), ("y", f1y, f2y)):
+        refuse_too_thick(f1, f2, thickness, index, axis, separation)
+    first, second = (
+        (symmetric_radius(fx, t, index), symmetric_radius(fy, t, index))
+        for (fx, fy), t in zip(focal, thickness, strict=True)
+    )
+    return LensPair(focal, (first, second), thickness)
+
+
+def thick_pairs(
+    eta: Pair2, separation: float, planes: Conjugates, thickness: Pair2, index: float
+) -> tuple[SharpPair, SharpPair]:
+    """Both meridians' thin lenses in place of symmetric thick ones: between principal planes, whose places follow from them."""
+    x, y = (_thick_meridian(value, separation, planes, thickness, index) for value in eta)
+    return x, y
+
+
+def _thick_meridian(
+    eta: float, separation: float, planes: Conjugates, thickness: Pair2, index: float
+) -> SharpPair:
+    lost, pair = (0.0, 0.0), SharpPair.of(eta, separation, planes.object, planes.image)
+    for _ in range(ROUNDS):
+        before = lost
+        lost = tuple(0.5 * hiatus(f, t, index) for f, t in zip(pair.focal_lengths, thickness, strict=True))  # type: ignore[assignment]
+        pair = SharpPair.of(
+            eta, separation - lost[0] - lost[1], planes.object + lost[0], planes.image - lost[1]
+        )
+        if lost == before or not all(map(isfinite, lost)):
+            break
+    return pair
+
+
+def hiatus(focal_length: float, thickness: float, index: float) -> float:
+    """From the front to the back principal plane of a symmetric lens, length; NaN where there is no such lens."""
+    return thickness - 2.0 * (focal_length - back_focal_distance(focal_length, thickness, index))
+
+
+def chief_focal_lengths(design: Design, thickness: Pair2, index: float, separation: float) -> Pair2:
+    """(f1x, f1y), lengths, that take δ of chief rays to lens 2's offset, whatever lens 1 focuses: of the afocal pair."""
+    eta, planes = design.law_spec.eta, design.pair.focus
+    assert planes is not None  # who calls this has looked
+    if design.pair.form != "biconvex":
+        return thin_pair(eta, separation)[0]
+    pairs = thick_pairs(eta, separation, planes, thickness, index)
+    x, y = (thin_focal_lengths(value, one.separation)[0] for value, one in zip(eta, pairs, strict=True))
+    return x, y
+
+
+def _lens_by_lens(pairs: tuple[SharpPair, SharpPair]) -> tuple[Pair2, Pair2]:
+    (f1x, f2x), (f1y, f2y) = (pair.focal_lengths for pair in pairs)
+    return (f1x, f1y), (f2x, f2y)
 
 
 def with_focus(window: Window, design: Design) -> Window:
     """The window of equal cells, array 2 spread so that the images of all pairs fall on one another."""
     planes = design.pair.focus
     assert planes is not None  # who calls this has looked
-    separation = window.thin.separation
-    pairs = sharp_pairs(design.law_spec.eta, separation, planes)
+    eta, separation = design.law_spec.eta, window.thin.separation
+    (t1, t2), index = window.recipe["T"], window.recipe["n"]
+    thin = pairs = sharp_pairs(eta, separation, planes)
+    if design.pair.form == "biconvex":
+        pairs = thick_pairs(eta, separation, planes, (t1, t2), index)
+    elif behind_plates(design):
+        pairs = sharp_pairs(eta, separation, seen_through(planes, (t1, t2), index))
+    pitch = _spread(window, pairs)
+    made = spread_to(window, pitch, chief_focal_lengths(design, (t1, t2), index, separation))
+    told = {"object": planes.object, "image": planes.image, "pitch_2": list(pitch),
+            "magnification": [pair.magnification for pair in thin]}  # fmt: skip
+    return replace(
+        made,
+        thin=replace(made.thin, focal_length=_lens_by_lens(thin), pitch=_spread(window, thin)),
+        recipe={**window.recipe, "focus": {name: None if value in (inf, -inf) else value for name, value in told.items()}},
+    )  # fmt: skip
+
+
+def behind_plates(design: Design) -> bool:
+    """Whether the plane faces of a plano pair lie between its lenses and the planes."""
+    return design.pair.form == "plano" and design.pair.curved == "inside"
+
+
+def _spread(window: Window, pairs: tuple[SharpPair, SharpPair]) -> Pair2:
+    """Pitch (x, y), lengths, of array 2 at which the images of all pairs fall on one another."""
     turned = abs(window.law.rotation[1, 0]) > 0.5  # the lenses' x lies along the cells' y
     along_cells = pairs[::-1] if turned else pairs
     x, y = (one.pitch_ratio * p for one, p in zip(along_cells, window.lattice.pitch, strict=True))
-    afocal = window.thin.focal_length[0]  # δ and κ are those of chief rays
-    (f1x, f2x), (f1y, f2y) = (pair.focal_lengths for pair in pairs)
-    made = spread_to(window, (x, y), afocal)
-    told = {"object": planes.object, "image": planes.image, "pitch_2": [x, y],
-            "magnification": [pair.magnification for pair in pairs]}  # fmt: skip
-    return replace(
-        made,
-        thin=replace(made.thin, focal_length=((f1x, f1y), (f2x, f2y))),
-        recipe={**window.recipe, "focus": {name: None if value in (inf, -inf) else value for name, value in told.items()}},
-    )  # fmt: skip
+    return x, y

@@ -1,7 +1,8 @@
-"""Array 2 of another pitch, its lenses in the middle of their own cells: a superlens, a moiré magnifier.
+"""Array 2 of another pitch, or turned, its lenses in the middle of their own cells: a superlens, a moiré magnifier.
 
-Cell (i, j) of array 2 stands g = p2/p1 times as far out as its partner, and so does its lens: d(C) = d + (g − 1) C, which is
-a law of δ(C) = δ₀ + K C with K = (g − 1)/f1 along each lens axis. Its cells look at the nodal point.
+Cell (i, j) of array 2 stands g = p2/p1 times as far out as its partner and is turned with the array about its middle, and so
+is its lens: d(C) = d + (T g − 1) C, which is a law of δ(C) = δ₀ + K C with K = (T g − 1)/f1 along each lens axis. Its cells
+look at the nodal point. A turn T gives K a curl. What turns is where lenses stand; their axes stay those of the law.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from clacad.base.types import Pair2
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.turn import cosine_and_sine
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
@@ -22,30 +24,33 @@ if TYPE_CHECKING:
 
 
 def with_pitch_2(window: Window, design: Design) -> Window:
-    """The window of equal cells, array 2 spread to a pitch of its own.
+    """The window of equal cells, array 2 spread to a pitch of its own and turned.
 
     Raises
     ------
     NoSuchLens
         Lens 1 has no power in a meridian: no δ tells where its partners stand.
     """
-    pitch = design.lattice.pitch_2
-    assert pitch is not None  # who calls this has looked
+    pitch, turn = design.lattice.pitch_2, design.lattice.rotation_2
     focal = window.recipe["f"][0]
     if not np.isfinite(focal).all():
-        raise NoSuchLens("eta = 1 with pitch_2: a lens without power has no axis to stand aside of",
-                         key="lattice.pitch_2", code="CL111", hint="eta other than 1 in both x and y")  # fmt: skip
-    return spread_to(window, pitch, focal)
+        key = "rotation_2" if pitch is None else "pitch_2"
+        raise NoSuchLens(f"eta = 1 with {key}: a lens without power has no axis to stand aside of",
+                         key=f"lattice.{key}", code="CL111", hint="eta other than 1 in both x and y")  # fmt: skip
+    return spread_to(window, pitch, focal, turn)
 
 
-def spread_to(window: Window, pitch: Pair2, focal: Pair2) -> Window:
-    """The window of equal cells, array 2 spread to a pitch (lengths); `focal` (lengths) takes lens 2's place to δ."""
-    place = CellPlacement(window.placements[1].shift, pitch)
+def spread_to(window: Window, pitch: Pair2 | None, focal: Pair2, turn: float = 0.0) -> Window:
+    """The window of equal cells, array 2 spread to a pitch (lengths) and turned (radians).
+
+    `focal` (lengths) takes lens 2's place to δ.
+    """
+    place = CellPlacement(window.placements[1].shift, pitch, turn)
     return replace(
         window,
         placements=(CellPlacement(), place),
         cell_laws=CellLaws(window.law, _gradient(window, place, focal)),
-        thin=replace(window.thin, pitch=pitch),
+        thin=replace(window.thin, pitch=pitch, turn=turn),
     )
 
 
@@ -54,6 +59,10 @@ def _gradient(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """K, 1/length: lens axes by sheet axes."""
     (gx, gy) = place.scale(window.lattice)
-    turn = window.law.rotation[:2, :2]
-    (a, b), (c, d) = ((turn.T @ np.diag([gx - 1.0, gy - 1.0])) / np.asarray(focal)[:, None]).tolist()
+    axes = window.law.rotation[:2, :2]
+    aside = np.diag([gx - 1.0, gy - 1.0])
+    if place.turn:
+        less, (s, _) = 2.0 * cosine_and_sine(0.5 * place.turn)[1][0] ** 2, cosine_and_sine(place.turn)[1]
+        aside += np.array([[-less, -s], [s, -less]]) * [gx, gy]
+    (a, b), (c, d) = ((axes.T @ aside) / np.asarray(focal)[:, None]).tolist()
     return (a, b), (c, d)

@@ -11,12 +11,12 @@ cells that it was not made from.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clacad.base.sobol import sobol
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
 from clacad.prescription.radii import NoSuchLens
@@ -72,6 +72,8 @@ class CellLight:
         What moves are smooth functions of.
     key : str
         Key of the design to blame.
+    climb : (along x, along y)
+        How far lens 2 rises on its way, as `VertexChange.slope`.
     """
 
     slopes: Floats
@@ -79,10 +81,17 @@ class CellLight:
     first: Floats
     variable: Floats
     key: str = "lattice.aperture"
+    climb: Pair2 = (0.0, 0.0)
 
     def of(self, rows: Ints) -> CellLight:
         """The light of some cells, by their places (k,) in the list."""
-        return CellLight(self.slopes[rows], self.asked[rows], self.first[rows], self.variable[rows], self.key)
+        return replace(
+            self,
+            slopes=self.slopes[rows],
+            asked=self.asked[rows],
+            first=self.first[rows],
+            variable=self.variable[rows],
+        )
 
 
 def traced_moves(window: Window, slopes: Floats) -> Floats:
@@ -157,7 +166,7 @@ def _solved(window: Window, light: CellLight) -> Floats:
     inverse[:] = turned @ np.diag(np.where(np.isfinite(focal), focal, 0.0)) @ turned.T
     move = np.zeros((len(slopes), 2))
     allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(light.first).max(axis=1)
-    error = _bias(seq, second, points, slopes, light.first + move, asked)
+    error = _bias(seq, second, points, light, light.first + move)
     for _ in range(STEPS):
         if not np.isfinite(error).all():
             break
@@ -169,7 +178,7 @@ def _solved(window: Window, light: CellLight) -> Floats:
             np.abs(move + step) > allowed[:, None]
         )  # aslant the first step, as by paraxial rays, is too long
         step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)
-        after = _bias(seq, second, points, slopes, light.first + move + step, asked)
+        after = _bias(seq, second, points, light, light.first + move + step)
         inverse = _broyden(inverse, step, after - error)
         move, error = move + step, after
     worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf).max(axis=1)))
@@ -190,17 +199,16 @@ def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
     return np.where(moved[:, None, None], inverse + add, inverse)
 
 
-def _bias(
-    seq: list[Interface], second: list[int], points: Floats, slopes: Floats, move: Floats, asked: Floats
-) -> Floats:
+def _bias(seq: list[Interface], second: list[int], points: Floats, light: CellLight, move: Floats) -> Floats:
     """Mean exit direction less the asked one, x and y, (m, 2); lens 2 of each of m cells moved by `move`."""
+    slopes, asked, climb = light.slopes, light.asked, light.climb
     m, n = len(slopes), len(points)
     ray = np.repeat(np.column_stack([slopes, np.ones(m)]), n, axis=0)
     low = min(interface.vertex[2] for interface in seq) - 4.0 * float(np.abs(points).max())
     start = np.column_stack([np.tile(points, (m, 1)) + low * ray[:, :2], np.full(m * n, low)])
     direction, scaled = unit_directions(ray)
     offset, travelled = launch(start, scaled, seq[0].vertex)
-    slide = np.column_stack([np.repeat(move, n, axis=0), np.zeros(m * n)])
+    slide = np.repeat(np.column_stack([move, move @ np.array(climb)]), n, axis=0)
     for k, interface in enumerate(seq):
         if k:
             offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)

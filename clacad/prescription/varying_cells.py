@@ -2,7 +2,8 @@
 
 Cells stay where they are, so that they tile; only vertices differ. Lens 1 stays centred: shared between both lenses the
 decentre would cost more coma. Off its vertex lens 2 turns its light too far, by 6 mrad at a slope of .125 and R2/p = 5, so
-each vertex is moved until the mean of the cell's light leaves as asked (`clacad.prescription.traced_vertices`).
+each vertex is moved until the mean of the cell's light leaves as asked (`clacad.prescription.traced_vertices`). Tilted lenses
+move in their own lens plane, which is not the sheet's: so each pair stays confocal, and lenses 2 stand at heights of their own.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.asked_cells import cell_laws
 from clacad.optics.law.varying import refract_each
 from clacad.prescription.aimed_cells import MOST_TRACED, STEEPEST
@@ -51,30 +52,40 @@ def with_varying_law(window: Window, design: Design) -> Window:
                          f"{MOST_TRACED:,} that it may have", key="lattice.count", code="CL125", hint="fewer cells")  # fmt: skip
     cells = window.lattice.cells()
     deltas = laws.deltas(window.lattice, cells)
-    first = _by_rule(window, deltas, np.array(window.recipe["f"][0]))
+    turn = next(face.rotation for face in window.faces if face.array == 1)
+    first = _by_rule(window, deltas, np.array(window.recipe["f"][0]), turn)
     window = replace(window, cell_laws=laws)
     _refuse_far(window, cells, first)
-    moved = first if design.pair.offset == "paraxial" else first + _traced(window, deltas, first)
+    moved = first
+    if design.pair.offset != "paraxial":
+        moved = first + _traced(window, deltas, first, lens_plane_slope(turn))
     _refuse_far(window, cells, moved)
-    thin = _tabled(window, cells, _by_rule(window, deltas, np.array(window.thin.focal_length[0])))
-    return replace(
-        _with_change(window, _tabled(window, cells, moved)), thin=replace(window.thin, change=thin)
-    )
+    thin_turn = window.thin.rotation
+    ideal = _by_rule(window, deltas, np.array(window.thin.focal_length[0]), thin_turn)
+    thin = replace(_tabled(window, cells, ideal), slope=lens_plane_slope(thin_turn))
+    change = replace(_tabled(window, cells, moved), slope=lens_plane_slope(turn))
+    return replace(_with_change(window, change), thin=replace(window.thin, change=thin))
 
 
-def _traced(window: Window, deltas: Floats, first: Floats) -> Floats:
+def lens_plane_slope(turn: Floats) -> Pair2:
+    """How far a plane across the lens axis rises along x and y of the sheet; turn (3, 3), lens → sheet."""
+    x, y, z = turn[:, 2].tolist()
+    return -x / z + 0.0, -y / z + 0.0
+
+
+def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2) -> Floats:
     """How far lenses 2 must move from `first` (n, 2), lengths, for the light of each cell to leave by its δ (n, 2)."""
     slopes = np.broadcast_to(aperture_slope(window), deltas.shape)
     asked = refract_each(window.law, deltas, np.column_stack([slopes, np.ones(len(slopes))]))
-    return moves_of(window, CellLight(slopes, asked, first, deltas, KEY))
+    return moves_of(window, CellLight(slopes, asked, first, deltas, KEY, climb))
 
 
-def _by_rule(window: Window, deltas: Floats, focal: Floats) -> Floats:
-    """Change of lens 2's place (n, 2), lengths, with δ (n, 2) by d = δ f1; `focal` (2,) is f1."""
+def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats) -> Floats:
+    """Change of lens 2's place (n, 2), lengths, with δ (n, 2) by d = δ f1; `focal` (2,) is f1, turn (3, 3) lens → sheet."""
     law = window.law
     over = deltas - (law.delta_x, law.delta_y)
     lens = np.where(over == 0.0, 0.0, over * np.where(np.isfinite(focal), focal, 0.0))
-    return np.asarray(lens @ law.rotation[:2, :2].T)
+    return np.asarray(lens @ turn[:2, :2].T)
 
 
 def _tabled(window: Window, cells: Ints, moved: Floats) -> VertexChange:

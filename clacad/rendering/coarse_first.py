@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import aim, rays
 from clacad.rendering.picture import Picture, Progress, view_through, worth_compiling
-from clacad.rendering.pixel_input import first_box
+from clacad.rendering.pixel_input import first_box, kernels_are_kept
 from clacad.rendering.sheet_passage import Passage
-from clacad.rendering.view import may_cross
+from clacad.rendering.view import may_cross, set_up
 from clacad.scene import Scene
 from clacad.sheet.window import Window
 
@@ -49,12 +50,15 @@ class CoarseView:
         With every effect, of a pixel a block.
     blockwise : tuple of str
         Effects that the fine picture gets block by block; none where all are cheap or strong.
+    compiled : bool
+        Whether the small picture was drawn by compiled code.
     """
 
     scene: Scene
     passage: Passage
     small: Picture
     blockwise: tuple[str, ...]
+    compiled: bool
 
     @property
     def fine_passage(self) -> Passage:
@@ -80,9 +84,14 @@ class CoarseView:
         fine = view_through(self.scene, threads=threads, progress=progress, compiled=fast, passage=passage)
         if not self.blockwise:
             return fine
-        cheap = view_through(self.small.scene, threads=threads, compiled=fast, passage=passage)
-        added = _spread(self.small.light - cheap.light, _on_sheet(self.scene, fine.window))
-        spread = np.hypot(self.small.error, cheap.error) / BROAD
+        small = self.small
+        if (
+            self.compiled != fast
+        ):  # the last bits of the fine picture shall not hang on what was compiled already
+            small = view_through(small.scene, threads=threads, compiled=fast, passage=self.passage)
+        cheap = view_through(small.scene, threads=threads, compiled=fast, passage=passage)
+        added = _spread(small.light - cheap.light, _on_sheet(self.scene, fine.window))
+        spread = np.hypot(small.error, cheap.error) / BROAD
         return replace(
             fine, light=np.maximum(0.0, fine.light + added), passage=self.passage,
             error=np.hypot(fine.error, enlarge(spread, fine.samples.shape)),
@@ -93,7 +102,7 @@ class CoarseView:
 def view_coarsely(
     scene: Scene, passage: Passage, *, threads: int | None = None, progress: Progress | None = None
 ) -> CoarseView:
-    """Draw a still small, with every effect.
+    """Draw a still small, with every effect; in numpy where compiled code would have to be compiled first.
 
     Parameters
     ----------
@@ -106,9 +115,17 @@ def view_coarsely(
     """
     width, height = (-(-n // BLOCK) for n in scene.camera.pixels)
     small = scene.replace("camera.pixels", [width, height])
-    fast = worth_compiling(scene)
+    fast = worth_compiling(scene) and not must_compile(scene, passage)
     drawn = view_through(small, threads=threads, progress=progress, compiled=fast, passage=passage)
-    return CoarseView(scene, passage, drawn, costly_and_weak(passage))
+    return CoarseView(scene, passage, drawn, costly_and_weak(passage), fast)
+
+
+def must_compile(scene: Scene, passage: Passage) -> bool:
+    """Whether a still is drawn by compiled code that has to be compiled first: half a minute before its first pixel."""
+    if not worth_compiling(scene):
+        return False
+    viewing = set_up(scene, prescribe(scene.design()), True, passage)
+    return not kernels_are_kept(viewing, aim(scene.camera))
 
 
 def costly_and_weak(passage: Passage) -> tuple[str, ...]:

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from clacad.rendering.atlas.make_atlas import AtlasJob
     from clacad.rendering.sheet_passage import Passage
 
+COMPILING = 40.0
+"""Seconds of compiling what draws a picture, of geometry alone; with effects up to half as much again."""
+
+COMPILED = "compiling what draws pictures"
+"""Name under which that is noted."""
+
 FIXED = 0.2
 """Seconds of a picture apart from its rays."""
 

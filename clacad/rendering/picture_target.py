@@ -14,7 +14,6 @@ from clacad.effects.engine.probe_rays import situation_of_scene
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
 from clacad.scene import Scene
-from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest
 from clacad.verification.accuracy.choose_setting import facets_for
@@ -54,8 +53,6 @@ def within_target(scene: Scene, target: float) -> Scene:
     still = chosen.at(0) if chosen.animation is not None else chosen
     design = still.design()
     window = prescribe(design)
-    if rung == "mesh":
-        need_equal_cells(window, 'rung "mesh"', 'rungs "law", "thin" and "surfaces" show it')
     if rung == "mesh" and still.sheet.mesh is None:
         return chosen.replace({"sheet.quads": _quads_within(design, window, target)})
     situation = situation_of_scene(still, window)

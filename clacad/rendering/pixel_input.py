@@ -93,10 +93,44 @@ class Sums(NamedTuple):
 
 def sample(viewing: Viewing, view: View, pixels: Ints, slots: Ints, which: SampleRange, sums: Sums) -> None:
     """Add samples of some pixels (n,) to the sums in the rows `slots` (n,), by the one kernel."""
-    (first, more, most), (total, square) = which, sums
-    from clacad.rendering.compiled.pixels import Eye, sample_all
+    from clacad.rendering.compiled.pixels import sample_all
+
+    total, square = sums
+    eye = _eye(view, which)
+    sample_all(eye, viewing.pane, viewing.tables, pixels, slots, which.more, total, square)
+
+
+def _eye(view: View, which: SampleRange) -> Any:
+    """The camera for the kernel, with its sample points."""
+    from clacad.rendering.compiled.pixels import Eye
 
     frame = np.stack([view.position, view.ahead, view.right, view.down])
-    words = np.zeros((0, 2), np.uint64) if most == 1 else digits(first, more)[:, :2].copy()
-    eye: Any = Eye(np.ascontiguousarray(frame, dtype=np.float64), view.width, view.height, words)
-    sample_all(eye, viewing.pane, viewing.tables, pixels, slots, more, total, square)
+    words = np.zeros((0, 2), np.uint64)
+    if which.most > 1:
+        words = digits(which.first, which.more)[:, :2].copy()
+    return Eye(np.ascontiguousarray(frame, dtype=np.float64), view.width, view.height, words)
+
+
+def kernels_are_kept(viewing: Viewing, view: View) -> bool:
+    """Whether what a compiled picture runs most of is on disk, so that it is loaded and not compiled first."""
+    from clacad.base.kernel_cache import is_kept
+
+    if viewing.pane is not None and view.aperture == 0.0:
+        from clacad.rendering.compiled.pixels import sample_all
+
+        none, rows = np.zeros(0, np.int64), np.zeros((0, 3))
+        eye = _eye(view, SampleRange(0, 1, 1))
+        return is_kept(sample_all, (eye, viewing.pane, viewing.tables, none, none, 1, rows, rows))
+    from clacad.rendering.compiled.scene_hits import look_all
+    from clacad.tracing.compiled.kept_kernels import rung_is_kept
+    from clacad.tracing.layout import lay_out
+
+    rows, flat = np.zeros((0, 3)), np.zeros(0)
+    looked = (viewing.tables, rows, rows, flat, rows, np.zeros(0, np.bool_), flat)
+    several = [(one.sheet.window, one.passage) for one in viewing.passage.several]
+    traced = several or [(viewing.window, viewing.passage)]
+    return is_kept(look_all, looked) and all(
+        rung_is_kept(passage.rung, lay_out(window))
+        for window, passage in traced
+        if window.uniform and not (passage.rung == "thin" and window.thin.field)  # these are numpy's
+    )

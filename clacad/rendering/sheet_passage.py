@@ -102,7 +102,7 @@ class Passage:
 
     def light(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, TraceResult]:
         """Trace a block of rays through one sheet, in its frame, on this thread alone, and give what shines."""
-        known = window.uniform or self.rung == "surfaces"  # the rungs compiled where cells differ
+        known = window.uniform or self.rung in ("surfaces", "mesh")  # the rungs compiled where cells differ
         path: Literal["numpy", "numba"] = "numba" if compiled and known else "numpy"
         options: dict[str, Any] = {} if self.mesh is None else {"mesh": self.mesh}
         if self.continuous:

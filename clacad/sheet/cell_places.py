@@ -4,11 +4,12 @@ Cell (i, j) of every array is the partner of cell (i, j) of the others. A sheet 
 pitch and lenses at one place in their cells (`Window.uniform`). A sheet that knows its viewer, or whose law varies, has
 arrays of other pitches and lenses that stand elsewhere in every cell:
 
-    centre of cell (i, j)     = pitch of the array × index + shift
+    centre of cell (i, j)     = T (pitch of the array × index) + shift                T: the turn of the array
     vertex of its lens there  = Face.vertex + gradient × C + table[i, j]      C: centre of cell (i, j) of the lattice
 
 An array's pitch is a number of its own, not a factor on the lattice's: so the multiples of it that borders and centres
-are made of are formed exactly (`Lattice.locate`), however far out a cell lies.
+are made of are formed exactly (`Lattice.locate`), however far out a cell lies. An array that is turned has its cells and
+with them their lenses turned about its middle; points in a cell and the axes of lenses stay along the sheet's.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from clacad.base.pairs import Pair, pair, pair_sum, two_product
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.sheet.lattice import Lattice
+from clacad.sheet.turn import turned_pairs
 
 DIRECTIONS = 64
 """Directions in which the farthest lenses are looked for."""
@@ -35,14 +37,26 @@ class CellPlacement:
         Displacement of the middle of the array against the lattice's.
     pitch : (p_x, p_y) or None, lengths
         The array's own; None: the lattice's. Hexagonal: p_y is ignored.
+    turn : float, radians
+        Of the array about its middle, from +x to +y.
     """
 
     shift: Pair2 = (0.0, 0.0)
     pitch: Pair2 | None = None
+    turn: float = 0.0
+
+    @property
+    def own(self) -> bool:
+        """Whether the array's pattern is another than the lattice's."""
+        return self.pitch is not None or self.turn != 0.0
 
     def lattice(self, base: Lattice) -> Lattice:
         """The array's own pattern about its own middle; which cells exist is asked of `base`, for it alone has the outline."""
-        return base if self.pitch is None else replace(base, pitch=self.pitch, outline=None)
+        if not self.own:
+            return base
+        return replace(
+            base, pitch=base.pitch if self.pitch is None else self.pitch, outline=None, turn=self.turn
+        )
 
     def scale(self, base: Lattice) -> Pair2:
         """Pitch of the array over that of the lattice `base`, along x and y."""
@@ -53,6 +67,11 @@ class CellPlacement:
 
     def extent(self, base: Lattice) -> tuple[float, float, float, float]:
         """Bounding box (x_min, x_max, y_min, y_max) of the array's kept cells, sheet frame, lengths."""
+        if self.turn:
+            own = self.lattice(base)
+            corners = own.centres(row_ends(base))[:, None] + own.tile() + np.asarray(self.shift)
+            (x0, y0), (x1, y1) = corners.min(axis=(0, 1)).tolist(), corners.max(axis=(0, 1)).tolist()
+            return x0, x1, y0, y1
         x0, x1, y0, y1 = base.extent()
         (gx, gy), (sx, sy) = self.scale(base), self.shift
         return x0 * gx + sx, x1 * gx + sx, y0 * gy + sy, y1 * gy + sy
@@ -68,10 +87,13 @@ class VertexChange:
         Length per length of the cell's centre in the lattice.
     table : (n1, n2, 2) array or None, lengths
         Added cell by cell; the first index of a hexagonal lattice is i + j // 2, the place in the row.
+    slope : (along x, along y)
+        How far a lens rises on its way: tilted lenses that move in their own lens plane keep their distance from lens 1.
     """
 
     gradient: tuple[Pair2, Pair2] = ((0.0, 0.0), (0.0, 0.0))
     table: Floats | None = None
+    slope: Pair2 = (0.0, 0.0)
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
         """Change (..., 2), lengths, of the cells `index` (..., 2); the table has 0 for cells that are not kept."""
@@ -79,6 +101,10 @@ class VertexChange:
         (xx, xy), (yx, yy) = self.gradient
         change = np.stack([xx * x + xy * y, yx * x + yy * y], axis=-1)
         return change if self.table is None else np.asarray(change + self._tabled(lattice, index))
+
+    def rise(self, moved: Floats) -> Floats:
+        """How much higher (...) lenses stand that moved so far (..., 2), lengths."""
+        return np.asarray(moved @ np.array(self.slope))
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> VertexChange:
         """The same change on `count` cells in the middle of the lattice it is for; a table is cut to them.
@@ -124,9 +150,11 @@ def row_ends(lattice: Lattice) -> Ints:
 
 def centre_pairs(lattice: Lattice, cell: Ints) -> tuple[Pair, Pair]:
     """Centres of cells (m, 2) along x and y, unrounded: each a pair of (m,) lengths."""
+    if lattice.turn:
+        return turned_pairs(*centre_pairs(lattice.straight, cell), lattice.turn)
     i, j = cell[:, 0].astype(np.float64), cell[:, 1].astype(np.float64)
     if lattice.hexagonal:
-        (x0, y0), row = lattice.first_centre, lattice.a2[1]
+        (x0, y0), row = lattice.first_centre, lattice.row_height
         x, y = two_product(i + 0.5 * j, lattice.pitch[0]), two_product(j, row)
         return pair_sum(x, pair(np.full(len(i), x0))), pair_sum(y, pair(np.full(len(i), y0)))
     n1, n2 = lattice.count

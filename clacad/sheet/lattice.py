@@ -3,21 +3,22 @@
 Reference for cell-of-point; the compiled twins of `Lattice.locate` and `relocate` are held to it bit for bit
 by `test_trace_kernels`. Positions inside a cell are relative to the cell's centre and are formed with an exact
 product (Dekker's TwoProduct), so a cell a billion pitches away loses nothing but what its coordinate had
-already lost.
+already lost. A pattern that is turned is the same pattern seen along its own axes; points in a cell stay along the sheet's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import Literal
 
 import numpy as np
 
-from clacad.base.pairs import two_product, two_sum
+from clacad.base.pairs import Pair, two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.plate import Plate
+from clacad.sheet.turn import turned, turned_pairs
 
 Kind = Literal["square", "rectangular", "hexagonal"]
 
@@ -101,24 +102,41 @@ class Lattice:
         Hexagonal: n2 rows of n1 cells, odd rows moved by +p/2; indices are axial (i, j).
     outline : Circle, Rectangle, Plate or None
         Only cells whose whole footprint lies inside are kept.
+    turn : float, radians
+        By which the whole pattern is turned about its middle, from +x to +y. One that has an outline is not turned.
     """
 
     kind: Kind
     pitch: tuple[float, float]
     count: tuple[int, int]
     outline: Outline | None = None
+    turn: float = 0.0
 
     @property
     def a1(self) -> tuple[float, float]:
         """First lattice vector (length)."""
-        return (self.pitch[0], 0.0)
+        return self._turned_step((self.pitch[0], 0.0))
 
     @property
     def a2(self) -> tuple[float, float]:
         """Second lattice vector (length)."""
-        if self.kind == "hexagonal":
-            return (0.5 * self.pitch[0], 0.5 * sqrt(3.0) * self.pitch[0])
-        return (0.0, self.pitch[1])
+        return self._turned_step((0.5 * self.pitch[0] if self.hexagonal else 0.0, self.row_height))
+
+    @property
+    def row_height(self) -> float:
+        """From the middle of a row of cells to that of the next (length)."""
+        return 0.5 * sqrt(3.0) * self.pitch[0] if self.hexagonal else self.pitch[1]
+
+    @property
+    def straight(self) -> Lattice:
+        """The same pattern seen along its own axes."""
+        return replace(self, turn=0.0) if self.turn else self
+
+    def _turned_step(self, step: tuple[float, float]) -> tuple[float, float]:
+        if not self.turn:
+            return step
+        x, y = turned(np.array(step), self.turn)
+        return float(x), float(y)
 
     @property
     def hexagonal(self) -> bool:
@@ -135,18 +153,19 @@ class Lattice:
     @property
     def cell_area(self) -> float:
         """Area of one cell, length²."""
-        (ax, ay), (bx, by) = self.a1, self.a2
+        (ax, ay), (bx, by) = self.straight.a1, self.straight.a2
         return ax * by - ay * bx
 
     @property
     def half_widths(self) -> tuple[float, ...]:
         """Distance of each border of a cell from its centre (lengths), in the order of `steps`."""
-        return tuple(0.5 * hypot(*self.offset(di, dj)) for di, dj in self.steps)
+        own = self.straight
+        return tuple(0.5 * hypot(*own.offset(di, dj)) for di, dj in self.steps)
 
     @property
     def circumradius(self) -> float:
         """Distance of the farthest corner of a cell from its centre (length)."""
-        return float(np.max(np.hypot(*self.tile().T)))
+        return float(np.max(np.hypot(*self.straight.tile().T)))
 
     def offset(self, di: int, dj: int) -> tuple[float, float]:
         """Displacement (x, y) of a cell `di`, `dj` index steps away (lengths)."""
@@ -158,6 +177,8 @@ class Lattice:
 
         Edge k runs from corner k to corner k + 1 and is crossed by `steps[k]`.
         """
+        if self.turn:
+            return turned(self.straight.tile(), self.turn)
         if self.hexagonal:
             p = self.pitch[0]
             edge = p / sqrt(3.0)
@@ -230,7 +251,7 @@ class Lattice:
         """Rows that the outline reaches; all without one."""
         if self.outline is None:
             return range(self.count[1])
-        middle, reach = 0.5 * (self.count[1] - 1), _half_sizes(self.outline)[1] / self.a2[1] + 1.0
+        middle, reach = 0.5 * (self.count[1] - 1), _half_sizes(self.outline)[1] / self.row_height + 1.0
         low, high = (int(max(0, min(self.count[1], end))) for end in (middle - reach, middle + reach + 1.0))
         return range(low, high)
 
@@ -279,21 +300,23 @@ class Lattice:
 
     @property
     def first_centre(self) -> tuple[float, float]:
-        """Centre (x, y) of cell (0, 0) (lengths)."""
+        """Centre (x, y) of cell (0, 0) along the pattern's own axes (lengths)."""
         n1, n2 = self.count
         if self.hexagonal:
             p = self.pitch[0]
             odd_rows = n2 // 2
-            return (-0.5 * p * ((n1 - 1) + odd_rows / n2), -0.5 * self.a2[1] * (n2 - 1))
+            return (-0.5 * p * ((n1 - 1) + odd_rows / n2), -0.5 * self.row_height * (n2 - 1))
         return (-0.5 * self.pitch[0] * (n1 - 1), -0.5 * self.pitch[1] * (n2 - 1))
 
     def centres(self, index: Ints) -> Floats:
         """Centres of the cells `index` (..., 2), kept or not, as (..., 2) lengths."""
+        if self.turn:
+            return turned(self.straight.centres(index), self.turn)
         i, j = index[..., 0], index[..., 1]
         n1, n2 = self.count
         if self.hexagonal:
             x0, y0 = self.first_centre
-            return np.stack([x0 + (i + 0.5 * j) * self.pitch[0], y0 + j * self.a2[1]], axis=-1)
+            return np.stack([x0 + (i + 0.5 * j) * self.pitch[0], y0 + j * self.row_height], axis=-1)
         x = (2 * i - (n1 - 1)) * (0.5 * self.pitch[0])
         y = (2 * j - (n2 - 1)) * (0.5 * self.pitch[1])
         return np.stack([x, y], axis=-1)
@@ -315,19 +338,30 @@ class Lattice:
             Cell indices, kept or not. A point on a wall belongs to the cell above it
             (greater x or y).
         local_x, local_y : (n,) arrays, lengths
-            Exact differences from the centre, rounded once; −p/2 ≤ local < p/2.
+            Exact differences from the centre, rounded once; −p/2 ≤ local < p/2. Of a turned pattern they are along the
+            sheet's axes all the same, and rounded once more.
         """
+        if self.turn:
+            return self._locate_turned(
+                (x, np.broadcast_to(x_low, x.shape)), (y, np.broadcast_to(y_low, y.shape))
+            )
         if not self.hexagonal:
             i, local_x = _locate_axis(x, x_low, self.pitch[0], self.count[0])
             j, local_y = _locate_axis(y, y_low, self.pitch[1], self.count[1])
             return np.stack([i, j], axis=-1).astype(np.int64), local_x, local_y
-        (x0, y0), pitch, row = self.first_centre, self.pitch[0], self.a2[1]
+        (x0, y0), pitch, row = self.first_centre, self.pitch[0], self.row_height
 
         def local(i: Floats, j: Floats) -> tuple[Floats, Floats]:
             along = _minus_multiple(x, x_low, i + 0.5 * j, pitch, x0)
             return along, _minus_multiple(y, y_low, j, row, y0)
 
         return _in_hexagon(self, local, x - x0, y - y0)
+
+    def _locate_turned(self, x: Pair, y: Pair) -> tuple[Ints, Floats, Floats]:
+        (u, u_low), (v, v_low) = turned_pairs(x, y, -self.turn)
+        index, u, v = self.straight.locate(u, v, u_low, v_low)
+        local = turned(np.stack([u, v], axis=-1), self.turn)
+        return index, local[:, 0], local[:, 1]
 
     def over_cell(self, unit_square: Floats) -> Floats:
         """Points (n, 2) spread evenly over a cell, from its centre (lengths).
@@ -347,12 +381,15 @@ def relocate(lattice: Lattice, local: Floats) -> tuple[Ints, Floats]:
     The same rule as `Lattice.locate`: a wall belongs to the cell above it; multiples of the lattice
     vectors are formed exactly and the difference is rounded once.
     """
+    if lattice.turn:
+        steps, own = relocate(lattice.straight, turned(local, -lattice.turn))
+        return steps, np.where(steps.any(axis=-1, keepdims=True), turned(own, lattice.turn), local)
     x, y = local[:, 0], local[:, 1]
     if not lattice.hexagonal:
         column, local_x = _relocate_axis(x, lattice.pitch[0])
         line, local_y = _relocate_axis(y, lattice.pitch[1])
         return np.stack([column, line], axis=-1).astype(np.int64), np.stack([local_x, local_y], axis=-1)
-    pitch, row = lattice.pitch[0], lattice.a2[1]
+    pitch, row = lattice.pitch[0], lattice.row_height
 
     def left(i: Floats, j: Floats) -> tuple[Floats, Floats]:
         return less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
@@ -365,8 +402,11 @@ def less_steps(lattice: Lattice, local: Floats, steps: Ints) -> Floats:
     """Local coordinates (m, 2), lengths, seen from the cell `steps` (m, 2) away."""
     if not steps.any():
         return local
+    if lattice.turn:
+        own = less_steps(lattice.straight, turned(local, -lattice.turn), steps)
+        return np.where(steps.any(axis=-1, keepdims=True), turned(own, lattice.turn), local)
     i, j = steps[:, 0].astype(np.float64), steps[:, 1].astype(np.float64)
-    along, row = (i + 0.5 * j, lattice.a2[1]) if lattice.hexagonal else (i, lattice.pitch[1])
+    along, row = (i + 0.5 * j, lattice.row_height) if lattice.hexagonal else (i, lattice.pitch[1])
     x = less_multiple(local[:, 0], along, lattice.pitch[0])
     return np.stack([x, less_multiple(local[:, 1], j, row)], axis=-1)
 
@@ -401,7 +441,7 @@ def _in_hexagon(lattice: Lattice, local: Callable[[Floats, Floats], tuple[Floats
     x, y : (n,) lengths
         From the centre of cell (0, 0), rounded: for the guess.
     """
-    pitch, row = lattice.pitch[0], lattice.a2[1]
+    pitch, row = lattice.pitch[0], lattice.row_height
     j: Floats = np.rint(y / row)
     i: Floats = np.rint(x / pitch - 0.5 * j)
     half, slant = 0.5 * pitch, row / pitch

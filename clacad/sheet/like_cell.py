@@ -42,12 +42,13 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
     places = tuple(
         CellPlacement(_pair(window.centres(k, index) - first)) for k in range(len(window.placements))
     )
-    thin = CellPlacement(window.thin.shift, window.thin.pitch)
+    thin = window.thin.second
     apart = thin.lattice(window.lattice).centres(index) + np.asarray(thin.shift) - first
     lens_2 = np.array(window.thin.offset)
     lens_2[:2] += apart - np.asarray(window.thin.shift)
     if window.thin.change is not None:
-        lens_2[:2] += window.thin.change.at(window.lattice, index)
+        moved = window.thin.change.at(window.lattice, index)
+        lens_2 += [*moved, float(window.thin.change.rise(moved))]
     x, y, z = (float(v) for v in lens_2)
     return replace(
         window,
@@ -57,7 +58,7 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
         cell_laws=None,
         lattice=_wider(window.lattice, wider),
         outline=None if window.outline is None else _larger(window.outline, wider),
-        thin=replace(window.thin, offset=(x, y, z), shift=_pair(apart), pitch=None, change=None),
+        thin=replace(window.thin, offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0, change=None),
     )
 
 

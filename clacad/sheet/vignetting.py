@@ -158,7 +158,7 @@ def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
     """
     window, pair = cells.window, cells.pair
     arrival = arrivals(cells, slopes) - cells.centre
-    if pair.pitch is None:
+    if not pair.second.own:
         return np.asarray(arrival)
     own = _second_array(window)
     apart = own.centres(index) - window.lattice.centres(index)
@@ -168,15 +168,15 @@ def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
 def partner_zone(cells: ThinCells) -> Floats:
     """Outline (m, 2) of the optical zone of lens 2 about its own cell's centre, lens frame, lengths."""
     window, pair = cells.window, cells.pair
-    if pair.pitch is None:
+    if not pair.second.own:
         return cells.zone
-    like = replace(window, placements=(CellPlacement(), CellPlacement(pair.shift, pair.pitch)))
+    like = replace(window, placements=(CellPlacement(), pair.second))
     return _in_lens_plane(pair.rotation, optical_tile(like, 1))
 
 
 def partner_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
     """How far (2,) the middle of the cell of array 2 `order` index steps from the partner lies from it, lens frame, lengths."""
-    if cells.pair.pitch is None:
+    if not cells.pair.second.own:
         return np.asarray(cells.neighbour(order) - cells.centre)
     step = _second_array(cells.window).offset(*order)
     return np.asarray(_in_lens_plane(cells.pair.rotation, np.array([step]))[0])
@@ -184,7 +184,7 @@ def partner_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
 
 def _second_array(window: Window) -> Lattice:
     """Pattern of the cells of array 2 of the thin pair about its own middle."""
-    return CellPlacement(window.thin.shift, window.thin.pitch).lattice(window.lattice)
+    return window.thin.second.lattice(window.lattice)
 
 
 def arrivals(cells: ThinCells, slopes: Floats) -> Floats:

@@ -106,10 +106,13 @@ def _at_corners(window: Window, face: Face, cells: Ints) -> Floats:
     """Heights (n, m) of a face at the m corners of its optical zone in cells (n, 2)."""
     assert face.array is not None
     corners = optical_tile(window, face.array)[None]
+    rise: Floats | float = 0.0
     if face.change is not None:
-        corners = corners - face.change.at(window.lattice, cells)[:, None]
+        moved = face.change.at(window.lattice, cells)
+        corners, rise = corners - moved[:, None], face.change.rise(moved)[:, None]
     one = replace(face, change=None)
-    return lens_height(one, corners[..., 0].ravel(), corners[..., 1].ravel()).reshape(corners.shape[:2])
+    found = lens_height(one, corners[..., 0].ravel(), corners[..., 1].ravel()).reshape(corners.shape[:2])
+    return np.asarray(found + rise)
 
 
 def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts: int) -> Floats:
@@ -118,8 +121,10 @@ def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts
     boxes = np.stack(np.meshgrid(low, low, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def over_zone(moved: Floats) -> float:
+        rise = 0.0 if face.change is None else face.change.rise(moved)
+
         def height(x: Floats, y: Floats) -> Floats:
-            return lens_height(one, x - moved[0], y - moved[1])
+            return np.asarray(lens_height(one, x - moved[0], y - moved[1]) + rise)
 
         return sum(
             abs(float(u[0] * v[1] - u[1] * v[0])) * float(_rule(height, o, u, v, boxes, 1.0 / parts).sum())
@@ -354,9 +359,11 @@ def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) ->
     lattice: Lattice = window.lattice
     kept = lattice.contains(index)
     local = points[..., :2] - window.centres(face.array, index)[:, None]
+    rise: Floats | float = 0.0
     if face.change is not None:
-        local = local - face.change.at(lattice, index)[:, None]
-    lens = lens_height(face, local[..., 0].ravel(), local[..., 1].ravel()).reshape(local.shape[:-1])
+        moved = face.change.at(lattice, index)
+        local, rise = local - moved[:, None], face.change.rise(moved)[:, None]
+    lens = lens_height(face, local[..., 0].ravel(), local[..., 1].ravel()).reshape(local.shape[:-1]) + rise
     to_lens = np.where(kept[:, None] & np.isfinite(lens), np.abs(points[..., 2] - lens), inf)
     to_land = np.full_like(to_lens, inf) if face.land is None else np.abs(points[..., 2] - face.land)
     return np.asarray(np.minimum(to_lens, to_land))

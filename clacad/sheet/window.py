@@ -28,6 +28,7 @@ from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, uprigh
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.cell_places import CellPlacement, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle
+from clacad.sheet.turn import turned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,6 +43,10 @@ PLANE = Quadric(0.0, 0.0, 0.0)
 
 WALL = 0.05
 """A face or facet whose unit normal has |n_z| below this is a wall."""
+
+
+TURNED_ROOM = 0.05
+"""Part of a pitch that is left beside the corners of a turned array."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +171,8 @@ class ThinPair:
         Displacement of the cells of array 2 against those of array 1 in the thin model.
     pitch : (p_x, p_y) or None, lengths
         Pitch of array 2's cells; None: the lattice's.
+    turn : float, radians
+        Of array 2's cells about their middle.
     change : VertexChange or None
         How far lens 2 of each cell stands, in its own cell, from where the middle cell has it.
     field : tuple of FieldLens
@@ -179,6 +186,12 @@ class ThinPair:
     pitch: tuple[float, float] | None = None
     change: VertexChange | None = None
     field: tuple[FieldLens, ...] = ()
+    turn: float = 0.0
+
+    @property
+    def second(self) -> CellPlacement:
+        """Where the cells of array 2 stand in the thin model."""
+        return CellPlacement(self.shift, self.pitch, self.turn)
 
     @property
     def separation(self) -> float:
@@ -313,7 +326,7 @@ class Window:
     @property
     def uniform(self) -> bool:
         """Whether all cells of each array are the same piece, partners displaced alike: one cell tells of all."""
-        own = any(place.pitch is not None for place in self.placements)
+        own = any(place.own for place in self.placements)
         return not own and self.cell_laws is None and all(face.change is None for face in self.faces)
 
     def lattice_of(self, array: int) -> Lattice:
@@ -328,7 +341,9 @@ class Window:
         """Apexes (..., 3) of a face's lenses in the cells `index` (..., 2): x, y from the cell's centre, z of the sheet."""
         places = np.broadcast_to(np.asarray(face.vertex), (*index.shape[:-1], 3)).copy()
         if face.change is not None:
-            places[..., :2] += face.change.at(self.lattice, index)
+            moved = face.change.at(self.lattice, index)
+            places[..., :2] += moved
+            places[..., 2] += face.change.rise(moved)
         return places
 
     def law_at(self, index: ArrayLike) -> Law:
@@ -405,18 +420,21 @@ def side_outline(window: Window) -> Outline | None:
     """
     if window.lattice.outline is not None:
         return window.lattice.outline
-    border, (shift, own) = window.land.border, (window.shifts[1], window.placements[1].pitch)
-    displaced = window.form == "slab" and (shift != (0.0, 0.0) or own is not None)
+    border, second = window.land.border, window.placements[1]
+    shift, own = second.shift, second.own
+    displaced = window.form == "slab" and (shift != (0.0, 0.0) or own)
     if border == 0.0 and not displaced:
         return None
     extents = np.array([place.extent(window.lattice) for place in window.placements])
     x0, x1, y0, y1 = window.lattice.extent()
-    if own is not None:  # the widest array, about its own middle
+    if own:  # the widest array, about its own middle
         off = np.array([[x, x, y, y] for x, y in window.shifts])
         x1, y1 = float(np.abs(extents - off)[:, :2].max()), float(np.abs(extents - off)[:, 2:].max())
     reach_x, reach_y = max(-x0, x1) + border, max(-y0, y1) + border
     if window.form == "slab":
         reach_x, reach_y = reach_x + abs(shift[0]), reach_y + abs(shift[1])
+    if second.turn:  # the corners of a turned array do not touch the sides
+        reach_x, reach_y = (reach + TURNED_ROOM * min(window.lattice.pitch) for reach in (reach_x, reach_y))
     return Rectangle(2.0 * reach_x, 2.0 * reach_y)
 
 
@@ -430,7 +448,8 @@ def optical_tile(window: Window, array: int = 0) -> Floats:
         return tile
     if lattice.hexagonal:
         return np.asarray(tile * (1.0 - 0.5 * seam / half[0]))
-    return np.asarray(tile * np.array([1.0 - 0.5 * seam / half[0], 1.0 - 0.5 * seam / half[1]]))
+    zone = lattice.straight.tile() * np.array([1.0 - 0.5 * seam / half[0], 1.0 - 0.5 * seam / half[1]])
+    return turned(zone, lattice.turn) if lattice.turn else np.asarray(zone)
 
 
 def in_optical_tile(window: Window, x: Floats, y: Floats, array: int = 0) -> NDArray[np.bool_]:
@@ -536,7 +555,7 @@ def _in_zone(window: Window, face: Face, x: Floats, y: Floats, index: Ints | Non
         lens = lens_height(face, x, y)
     else:
         moved = face.change.at(window.lattice, index)
-        lens = lens_height(face, x - moved[..., 0], y - moved[..., 1])
+        lens = lens_height(face, x - moved[..., 0], y - moved[..., 1]) + face.change.rise(moved)
     if window.land.seam > 0.0:
         zone = in_optical_tile(window, np.asarray(x), np.asarray(y), face.array or 0)
         lens = np.where(zone, lens, np.nan)

@@ -72,7 +72,7 @@ def _layer(
     first = (0, 0) if alike else tuple(window.lattice.cells()[0].tolist())
     cell = cell_at((first[0], first[1]))
     own = None if alike else lru_cache(maxsize=KEPT_CELLS)(cell_at)
-    pattern = None if window.placements[array].pitch is None else window.lattice_of(array)
+    pattern = window.lattice_of(array) if window.placements[array].own else None
     return Layer(
         cell, np.array(window.shifts[array]) * scale, _outside(window, cell), own=own, pattern=pattern
     )

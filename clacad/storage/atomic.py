@@ -17,12 +17,12 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from clacad.base.regular_file import read_regular
 from clacad.storage.errors import CannotWrite, ExportRefused, OverBudget, refused_by_system
+from clacad.storage.overheard import Overheard
 from clacad.storage.spending import Spending
 from clacad.storage.staging import BUSY, OLD, Unfinished, exchange, flush, undisturbed
 
@@ -31,7 +31,6 @@ RUN_FACTS = "run.json"
 _SEALED = "sealed-manifest.json"
 _PRIVATE = re.compile(r"\.clacad-(\d+)-(\d+)-[0-9a-f]+\Z")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}\Z")
-_BLOCK = 1 << 20
 
 
 def safe_name(text: str) -> str:
@@ -47,11 +46,7 @@ def safe_name(text: str) -> str:
 
 def file_hash(path: Path) -> str:
     """SHA-256 of a file, hexadecimal; memory is one megabyte."""
-    digest = sha256()
-    with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+    return Overheard(path).hexdigest()
 
 
 def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any] | None:

@@ -18,6 +18,7 @@ from clacad.optics.surface import sharpest_bend
 from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, VertexChange, extreme_cells
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
 from clacad.sheet.plate import Plate
+from clacad.sheet.turn import turned
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 
 SAMPLES = 49
@@ -121,8 +122,8 @@ class Layout:
     ----------
     window : Window
     bodies : tuple of BodyPlan
-    normals : (k, 2)
-        Unit normals of the borders of a cell, one of each opposite pair (2 or 3).
+    normals : (arrays, k, 2)
+        Unit normals of the borders of a cell of every array, one of each opposite pair (2 or 3).
     halves : (k,) lengths
         Of array 0.
     margin : float
@@ -171,15 +172,11 @@ def lay_out(window: Window) -> Layout:
 
 def _laid_out(window: Window) -> Layout:
     lattice = window.lattice
-    borders = lattice.steps[: len(lattice.steps) // 2]
-    offsets = np.array([lattice.offset(*step) for step in borders])
-    lengths = np.hypot(offsets[:, 0], offsets[:, 1])
     sampled = _sample_cell(window)
     return Layout(
         window=window,
         bodies=tuple(_plan_body(window, body, sampled) for body in window.bodies),
-        normals=offsets / lengths[:, None],
-        halves=0.5 * lengths,
+        halves=_half_widths(lattice),
         margin=0.5 * window.land.seam,
         **array_numbers(lattice, window.placements),
     )
@@ -197,18 +194,37 @@ def array_numbers(lattice: Lattice, placements: tuple[CellPlacement, ...]) -> di
             steps[b, a], residual[b, a] = -whole[0], -rest[0]
     lattices = tuple(place.lattice(lattice) for place in placements)
     widths = [_half_widths(one) for one in lattices]
-    return {"lattices": lattices, "widths": np.array(widths), "whole_steps": steps, "residual": residual}
+    normals = np.array([_border_normals(one) for one in lattices])
+    return {
+        "lattices": lattices,
+        "widths": np.array(widths),
+        "normals": normals,
+        "whole_steps": steps,
+        "residual": residual,
+    }
+
+
+def _border_normals(lattice: Lattice) -> Floats:
+    """Unit normals (k, 2) of one border of each opposite pair."""
+    own = lattice.straight
+    offsets = np.array([own.offset(*step) for step in own.steps[: len(own.steps) // 2]])
+    normals = offsets / np.hypot(offsets[:, 0], offsets[:, 1])[:, None]
+    return turned(normals, lattice.turn) if lattice.turn else np.asarray(normals)
 
 
 def _half_widths(lattice: Lattice) -> Floats:
     """Distance (k,) of one border of each opposite pair from the middle of a cell, lengths."""
-    offsets = np.array([lattice.offset(*step) for step in lattice.steps[: len(lattice.steps) // 2]])
+    own = lattice.straight
+    offsets = np.array([own.offset(*step) for step in own.steps[: len(own.steps) // 2]])
     return np.asarray(0.5 * np.hypot(offsets[:, 0], offsets[:, 1]))
 
 
 def apexes(layout: Layout, face: FacePlan, cell: Ints) -> Floats | None:
-    """How far (m, 2) the lenses of cells (m, 2) stand from the face's vertex, lengths; None where all stand alike."""
-    return None if face.change is None else face.change.at(layout.lattice, cell)
+    """How far (m, 3) the lenses of cells (m, 2) stand from the face's vertex, lengths; None where all stand alike."""
+    if face.change is None:
+        return None
+    moved = face.change.at(layout.lattice, cell)
+    return np.column_stack([moved, face.change.rise(moved)])
 
 
 def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Floats) -> Floats:
@@ -223,7 +239,8 @@ def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Flo
 class SampledCell(NamedTuple):
     """Points of cells where faces are sampled.
 
-    x, y (m,) and their spacing, lengths; which lie in the optical zone, (m,); how far the lenses stand off, (2, cells).
+    x, y (m,) and their spacing, lengths; which lie in the optical zone, (m,); how far the lenses stand off, (2, cells), and how
+    much higher, (m,) and (cells,).
     """
 
     x: Floats
@@ -231,6 +248,8 @@ class SampledCell(NamedTuple):
     spacing: float
     zone: Bools
     moved: Floats = np.zeros((2, 0))
+    rise: Floats = np.zeros(1)
+    risen: Floats = np.zeros(1)
 
 
 def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
@@ -239,8 +258,8 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
     cells = _farthest_cells(window, body)
     before, after = (_seen_by(window, face, sampled, cells) for face in (body.front, body.back))
     spacing = max(before.spacing, after.spacing)
-    front_z, front_slope = _sampled(body.front, before.x, before.y)
-    back_z, back_slope = _sampled(body.back, after.x, after.y)
+    front_z, front_slope = _sampled(body.front, before)
+    back_z, back_slope = _sampled(body.back, after)
     solids = [np.ones(seen.x.shape, dtype=bool) for seen in (before, after)]
     if body.columnar:
         with np.errstate(invalid="ignore"):
@@ -294,7 +313,7 @@ def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | Non
     """The sampled points of a face's cell, as its lens sees them that stands where it has to; of all `cells` (m, 2)."""
     if face.array is None:
         return sampled
-    if window.placements[face.array].pitch is not None:
+    if window.placements[face.array].own:
         sampled = _sample_cell(window, face.array)
     if cells is None:
         return sampled
@@ -302,7 +321,11 @@ def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | Non
     x, y = ((points - change[:, k, None]).ravel() for k, points in enumerate((sampled.x, sampled.y)))
     # between two of the directions in which cells were looked for a lens may stand a little farther out
     between = (1.0 - cos(pi / DIRECTIONS)) * float(np.hypot(*change.T).max())
-    return SampledCell(x, y, sampled.spacing + between, np.tile(sampled.zone, len(cells)), change.T)
+    risen = np.zeros(len(cells)) if face.change is None else face.change.rise(change)
+    higher = np.repeat(risen, len(sampled.x))
+    return SampledCell(
+        x, y, sampled.spacing + between, np.tile(sampled.zone, len(cells)), change.T, higher, risen
+    )
 
 
 def _sample_cell(window: Window, array: int = 0) -> SampledCell:
@@ -327,11 +350,12 @@ def _sample_cell(window: Window, array: int = 0) -> SampledCell:
     return SampledCell(x, y, float(np.max(high - low)) / (SAMPLES - 1), in_optical_tile(window, x, y, array))
 
 
-def _sampled(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+def _sampled(face: Face, seen: SampledCell) -> tuple[Floats, Floats]:
     """Height and slope of a face's lens at the sample points."""
     if face.array is None:
-        return np.full(x.shape, face.vertex[2]), np.zeros(x.shape)
-    z, normal = lens_height_and_normal(face, x, y)
+        return np.full(seen.x.shape, face.vertex[2]), np.zeros(seen.x.shape)
+    z, normal = lens_height_and_normal(face, seen.x, seen.y)
+    z = z + seen.rise
     with np.errstate(invalid="ignore", divide="ignore"):
         return z, np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]
 
@@ -351,7 +375,8 @@ def _plan_face(
     if face.array is None:
         low = high = face.vertex[2] - level
     if face.change is not None and seen.any():  # nearer lenses show their apex
-        low, high = min(low, face.vertex[2] - level), max(high, face.vertex[2] - level)
+        apex = face.vertex[2] - level + seen_from.risen
+        low, high = min(low, float(apex.min())), max(high, float(apex.max()))
     if isfinite(land):
         low, high = min(low, land), max(high, land)
     if not low <= high:  # no lens and no land anywhere: the body is empty
@@ -385,7 +410,7 @@ def _footprint(window: Window, body: Body) -> Footprint:
         place = window.placements[body.front.array if body.front.array is not None else arrays.pop()]
         box = place.extent(window.lattice)
         middle = (0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]))
-        inner = _inside_cells(window.lattice, max(place.scale(window.lattice)), box)
+        inner = _inside_cells(window.lattice, place, box)
         return box, inner, ("none", 0.0, 0.0), middle
     if isinstance(window.outline, Plate):
         x0, x1, y0, y1 = window.outline.box
@@ -404,8 +429,23 @@ def _footprint(window: Window, body: Body) -> Footprint:
     return (cx - hx, cx + hx, cy - hy, cy + hy), (hx, hy, np.inf), ("rectangle", hx, hy), (cx, cy)
 
 
-def _inside_cells(lattice: Lattice, scale: float, box: Box) -> tuple[float, float, float]:
-    """A region about the middle of `box` that lies in the union of the kept cells, those of an array `scale` times as wide."""
+def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[float, float, float]:
+    """A region about the middle of `box` that lies in the union of the kept cells of an array."""
+    scale = max(place.scale(lattice))
+    if place.turn:  # what a circle holds it holds however it is turned
+        x0, x1, y0, y1 = lattice.extent()
+        reach = 0.5 * min(place.scale(lattice)) * min(x1 - x0, y1 - y0)
+        if isinstance(lattice.outline, Circle | Rectangle):
+            sides = lattice.outline
+            reach = (
+                0.5
+                * scale
+                * (sides.diameter if isinstance(sides, Circle) else min(sides.width, sides.height))
+            )
+        lost = (
+            0.0 if not lattice.hexagonal and lattice.outline is None else 4.0 * scale * lattice.circumradius
+        )
+        return reach - lost, reach - lost, reach - lost
     half_x, half_y = 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
     if not lattice.hexagonal and lattice.outline is None:
         return half_x, half_y, np.inf

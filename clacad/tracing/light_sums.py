@@ -3,6 +3,11 @@
 Rays are traced PIECE at a time, and each piece is added up as it comes, in numpy or compiled (`reference/light_sums.py`,
 `compiled/light_sums.py`). Pieces do not hang on the number of threads, their sums are put together exactly in one order:
 the same bits on one thread and on many.
+
+Half a million rays and more, compiled, take a fifth of what rows and angles from them take; traced in numpy sums take a tenth
+longer, for they hold what a fit needs. So they serve who asks this of many rays, and not `verify`, which looks at every number of
+each ray (accounting), draws spots from rows and says the doubt of its fits; nor `accuracy`, whose errors are between two results
+ray by ray, with 95 in 100; nor `tolerance` and `optimise`, whose few hundred or thousand rays a sample are worth no kernel.
 """
 
 from __future__ import annotations

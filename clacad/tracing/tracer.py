@@ -24,7 +24,7 @@ from clacad.tracing.reference.law_rung import trace_law
 from clacad.tracing.reference.surfaces import trace_surfaces
 from clacad.tracing.reference.thin import trace_thin
 from clacad.tracing.triangles.ready_facets import OWN_QUADS, Facets, facets_of
-from clacad.tracing.which_path import IDEAL_FACES, LOADED, Path, compiled_suits
+from clacad.tracing.which_path import IDEAL_FACES, LOADED, Path, compiled_suits, kernels_of
 
 if TYPE_CHECKING:
     from clacad.effects.engine.passes import Effect
@@ -72,27 +72,13 @@ class Tracer:
         """Refuse what cannot be traced, and lay out."""
         need_window(self.window, "trace", ", rays")
         self._refuse_words()
-        if self.effects and self.rung == "mesh":
-            need_equal_cells(self.window, 'effects on rung "mesh"', 'rung "surfaces" takes them')
-        if self.precision == "float32" or (self.path == "numba" and self.rung != "surfaces"):
+        if self.precision == "float32" or (self.path == "numba" and self.rung in ("law", "thin")):
             need_equal_cells(self.window, "this compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":
             mesh = OWN_QUADS if self.mesh is None else self.mesh
-            object.__setattr__(self, "facets", self._ready(mesh))
+            object.__setattr__(self, "facets", facets_of(self.window, mesh, self.normals))
         else:
             lay_out(self.window)
-
-    def _ready(self, mesh: AnyMesh | int | Facets) -> Facets:
-        """The triangles, ready for rays."""
-        if self.window.uniform:
-            return facets_of(self.window, mesh, self.normals)
-        if len(self.window.bodies) > 1:
-            need_equal_cells(
-                self.window, 'rung "mesh" of several bodies', 'rung "surfaces" traces it, and "mesh" a slab'
-            )
-        from clacad.tracing.triangles.own_sheet import own_facets
-
-        return own_facets(self.window, mesh, self.normals)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the mesh: what was laid out of it is kept."""
@@ -118,13 +104,12 @@ class Tracer:
         if self.facets is not None and not self.window.uniform:
             from clacad.tracing.triangles.own_sheet import told
 
-            return told(self.window, rays, _through_facets(self.facets, rays, faces, self.threads), record)
+            found = _through_facets(self.facets, rays, faces, self.threads)
+            return told(self.window, self.facets, rays, found, record)
         if self.facets is not None:
             return _through_facets(self.facets, rays, recorded, self.threads)
         layout, single = lay_out(self.window), self.precision == "float32"
         if single or compiled_suits(self.rung, self.path, len(rays), faces, layout):
-            if not self.window.uniform:
-                return _own_cells(layout, rays, recorded, self.threads)
             if self.rung == "surfaces":
                 return _compiled(layout, rays, recorded, self.threads, single=single)
             if not record:
@@ -213,21 +198,6 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
     return ledger.closed()
 
 
-def _own_cells(layout: Layout, rays: Rays, recorded: int, threads: int | None) -> TraceResult:
-    """Exact surfaces of a sheet whose cells differ: straight through compiled, the rest, and what is recorded, in numpy."""
-    if recorded:
-        return _by_numpy(layout, rays, "surfaces", recorded)
-    from clacad.tracing.compiled.own_cells import trace_own
-    from clacad.tracing.compiled.threads import thread_count
-
-    ledger = Ledger.opened(rays, 0)
-    for same, indices in colours(layout, rays, ledger.launchable()):
-        rest = trace_own(layout, rays, ledger, same, indices, thread_count(threads)) if len(same) else same
-        if len(rest):
-            trace_surfaces(layout, ledger, rest, indices)
-    return ledger.closed()
-
-
 def _through_facets(facets: Facets, rays: Rays, recorded: int, threads: int | None) -> TraceResult:
     """Rung "mesh"; by Embree what goes straight through, where it shall search, the rest by the own trees."""
     layout, found_in = facets.layout, facets.found_in
@@ -284,13 +254,14 @@ def _compiled(
     if line is not False:  # the kernels write every row themselves
         ledger = Ledger.blank(len(rays), recorded)
         indices = tuple(body.index_at(line) for body in layout.window.bodies)
-        trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count, facets, single)
+        rows = np.arange(len(rays)) if recorded else range(len(rays))
+        trace_compiled(layout, rays, ledger, rows, indices, count, facets, single)
     else:
         ledger = Ledger.opened(rays, recorded)
         for rows, indices in colours(layout, rays, ledger.launchable()):
             trace_compiled(layout, rays, ledger, rows, indices, count, facets, single)
     if facets is None and not single:
-        LOADED.add("surfaces")
+        LOADED.add(kernels_of("surfaces", layout))
     return ledger.closed()
 
 

@@ -27,7 +27,7 @@ def wall_normals(
     """
     away, normals = [], []
     for array, points in local.items():
-        for (ux, uy), half in zip(layout.normals, layout.widths[array], strict=True):
+        for (ux, uy), half in zip(layout.normals[array], layout.widths[array], strict=True):
             sign = np.where(ux * direction[:, 0] + uy * direction[:, 1] < 0.0, -1.0, 1.0)
             reach = np.abs(ux * points[:, 0] + uy * points[:, 1])
             edges = [half] if layout.margin == 0.0 else [half, half - layout.margin]

@@ -26,10 +26,10 @@ IDEAL_FACES = 4
 """Faces that a ray counts for on rungs law and thin, which have none: numpy takes about as long."""
 
 LOADED: set[str] = set()
-"""Rungs whose compiled kernel has run in this process."""
+"""Kernels, see `kernels_of`, that have run in this process."""
 
 WAITED: Counter[str] = Counter()
-"""Ray-surfaces that were asked for in this process while a rung's kernels were not loaded."""
+"""Ray-surfaces that were asked for in this process while kernels were not loaded."""
 
 
 def worth_compiled(rays: int, faces: int) -> bool:
@@ -42,16 +42,29 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
 
     Without a path the rays are counted among those that waited.
     """
-    if not layout.window.uniform:  # one kernel, of the exact surfaces; too seldom to count what waits for it
-        return rung == "surfaces" and (path == "numba" or (path != "numpy" and worth_compiled(rays, faces)))
-    if rung == "thin" and layout.window.thin.field:
+    if (rung == "thin" and layout.window.thin.field) or (rung != "surfaces" and not layout.window.uniform):
+        return False
+    if _beyond_kernels(layout):
         return False
     if path is not None:
         return path == "numba" or (path == "size" and worth_compiled(rays, faces))
-    if rung in LOADED:
+    kernels = kernels_of(rung, layout)
+    if kernels in LOADED:
         return True
-    WAITED[rung] += rays * faces
-    return WAITED[rung] > LOADING and WAITED[rung] > _worth(rung, layout)
+    WAITED[kernels] += rays * faces
+    return WAITED[kernels] > LOADING and WAITED[kernels] > _worth(rung, layout)
+
+
+def kernels_of(rung: Rung, layout: Layout) -> str:
+    """What the kernels that trace a rung are called here: sheets whose cells differ have their own."""
+    return rung if layout.window.uniform else f"{rung} of cells that differ"
+
+
+def _beyond_kernels(layout: Layout) -> bool:
+    """Whether cells differ in ways that no kernel knows: turned arrays, lenses at heights of their own."""
+    window = layout.window
+    rising = any(face.change is not None and any(face.change.slope) for face in window.faces)
+    return rising or any(place.turn for place in window.placements)
 
 
 def _worth(rung: Rung, layout: Layout) -> int:

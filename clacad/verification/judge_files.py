@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress
@@ -10,6 +11,7 @@ from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
+from clacad.storage.overheard import Overheard
 from clacad.verification.checks import Check, not_run, unreadable
 from clacad.verification.files.copied_table import table_check
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
@@ -50,13 +52,13 @@ def judge_files(
         checks.append(same_design(design, delivery.manifest))
     window = written_window(design, delivery.manifest, cells)
     for subject in delivery.subjects:
-        checks.append(integrity(subject))
-        if not subject.sha256:
+        if subject.missing:
+            checks.append(integrity(subject))
             judged.append(FileReport(subject, "missing"))
             continue
         asked = Inspection(design, subject.name, rays, progress, subject.role, subject.entry)
-        more, one = _judge_one(asked, subject, window)
-        checks += more
+        more, one = _judge_hashed(asked, subject, window)
+        checks += [integrity(one.subject), *more]
         judged.append(one)
     whole = prescribe(design) if window is None else window
     checks += whole_delivery(whole, [(one.subject, one.judged_as, one.present) for one in judged])
@@ -66,10 +68,22 @@ def judge_files(
 Judged = tuple[list[Check], FileReport]
 
 
-def _judge_one(asked: Inspection, subject: Subject, window: Window | None) -> Judged:
+def _judge_hashed(asked: Inspection, subject: Subject, window: Window | None) -> Judged:
+    """Judge one file and take its hash; of triangles from the bytes that are judged, as they are read."""
+    if not subject.is_mesh:
+        return _judge_one(asked, subject.hashed(), window)
+    heard = Overheard(subject.path)
+    checks, one = _judge_one(asked, subject, window, heard)
+    return checks, replace(one, subject=one.subject.hashed(heard))
+
+
+def _judge_one(
+    asked: Inspection, subject: Subject, window: Window | None, heard: Overheard | None = None
+) -> Judged:
     """Judge one file as what it is.
 
     window : with the cells that somebody says it holds; None where nobody does
+    heard : told of the bytes of a mesh as they are read
     """
     whole = prescribe(asked.design) if window is None else window
     if subject.format == TABLE:
@@ -82,7 +96,7 @@ def _judge_one(asked: Inspection, subject: Subject, window: Window | None) -> Ju
     if subject.is_solid:
         return _judge_solids(asked, subject, window, whole)
     if subject.is_mesh:
-        return _judge_triangles(asked, subject, window)
+        return _judge_triangles(asked, subject, window, heard)
     format = format_of(subject)
     if format is not None:
         asked.progress(f"reading {subject.name}", 0.0)
@@ -107,14 +121,16 @@ def _judge_solids(asked: Inspection, subject: Subject, window: Window | None, wh
     return found, FileReport(subject, solid=facts, present=held or None)
 
 
-def _judge_triangles(asked: Inspection, subject: Subject, window: Window | None) -> Judged:
+def _judge_triangles(
+    asked: Inspection, subject: Subject, window: Window | None, heard: Overheard | None
+) -> Judged:
     """Judge a mesh file: where its manifest says that it lies, or wherever it is found to lie."""
     from clacad.formats.mesh.readers import read_mesh
 
     note = ""
     asked.progress(f"reading {subject.name}", 0.0)
     try:
-        mesh = read_mesh(subject.path)
+        mesh = read_mesh(subject.path, heard)
         metres = unit_of(subject, mesh) if subject.entry else None
         if window is not None and metres is not None:
             present = held_bodies(window, subject, 0.0)[0]

@@ -88,8 +88,7 @@ def verified(
     found = _judge_design(design, rays, progress)
     yield replace(found, checks=judging.accepted(found.checks, design))
     if delivery is not None:
-        progress("hashing the files", 0.0)
-        found = _with_files(found, delivery.hashed(), cells, rays, progress)
+        found = _with_files(found, delivery, cells, rays, progress)
         found = replace(found, checks=(*found.checks, *written_meanwhile(delivery)))
         yield replace(found, checks=judging.accepted(found.checks, design))
     progress("done", 1.0)

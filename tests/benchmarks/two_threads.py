@@ -33,7 +33,8 @@ def calls(count: int) -> dict[str, On]:
     window = biconvex(count=(200, 200))
     rays = beam(window, count, 0.02, 1.0)
     mesh = clacad.tessellate(window, quads=16)
-    scene = view_scene("base", 660, "surfaces")
+    scene = view_scene("base", 1320, "surfaces")
+    smooth = scene.replace("camera.samples", 16)
     wide = Rays(rays.position, rays.direction + np.array([0.2, 0.1, 0.0]))
 
     def traced(which: Rays, **words: object) -> On:
@@ -48,7 +49,8 @@ def calls(count: int) -> dict[str, On]:
         "trace, thin": traced(rays, rung="thin"),
         "trace, facets": traced(rays, rung="mesh", mesh=mesh),
         "sums": summed(window),
-        "render, 660 x 660": lambda threads: clacad.render(scene, threads=threads),
+        "render, 1320 x 1320, a ray a pixel": lambda threads: clacad.render(scene, threads=threads),
+        "render, 1320 x 1320, 16 rays a pixel": lambda threads: clacad.render(smooth, threads=threads),
     }
 
 

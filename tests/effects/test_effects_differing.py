@@ -27,6 +27,7 @@ BASE = {
 KINDS = {
     "aimed": {"lattice.aperture": {"point": [-40, 10, -400]}},
     "other pitch": {"lattice.pitch_2": 0.497},
+    "turned": {"lattice.rotation_2": "0.3 deg"},
     "varying": {"law.varying": {"f_image": 300}},
 }
 EACH = ["aimed", *(pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS if kind != "aimed")]

@@ -57,10 +57,14 @@ def test_the_drawing_names_the_key_and_tables_the_first_the_middle_and_the_worst
         assert centre == c1.tolist()
         assert apex == [0.0, 0.0]
         assert step == [0.0]
-        c2 = c1 + (c1 - aim) * 10.0 / 1500.0  # where the light of the viewer through the middle of cell 1 arrives
+        c2 = (
+            c1 + (c1 - aim) * 10.0 / 1500.0
+        )  # where the light of the viewer through the middle of cell 1 arrives
         assert partner == pytest.approx(c2, abs=2e-4)
         assert lens == pytest.approx(c1 - c2, abs=2e-4)  # lens 2 stays over lens 1
-        along = 0.5 * SCALE * np.abs(lens) / 2.468  # two spheres side by side: pitch × offset / radius, by parabolas
+        along = (
+            0.5 * SCALE * np.abs(lens) / 2.468
+        )  # two spheres side by side: pitch × offset / radius, by parabolas
         assert along.max() < highest[0] < 1.2 * along.sum()
 
 

@@ -60,10 +60,23 @@ def pitched(ratio, **more):
     return {"lattice.pitch_2": 0.5 * ratio, **more}
 
 
+def rotated(angle, ratio=1.0, **more):
+    """Keys of a sheet whose array 2 is turned."""
+    return {"lattice.rotation_2": angle, **({} if ratio == 1.0 else {"lattice.pitch_2": 0.5 * ratio}), **more}
+
+
 WIDE = {"lattice.count": FAR}
+VAST = {"lattice.count": [30_001, 30_001]}
+PLANO = {"pair.form": "plano", "pair.thickness": 0.6}
+BICONVEX = {"pair.form": "biconvex", "pair.thickness": 0.6}
+BESIDE = {"lattice.aperture": {"point": [31.7, -12.9, -400]}}
+TURNED = {"law.euler": [30, 0, 0], "law.eta": [-1, -0.8]}
+TILTED = {**BICONVEX, "pair.thickness": 1.0, "law.euler": [20, 5, 0], "law.eta": [-1, -0.8]}
+STEEP = {"lattice.aperture": {"point": [-53.2, 0, -400]}, "pair.offset": "traced", "lattice.count": [5, 5]}
 GLENS = {"law.varying": {"gradient": [[1e-12, 0.0], [0.0, 1e-12]]}}
 BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
 TABLED = {"law.varying": {"f_image": 200}, "pair.offset": "traced", "lattice.count": [41, 41]}
+TILTED = {"law.euler": [30, 3, 10], "law.varying": {"gradient": [[-5e-3, 0.0], [0.0, -5e-3]]}}
 CURL = ((1e-3, -7e-3), (5e-3, 2e-3))
 CASES = [
     case("cell (10^4, 10^4) of an aimed sheet", "the middle, where every place is 0", aimed(-8e4, **WIDE), (10_000, 10_000)),
@@ -77,10 +90,40 @@ CASES = [
     case("a viewer at ten separations", "the nearest that is built: g = 1.1", aimed(-100.0), (20, 0)),
     case("a viewer an ulp beyond ten separations", "g = 1.1 to the last bit", aimed(-100.00000000000001), (0, 20)),
     case("hexagonal, aimed", "skewed axes, and each array its own", aimed(-400, **{"lattice.kind": "hexagonal"}), (12, 17)),
+    case("cell (10^4, 10^4), g = 1 + 1/8000", "2.5 m out both ways, neither the middle nor a corner", aimed(-8e4, **VAST), (10_000, 10_000)),
+    case("cell (10^4, 10^4), g = 1 - 1/9000, a point beside the axis", "array 2 is narrower, and moved by .075",
+         {"lattice.aperture": {"point": [600, -90, 9e4]}, **VAST}, (10_000, 10_000)),
+    case("a point at ten separations behind the sheet", "the nearest that is built there: g = .9", aimed(100.0), (20, 0)),
+    case("a point an ulp beyond ten separations behind", "g = .9 to the last bit", aimed(100.00000000000001), (0, 20)),
+    case("a few last bits above a border of the aimed array", "g = 1.1: the border belongs to the cell above it", aimed(-100.0), (15, 10),
+         off="border", slope=(0.02, 0.0)),
+    case("a few last bits below a border of the aimed array", "the other side of it", aimed(-100.0), (15, 10), off="below", slope=(0.02, 0.0)),
+    case("a few last bits above a border of an array aimed behind", "g = .9", aimed(100.0), (5, 10), off="border", slope=(0.02, 0.0)),
+    case("a few last bits below a border of an array aimed and moved", "a shift beside the scale", BESIDE, (4, 16), off="below",
+         slope=(0.02, 0.0)),
+    case("a few last bits above a border of two bodies' array 2", "faces of a body of its own", {**aimed(-400.0), **BICONVEX}, (15, 10),
+         off="border", slope=(0.02, 0.0)),
+    case("plano, aimed", "a plane face before lens 2", {**BESIDE, **PLANO}, (20, 3)),
+    case("plano, curved inside, aimed", "plane faces outside", {**BESIDE, **PLANO, "pair.curved": "inside"}, (0, 17)),
+    case("biconvex, aimed", "both faces of lens 2 stand aside", {**BESIDE, **BICONVEX}, (20, 3)),
+    case("turned, aimed", "lens axes across the borders, two focal ratios", {**BESIDE, **TURNED}, (20, 3)),
+    case("turned, aimed, a ghost", "lens 2 of the next cell", {**BESIDE, **TURNED}, (9, 14), slope=(0.05, -0.02)),
+    case("tilted, aimed", "lenses lean, their cells do not", {**BESIDE, **TILTED}, (3, 18)),
+    case("tilted, aimed, a corner cell", "the farthest partner", {**BESIDE, **TILTED}, (20, 0)),
+    case("a traced vertex near its bracket", ".298 of the pitch, of .3, from where paraxial light has it", STEEP, (4, 2)),
+    case("a traced vertex near its bracket, a ghost", "the next lens stands elsewhere", STEEP, (2, 1), slope=(0.03, 0.0)),
     case("pitch_2 = pitch (1 + 1e-12)", "last cell: partners 1e-11 apart", pitched(1.0 + 1e-12), (20, 20)),
     case("pitch_2 = pitch (1 - 1e-12)", "the other way", pitched(1.0 - 1e-12), (0, 20)),
     case("pitch_2 = pitch (1 + 1e-12), 10^4 cells out", "the difference is 5e-9", pitched(1.0 + 1e-12, **WIDE), (20_000, 0)),
     case("pitch_2 = .9975 pitch", "a moiré magnifier", pitched(0.9975), (20, 7)),
+    case("array 2 turned by 1 degree", "lenses stand along other axes than borders", rotated("1 deg"), (20, 7)),
+    case("array 2 turned by 1e-12", "the last cell's partner stands 1e-11 aside", rotated("1e-12 rad"), (20, 20)),
+    case("array 2 turned by 1e-6, 10^4 cells out", "5 mm turn into 5 nm", rotated("1e-6 rad", **WIDE), (20_000, 0)),
+    case("array 2 turned by 44 degrees", "next to the most, where square cells look alike", rotated("44 deg"), (11, 10)),
+    case("array 2 turned by -2 degrees, hexagonal", "the other way, skewed axes", rotated("-2 deg", **{"lattice.kind": "hexagonal"}), (12, 17)),
+    case("array 2 of .9975 pitch, turned by 3 degrees", "a moiré magnifier turned", rotated("3 deg", 0.9975), (18, 4)),
+    case("array 2 turned by 5 degrees, a ghost", "lens 2 of the next cell but one", rotated("5 deg"), (15, 10), slope=(0.06, -0.03)),
+    case("a few last bits above a border of a turned array", "the border runs aslant", rotated("3 deg"), (13, 10), off="border", slope=(0.02, 0.0)),
     case("a ghost in an array of another pitch", "lens 2 of the next cell but one", pitched(1.02), (15, 10), slope=(0.06, -0.03)),
     case("a few last bits above a border of the wider array", "the border belongs to the cell above it", pitched(1.02), (15, 10),
          off="border", slope=(0.02, 0.0)),
@@ -95,5 +138,9 @@ CASES = [
     case("kappa = 5e-3, vertices traced, a ghost", "the lens of the next cell stands elsewhere", TABLED, (30, 12), slope=(0.04, 0.0)),
     case("a gradient with curl beside a table", "lenses 2 turn about the middle", {**TABLED, "gradient": CURL}, (31, 9)),
     case("a gradient with curl beside another pitch", "the same in an array of its own pitch", pitched(1.02, gradient=CURL), (3, 16)),
+    case("kappa = 5e-3, tilted by 3 degrees", "lenses 2 stand at heights of their own", TILTED, (20, 3), off=(0.05, -0.06)),
+    case("kappa = 5e-3, tilted by 3 degrees, vertices traced", "heights follow a table", {**TILTED, "pair.offset": "traced"}, (2, 18),
+         off=(-0.04, 0.07)),
+    case("kappa = 1e-12, tilted", "heights differ by 1e-12", {**TILTED, **GLENS}, (20, 20), off=(0.01, 0.02)),
     case("kappa = 5e-3, vertices traced, middle", "where the table has 0", TABLED, (20, 20)),
 ]  # fmt: skip

@@ -21,6 +21,7 @@ AIMED = {
 }  # fmt: skip
 THICK = {"form": "biconvex", "separation": 10, "index": 1.5, "thickness": 0.6}
 THIN = {"form": "biconvex", "separation": 10, "index": 1.5, "thickness": 0.05, "web": 0.03}
+TILTED = {"eta": [-1.0, -1.0], "euler": [30, 3, 10], "varying": {"gradient": [[-0.005, 0.0], [0.0, -0.005]]}}
 VARYING = {"eta": [-1.0, -1.0], "varying": {"f_image": 200}}
 
 
@@ -55,12 +56,21 @@ SHEETS = {
         "law": {"eta": [-0.25, -0.5], "varying": {"f_image": [150, -300]}}, "lattice__aperture": None,
     },
     "law that varies, rims": {"law": VARYING, "lattice__aperture": None, "pair": THIN, "lattice__seam": 0.04},
+    "law that varies, tilted": {"law": TILTED, "lattice__aperture": None, "body__border": 0.7},
+    "law that varies, tilted, plano": {"law": TILTED, "lattice__aperture": None, "pair": {"form": "plano", "separation": 10, "index": 1.5}},
     "law that varies, disc": {
         "law": VARYING, "lattice__aperture": None, "lattice__count": [8, 8], "lattice__outline": {"circle": 3.0},
     },
     "other pitch": {"lattice__aperture": None, "lattice__pitch_2": 0.51},
     "other pitch, hexagonal": {"lattice__aperture": None, "lattice__pitch_2": 0.505, "lattice__kind": "hexagonal", "body__border": 1.0},
     "other pitch, columns": {"lattice__aperture": None, "lattice__pitch_2": 0.51, "pair": THICK},
+    "turned": {"lattice__aperture": None, "lattice__rotation_2": "4 deg"},
+    "turned, of other pitch, hexagonal": {"lattice__aperture": None, "lattice__pitch_2": 0.505, "lattice__kind": "hexagonal", "lattice__rotation_2": "-20 deg"},
+    "turned, in a border with a seam": {"lattice__aperture": None, "lattice__rotation_2": "30 deg", "lattice__seam": 0.05, "body__border": 0.5},
+    "turned, disc": {"lattice__aperture": None, "lattice__rotation_2": "11 deg", "lattice__count": [8, 8], "lattice__outline": {"circle": 4.2}},
+    "turned, rectangle": {"lattice__aperture": None, "lattice__rotation_2": "7 deg", "lattice__count": [9, 9], "lattice__outline": {"rectangle": [4, 3]}},
+    "turned, columns": {"lattice__aperture": None, "lattice__rotation_2": "40 deg", "pair": THICK},
+    "turned, plano": {"lattice__aperture": None, "lattice__rotation_2": "9 deg", "pair": {"form": "plano", "separation": 10, "index": 1.5}},
 }  # fmt: skip
 EVERY_TIME = ("slab", "law that varies, rims", "law that varies, hexagonal")
 

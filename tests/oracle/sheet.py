@@ -81,7 +81,7 @@ def condition(window, start, direction):
 def _first(window, face, position, ray, before, after):
     """Cell, distance, point and direction behind a face; None if no kept cell's part of it is met."""
     if face.array is None:
-        return _through(face, (mpf(0), mpf(0)), position, ray, before, after, None)
+        return _through(face, (mpf(0), mpf(0), mpf(0)), position, ray, before, after, None)
     shift = [mpf(float(s)) for s in window.shifts[face.array]]
     level = (mpf(float(face.vertex[2])) - position[2]) / ray[2]
     near = [position[k] + level * ray[k] - shift[k] for k in (0, 1)]
@@ -90,7 +90,9 @@ def _first(window, face, position, ray, before, after):
     for step in product((-1, 0, 1), repeat=2):
         cell = (middle[0] + step[0], middle[1] + step[1])
         centre = [c + s for c, s in zip(_centre(window, cell, face.array), shift)]
-        apex = [c + m for c, m in zip(centre, _moved(window, face, cell))]
+        moved = _moved(window, face, cell)
+        rise = sum(mpf(float(s)) * m for s, m in zip(face.change.slope, moved)) if face.change else mpf(0)
+        apex = [*(c + m for c, m in zip(centre, moved)), rise]
         met = _through(face, apex, position, ray, before, after, cell)
         if met is None or not _kept(window, cell):
             continue
@@ -108,7 +110,7 @@ def _through(face, centre, position, ray, before, after, cell):
         if kind == "biconic"
         else (one.curvature_x, one.curvature_y, one.kappa, 0.0, one.side)
     )
-    vertex = [centre[k] + mpf(float(face.vertex[k])) for k in (0, 1)] + [mpf(float(face.vertex[2]))]
+    vertex = [centre[k] + mpf(float(face.vertex[k])) for k in (0, 1, 2)]
     placed = surfaces.Face(kind, shape, (0.0, 0.0, 0.0), before, after, rotation=face.rotation)
     placed = replace(placed, vertex=vertex)
     path = surfaces.trace([placed], position, ray)
@@ -136,7 +138,17 @@ def _moved(window, face, cell):
     return [m + mpf(float(t)) for m, t in zip(moved, face.change.table[place, j])]
 
 
+def _turned(place, angle):
+    """A point turned about the middle of its array, in 60 digits."""
+    c, s = mp.cos(mpf(angle)), mp.sin(mpf(angle))
+    return [c * place[0] - s * place[1], s * place[0] + c * place[1]]
+
+
 def _centre(window, cell, array):
+    return _turned(_straight_centre(window, cell, array), window.placements[array].turn)
+
+
+def _straight_centre(window, cell, array):
     lattice, pitch = window.lattice, _pitch(window, array)
     if lattice.kind == "hexagonal":
         return lattice_oracle.centre(mpf(pitch[0]), lattice.count, *cell)
@@ -149,6 +161,7 @@ def _centre(window, cell, array):
 def _cell(window, place, array):
     """Cell of an array with a point of 60 digits, from its middle; a wall belongs to the cell above it."""
     lattice, pitch = window.lattice, _pitch(window, array)
+    place = _turned(place, -window.placements[array].turn)
     if lattice.kind == "hexagonal":
         return lattice_oracle.locate("hexagonal", pitch, lattice.count, *place)[0]
     return tuple(int(mp.floor(u / mpf(p) + mpf(n) / 2)) for u, p, n in zip(place, pitch, lattice.count))

@@ -139,3 +139,89 @@ def test_a_forecast_counts_the_samples_that_a_noise_target_takes(photo):
     assert drawn.samples.mean() > 6.0  # most pixels are taken again
     assert found == pytest.approx(drawn.samples.mean() / 4.0, rel=0.6)
     assert _again(viewing, plain, aim(plain.camera)) == 1.0
+
+
+SCENE = """
+format = 1
+name = "small"
+unit = "mm"
+[sheet]
+design = "window-100mm.toml"
+rung = "surfaces"
+[camera]
+position = [0, 0, -60]
+frame = 5
+pixels = [40, 30]
+samples = 2
+[[object]]
+id = "floor"
+kind = "checker"
+height = -2
+tile = 3
+[effects]
+mode = "none"
+"""
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    (tmp_path / "small.toml").write_text(SCENE)
+    (tmp_path / DESIGN.name).write_text(DESIGN.read_text())
+    return tmp_path / "small.toml"
+
+
+def test_a_scene_whose_kernels_must_be_compiled_is_there_coarsely_first(
+    scene_file, tmp_path, monkeypatch, capsys
+):
+    words = ["render", str(scene_file), "-o", str(tmp_path / "x.png")]
+    assert main([*words, "--json"]) == 0
+    whole = (tmp_path / "x.png").read_bytes()
+    seen = {}
+
+    def forecast(*_):
+        with Image.open(tmp_path / "x.png") as coarse:
+            seen["coarse"], seen["size"] = coarse.text["clacad:coarse"], coarse.size
+        return 7.0
+
+    monkeypatch.setattr(coarse_first, "must_compile", lambda *_: True)
+    monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "picture_seconds", forecast)
+    assert main(words) == 4  # nothing is drawn over what stands there
+    assert main([*words, "--overwrite"]) == 0
+    assert seen == {"coarse": "the whole view in blocks of 8 x 8 pixels", "size": (40, 30)}
+    assert "compiled first" in capsys.readouterr().err
+    assert (tmp_path / "x.png").read_bytes() == whole
+    (tmp_path / "x.png").unlink()
+    assert main(words) == 0  # what replaces the coarse picture is no overwriting
+    assert (tmp_path / "x.png").read_bytes() == whole
+
+
+@pytest.mark.parametrize("rung", ["surfaces", "law", "thin"])
+def test_kernels_are_asked_for_by_the_types_that_they_are_called_with(rung, scene_file, monkeypatch):
+    from clacad.base import kernel_cache
+    from clacad.rendering.compiled import pixels
+    from clacad.rendering.pixel_input import kernels_are_kept
+    from clacad.scene import load_scene
+
+    scene = load_scene(scene_file, (f"sheet.rung={rung}",))
+    viewing = set_up(scene, prescribe(scene.design()), True)
+    asked, called = [], []
+    monkeypatch.setattr(
+        kernel_cache, "is_kept", lambda kernel, arguments: asked.append((kernel, arguments)) or True
+    )
+    assert kernels_are_kept(viewing, aim(scene.camera))
+    kernel, types = asked[0][0], [kernel_cache.numba.typeof(one) for one in asked[0][1]]
+    if viewing.pane is None:
+        assert kernel.py_func.__name__ == "look_all"
+        return
+    monkeypatch.setattr(pixels, "sample_all", lambda *arguments: called.append(arguments))
+    view_through(scene, compiled=True)
+    assert {tuple(kernel_cache.numba.typeof(one) for one in arguments) for arguments in called} == {
+        tuple(types)
+    }
+
+
+def test_a_small_picture_needs_no_kernel(scene_file):
+    from clacad.scene import load_scene
+
+    scene = load_scene(scene_file)
+    assert not coarse_first.must_compile(scene, plan_passage(scene, prescribe(scene.design())))

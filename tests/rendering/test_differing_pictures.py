@@ -38,6 +38,7 @@ process = "none"
 KINDS = {
     "aimed": {"lattice.aperture": {"point": [0, 0, -400]}},
     "other pitch": {"lattice.pitch_2": 0.497},
+    "turned": {"lattice.rotation_2": "0.3 deg"},
     "varying": {"law.varying": {"f_image": 300}},
 }
 

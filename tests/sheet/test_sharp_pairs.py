@@ -167,3 +167,52 @@ def test_a_written_step_of_sharp_pairs_is_judged_less_what_the_focus_was_asked_t
     assert found["file_law_rms"].value < 1e-4  # parallel light alone would be 0.85 mrad off
     assert found["file_law_bias"].value < 1e-4
     assert not [check.id for check in report.checks if check.state == "fail"]
+
+
+THICK = [
+    {},
+    {"pair__form": "plano", "pair__curved": "inside", "pair__thickness": [3.0, 2.0]},
+    {"pair__form": "plano", "pair__curved": "inside", "pair__thickness": "auto", "law__eta": [-0.5, -0.25]},
+    {"pair__form": "biconvex", "pair__thickness": [1.5, 1.0], "pair__surface": "ellipsoid"},
+    {"pair__form": "biconvex", "pair__thickness": [0.5, 1.0], "pair__surface": "ellipsoid", "law__eta": [-2.0, -0.5]},
+    {"pair__form": "biconvex", "pair__thickness": 1.0, "pair__surface": "ellipsoid", "law__eta": [2.0, 2.0],
+     "pair__focus": {"object": -300, "image": -200}, "law__delta": [0.01, 0.0]},
+    {"pair__form": "biconvex", "pair__thickness": "auto", "pair__surface": "ellipsoid", "pair__focus": {"object": "-inf", "image": 150}},
+]  # fmt: skip
+
+
+def paraxial(window, cell, axis, height, slope):
+    """Height and slope behind the last face of a ray that leaves z = 0 at `height`: refraction by refraction, in 40 digits."""
+    z, index = mpf(0), mpf(1)
+    for body in window.bodies:
+        for face, after in ((body.front, mpf(body.index)), (body.back, mpf(1))):
+            place = 0.0 if face.array is None else window.centres(face.array, np.array(cell))[axis]
+            vertex = mpf(float(place)) + mpf(face.vertex[axis])
+            bend = face.side * (face.surface.curvature_x, face.surface.curvature_y)[axis]
+            height += (mpf(face.vertex[2]) - z) * slope
+            slope = (index * slope - (after - index) * mpf(bend) * (height - vertex)) / after
+            z, index = mpf(face.vertex[2]), after
+    return height - z * slope, slope
+
+
+@pytest.mark.parametrize("changes", THICK)
+def test_paraxial_light_of_every_cell_of_thick_lenses_meets_where_it_was_asked_to(changes):
+    """Array 2 is where the lens's middle is, of a plano lens its apex."""
+    window = clacad.prescribe(design(**changes))
+    told = window.recipe["focus"]
+    lens_2 = [face for face in window.faces if face.array == 1]
+    level = sum(mpf(face.vertex[2]) for face in lens_2) / len(lens_2)
+    with mp.workdps(40):
+        image = level + told["image"]
+        for axis in (0, 1):
+            met = []
+            for cell in ((4, 4), (7, 2), (0, 8)):
+                for off in (0.0, 0.2):
+                    x = mpf(float(window.centres(0, np.array(cell))[axis])) + off
+                    if told["object"] is None:
+                        height, slope = paraxial(window, cell, axis, x, mpf("0.003"))
+                    else:
+                        slope = (x - mpf("0.7")) / -mpf(told["object"])
+                        height, slope = paraxial(window, cell, axis, x, slope)
+                    met.append(height + image * slope)
+            assert max(met) - min(met) < 1e-11

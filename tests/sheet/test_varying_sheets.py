@@ -206,12 +206,13 @@ def test_a_table_gives_each_cell_its_own_law_and_the_design_its_hash(tmp_path):
 
 PRESENT = {
     "hexagonal cells": {"lattice__kind": "hexagonal"}, "seam": {"lattice__seam": 0.05}, "outline": {"lattice__outline": {"circle": 4}},
-    "tilt": {"law__euler": [0, 3, 0]}, "offset": {"law__delta": [0.01, 0.0]},
+    "tilt": {"law__euler": [0, 3, 0]}, "tilt where planes are imaged": {"law__euler": [0, 3, 0], "law__varying": {"f_image": 200}}, "offset": {"law__delta": [0.01, 0.0]},
     "biconvex": {"pair__form": "biconvex", "pair__surface": None}, "plano": {"pair__form": "plano"}, "slab": {},
     "given faces": {"pair__prescription": "given", "pair__face": [{"radius": 2.468}, {"radius": 2.468}], "pair__surface": None},
     "tolerances": {"tolerances__index": 0.001}, "aimed at a point": {"lattice__aperture": {"point": [0, 0, -400]}},
     "steered": {"lattice__aperture": [0.01, 0.0]}, "traced vertices": {"pair__offset": "traced"},
     "other pitch": {"lattice__pitch_2": 0.499}, "law that varies": {"law__varying": {"f_image": 200}},
+    "turned array": {"lattice__rotation_2": "0.2 deg"},
     "sharp pairs": {"pair__focus": {"object": -300, "image": 400}}, "curved inside": {"pair__form": "plano", "pair__curved": "inside"},
     "thin recipe": {"pair__form": "plano", "pair__confocal": "thin"},
     "confocal best": {"pair__confocal": "best"}, "field lens": {"pair__field_lens": True, "pair__surface": None},
@@ -219,9 +220,15 @@ PRESENT = {
 }  # fmt: skip
 
 
-SHEET = {"law.varying": {}, "lattice.pitch_2": {"law__varying": None, "lattice__pitch_2": 0.4975},
+SHEET = {"law.varying": {"law__varying": {"gradient": [[-0.005, 0.0], [0.0, -0.005]]}}, "lattice.pitch_2": {"law__varying": None, "lattice__pitch_2": 0.4975},
+         "lattice.rotation_2": {"law__varying": None, "lattice__rotation_2": "0.2 deg"},
          "pair.focus": {"law__varying": None, "pair__focus": {"object": -300, "image": 400}}}  # fmt: skip
-ITS_OWN = {"law.varying": "law that varies", "lattice.pitch_2": "other pitch", "pair.focus": "sharp pairs"}
+ITS_OWN = {
+    "law.varying": "law that varies",
+    "lattice.pitch_2": "other pitch",
+    "lattice.rotation_2": "turned array",
+    "pair.focus": "sharp pairs",
+}
 
 
 @pytest.mark.parametrize("feature", [f.name for f in FEATURES])
@@ -240,10 +247,12 @@ def test_each_combination_works_or_is_refused_by_one_code_as_the_matrix_says(she
     window = built(**changes)
     cells = window.lattice.cells()
     start = np.column_stack([window.lattice.centres(cells), np.full(len(cells), -1.0)]) + [0.01, 0.01, 0.0]
-    slope = window.placements[1].shift[0] / 10.0 if feature == "steered" else 0.0
-    seen = clacad.trace(window, clacad.Rays(start - [slope, 0, 0], (slope, 0.0, 1.0)))
+    x, y = (
+        np.divide(window.thin.shift, window.thin.offset[2]) if feature in ("steered", "tilt") else (0.0, 0.0)
+    )
+    seen = clacad.trace(window, clacad.Rays(start - [x, y, 0], (x, y, 1.0)))
     for k in np.flatnonzero(seen.fate == Fate.ALIVE):
-        exact = window.law_at(seen.cell[k]).refract([slope, 0.0, 1.0])
+        exact = window.law_at(seen.cell[k]).refract([x, y, 1.0])
         assert np.abs(seen.direction[k] - exact).max() < 5e-3
     assert (seen.fate == Fate.ALIVE).mean() > 0.9
 
@@ -314,3 +323,44 @@ def test_steps_between_cells_are_those_of_two_ellipsoids_apart(kind):
     assert greatest_steps(window, face, cells) == pytest.approx(expected, abs=1e-13)
     assert expected.max() > 0.01
     assert greatest_steps(window, window.faces[0], cells).max() < 1e-15
+
+
+@pytest.mark.parametrize("form", ["slab", "plano", "biconvex"])
+def test_tilted_lenses_move_in_their_own_plane_and_every_ideal_pair_obeys_its_own_law(form):
+    """Lens 2 of every cell is as far along the lens axis as that of the middle, whatever its δ."""
+    window = built(pair__form=form, pair__surface="ellipsoid", law__euler=[30, 4, 10], pair__offset="paraxial",
+                   law__varying={"gradient": [[-0.005, 0.002], [-0.002, -0.004]]})  # fmt: skip
+    axis = window.law.rotation[:, 2]
+    cells = window.lattice.cells()
+    for face in window.faces:
+        if face.change is None:
+            continue
+        along = (window.vertices(face, cells) - face.vertex) @ axis
+        assert np.abs(along).max() < 1e-15
+        assert np.ptp(window.vertices(face, cells)[:, 2]) > 1e-3
+    x, y = np.divide(window.thin.shift, window.thin.offset[2])
+    start = np.column_stack([window.lattice.centres(cells) + [0.02, -0.01], np.zeros(len(cells))])
+    seen = clacad.trace(window, clacad.Rays(start - [x, y, 1.0], (x, y, 1.0)), rung="thin")
+    alive = np.flatnonzero(seen.fate == Fate.ALIVE)
+    assert len(alive) > 0.9 * len(cells)
+    for k in alive:
+        assert np.abs(seen.direction[k] - window.law_at(seen.cell[k]).refract([x, y, 1.0])).max() < 1e-14
+
+
+@pytest.mark.slow
+def test_files_of_a_tilted_sheet_whose_law_varies_pass_and_level_lenses_are_found_out(tmp_path):
+    from dataclasses import replace
+
+    from clacad.formats.step.step_files import write_step
+
+    made = design(lattice__count=[5, 5], law__euler=[30, 12, 10],
+                  law__varying={"gradient": [[-0.02, 0.0], [0.0, -0.02]]})  # fmt: skip
+    clacad.export(made, tmp_path / "out", formats=("step", "xyz", "table"))
+    report = clacad.verify(made, files=tmp_path / "out", rays=2048)
+    assert report.word.startswith("passed"), [c.sentence for c in report.checks if c.state == "fail"]
+    window = clacad.prescribe(made)
+    (body,) = window.bodies
+    level = replace(body.back, change=replace(body.back.change, slope=(0.0, 0.0)))
+    write_step(replace(window, bodies=(replace(body, back=level),)), tmp_path / "level.step")
+    found = clacad.verify(made, files=tmp_path / "level.step", rays=2048)
+    assert any(check.state == "fail" and check.subject.endswith(".step") for check in found.checks)

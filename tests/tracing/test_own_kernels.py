@@ -10,7 +10,6 @@ import clacad
 from clacad.formats.mesh.stl import write_stl
 from clacad.mesh import tessellate
 from clacad.optics.rays import Fate
-from clacad.sheet.need_window import CellsDiffer
 
 SCENE = """
 import sys
@@ -103,10 +102,3 @@ def test_triangles_of_cells_that_differ_send_light_where_their_faces_do_the_near
     recorded = clacad.trace(window, rays, rung="mesh", mesh=8, record=True)
     assert recorded.hits is not None
     assert (recorded.fate == first.fate).all()
-
-
-def test_triangles_of_several_bodies_whose_cells_differ_are_refused_with_what_traces_them():
-    pair = {"form": "plano", "separation": 10, "index": 1.5}
-    window = clacad.prescribe(clacad.Design.from_dict({**AIMED, "pair": pair}))
-    with pytest.raises(CellsDiffer, match='CL139.*several bodies.*"surfaces"'):
-        clacad.trace(window, light(), rung="mesh", mesh=4)

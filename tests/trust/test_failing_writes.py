@@ -108,7 +108,7 @@ def attempts(tmp_path: Path, cause: int) -> Iterator[dict[str, Any]]:
     work = tmp_path / "work"
     work.mkdir()
     command = [sys.executable, "-c", FAULTS, str(work), str(cause), "400"]
-    done = subprocess.run(command, input=TINY, capture_output=True, text=True, env=environment(), timeout=200)
+    done = subprocess.run(command, input=TINY, capture_output=True, text=True, env=environment(), timeout=600)
     assert done.returncode == 0, done.stderr
     yield from map(json.loads, done.stdout.splitlines())
 

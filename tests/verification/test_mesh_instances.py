@@ -6,6 +6,7 @@ import json
 import re
 import tracemalloc
 from dataclasses import replace
+from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from trust.spoiling import document_of, glb, model_changed
 from clacad.design import Design
 from clacad.exporting.compare import compare_mesh
 from clacad.exporting.tessellations import Meshes
+from clacad.formats.mesh import stl as stl_format
 from clacad.formats.mesh.closed_stream import welded
-from clacad.formats.mesh.file_mesh import FileMesh, Part
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.glb import write_glb
 from clacad.formats.mesh.ply import write_ply
 from clacad.formats.mesh.readers import read_mesh
@@ -24,6 +26,7 @@ from clacad.formats.mesh.threemf import write_threemf
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.volume_and_extent import Integral, body_volume
 from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.storage.overheard import Overheard
 from clacad.verification.files import mesh_wholeness
 from clacad.verification.files.cell_triangles import Gatherer, chosen_cells
 from clacad.verification.files.inspection import Inspection
@@ -482,6 +485,42 @@ def test_pieces_of_a_stream_are_counted_to_the_last_one():
     assert connected(Part("", soup=soup[order])) == 40_000
     bridge = np.stack([soup[0, 0], soup[-1, 0], soup[4, 0]])[None]  # one triangle from the first to the last
     assert connected(Part("", soup=np.concatenate([soup, bridge]))) == 39_998
+
+
+def test_a_large_stl_is_read_once_for_its_hash_its_sums_its_facets_and_its_pieces(tmp_path, monkeypatch):
+    path, read = stl(tmp_path, DESIGN, QUADS), []
+    small, _ = judged(path)
+    monkeypatch.setattr(mesh_wholeness, "COUNTED_FACETS", 0)
+
+    def told(path, start, stop, heard=None, real=stl_format.read_facets):
+        read.append((start, stop))
+        return real(path, start, stop, heard)
+
+    monkeypatch.setattr(stl_format, "read_facets", told)
+    heard = Overheard(path)
+    large, _ = judged(path, mesh=read_mesh(path, heard))
+    count = (path.stat().st_size - 84) // 50
+    assert [start for start, _ in read] == list(range(0, count, CHUNK))
+    assert heard.heard == path.stat().st_size
+    assert heard.hexdigest() == sha256(path.read_bytes()).hexdigest()
+    assert large["pieces"].value == small["pieces"].value
+    assert large["volume"].value == small["volume"].value
+
+
+def test_a_corner_that_is_no_number_is_told_as_it_is_read(tmp_path):
+    path = stl(tmp_path, DESIGN, QUADS)
+    content = bytearray(path.read_bytes())
+    count = (len(content) - 84) // 50
+    for number in (np.nan, np.inf, -np.inf):
+        place = 84 + 50 * (count - 3) + 12 + 4 * 5
+        content[place : place + 4] = np.float32(number).tobytes()
+        path.write_bytes(content)
+        with pytest.raises(UnreadableFile, match="not a number"):
+            list(read_mesh(path).chunks())
+    content[84 + 50 * 3 + 12 : 84 + 50 * 3 + 16] = np.float32(np.inf).tobytes()  # and one of each sign
+    path.write_bytes(content)
+    with pytest.raises(UnreadableFile, match="not a number"):
+        list(read_mesh(path).chunks())
 
 
 def test_pieces_of_a_large_file_are_counted_or_the_sentence_says_that_they_are_not(tmp_path, monkeypatch):

@@ -36,5 +36,7 @@ def _face(face: Face) -> Face:
         rotation=turned,
         array=face.array,
         land=None if face.land is None else -face.land,
-        change=face.change,
+        change=None
+        if face.change is None
+        else replace(face.change, slope=(-face.change.slope[0], -face.change.slope[1])),
     )

@@ -429,10 +429,12 @@ def arrived(layout: Layout, body: BodyPlan, packet: Packet, event: Event, up: bo
 def lens_normals(face: FacePlan, local: Floats, z: Floats, apex: Floats | None = None) -> Floats:
     """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator.
 
-    apex : (m, 2) lengths or None
+    apex : (m, 3) lengths or None
         How far each ray's lens stands from the face's vertex, see `apexes`.
     """
-    point = np.column_stack([local if apex is None else local - apex, z]) - face.vertex
+    point = np.column_stack([local, z]) - face.vertex
+    if apex is not None:
+        point = point - apex
     if face.rotation is None:
         return face.surface.normal(point[:, 0], point[:, 1])
     turned = point @ face.rotation

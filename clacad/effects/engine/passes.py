@@ -275,7 +275,7 @@ def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) ->
     from clacad.tracing.which_path import compiled_suits
 
     threads, path = options.pop("threads", None), options.pop("path", None)
-    if rung in ("law", "thin") or not (window.uniform or rung == "surfaces"):
+    if rung in ("law", "thin"):
         return 1, "numpy"
     if not compiled_suits(rung, path, len(rays), 2 * len(window.bodies), lay_out(window)):
         return 1, "numpy"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterable, Iterator
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -70,11 +71,14 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
 def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
     """What a face has besides where cells differ: the pitch of its array, and that the pose table has its apexes."""
     found: dict[str, Any] = {}
-    if face.array is not None and window.placements[face.array].pitch is not None:
-        found["cells_pitch_mm"] = [p * scale for p in window.lattice_of(face.array).pitch]
+    place = None if face.array is None else window.placements[face.array]
+    if place is not None and place.pitch is not None:
+        found["cells_pitch_mm"] = [p * scale for p in place.lattice(window.lattice).pitch]
+    if place is not None and place.turn:
+        found["cells_turned_deg"] = degrees(place.turn)
     if face.change is not None:
         found |= {
-            "apex_in_cell_mm": [None, None, face.vertex[2] * scale],
+            "apex_in_cell_mm": [None, None, None if any(face.change.slope) else face.vertex[2] * scale],
             "apex": "cell by cell in the pose table",
         }
     return found
@@ -141,12 +145,14 @@ def pose_lines(window: Window, scale: float, rows: Iterable[Ints]) -> Iterator[l
     for _, face, label in structured_faces(window):
         assert face.array is not None
         angles = [repr(v) for v in euler_degrees(face)]
-        z = repr(float(face.vertex[2] * scale))
         for row in rows:
-            apexes = np.asarray(face.vertex)[:2] if face.change is None else window.vertices(face, row)[:, :2]
-            places = (window.centres(face.array, row) + apexes) * scale + 0.0
-            for (i, j), (x, y) in zip(row.tolist(), places.tolist()):
-                yield [label, i, j, repr(x), repr(y), z, *angles]
+            apexes = window.vertices(face, row)
+            if face.change is None:
+                apexes = np.asarray(face.vertex)
+            places = (window.centres(face.array, row) + apexes[..., :2]) * scale + 0.0
+            heights = np.broadcast_to(apexes[..., 2] * scale, len(row)).tolist()
+            for (i, j), (x, y), z in zip(row.tolist(), places.tolist(), heights):
+                yield [label, i, j, repr(x), repr(y), repr(z), *angles]
 
 
 def euler_degrees(face: Face) -> tuple[float, float, float]:

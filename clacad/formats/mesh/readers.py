@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.storage.errors import OverBudget, UnreadableFile
+from clacad.storage.overheard import Overheard
 
 
-def read_mesh(path: str | os.PathLike[str]) -> FileMesh:
+def read_mesh(path: str | os.PathLike[str], heard: Overheard | None = None) -> FileMesh:
     """Read STL (binary or ASCII), 3MF, PLY, GLB or OBJ.
 
     Parameters
     ----------
     path : path
+    heard : Overheard or None
+        Told of the bytes of a format that is read as a stream, where its hash is wanted too.
 
     Returns
     -------
     FileMesh
-        Coordinates in the file's unit; its `chunks` yield corners without holding them all.
+        Coordinates in the file's unit; its `chunks` yield corners without holding them all. Those of a binary STL file
+        are read, and may turn out to be UnreadableFile, only then.
 
     Raises
     ------
@@ -34,12 +39,12 @@ def read_mesh(path: str | os.PathLike[str]) -> FileMesh:
     with path.open("rb") as stream:
         head = stream.read(512)
     try:
-        return _reader(head, path.suffix.lower())(path)
+        return _reader(head, path.suffix.lower(), heard)(path)
     except (MemoryError, OverflowError) as error:
         raise OverBudget(f"{path.name}: too large to be read here") from error
 
 
-def _reader(head: bytes, suffix: str) -> Callable[[Path], FileMesh]:
+def _reader(head: bytes, suffix: str, heard: Overheard | None) -> Callable[[Path], FileMesh]:
     """Choose by the first bytes; STL has no mark, so its suffix or its arithmetic decides last."""
     if head.startswith(b"PK\x03\x04"):
         from clacad.formats.mesh.threemf import read_threemf
@@ -61,4 +66,4 @@ def _reader(head: bytes, suffix: str) -> Callable[[Path], FileMesh]:
 
     if suffix in (".3mf", ".glb", ".ply"):
         raise UnreadableFile(f"the file does not begin as a {suffix[1:].upper()} file does")
-    return read_stl
+    return partial(read_stl, heard=heard)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Protocol
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.storage.overheard import Overheard
 from clacad.storage.spending import Spending
 
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -119,13 +120,17 @@ def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
     return found
 
 
-def read_stl(path: Path) -> FileMesh:
+def read_stl(path: Path, heard: Overheard | None = None) -> FileMesh:
     """Read an STL file, binary (streamed) or ASCII.
+
+    heard : Overheard or None
+        Told of the bytes as the triangles of a binary file are read.
 
     Raises
     ------
     UnreadableFile
-        Cut short, too long, holds a corner that is no number, or is not STL.
+        Cut short, too long, holds a corner that is no number, or is not STL. Of a binary file a corner is looked at when it
+        is read, as a slice of its triangles.
     OverBudget
         More bytes, facets or seconds than are read.
     """
@@ -134,7 +139,7 @@ def read_stl(path: Path) -> FileMesh:
         head = stream.read(HEADER + 4)
     count = int.from_bytes(head[HEADER:], "little") if len(head) == HEADER + 4 else -1
     if count >= 0 and size == stl_bytes(count):
-        return _read_binary(path, head, count)
+        return _read_binary(path, head, count, heard)
     if head.lstrip().lower().startswith(b"solid"):
         return _read_ascii(path)
     if count < 0:
@@ -144,18 +149,16 @@ def read_stl(path: Path) -> FileMesh:
     )
 
 
-def _read_binary(path: Path, head: bytes, count: int) -> FileMesh:
+def _read_binary(path: Path, head: bytes, count: int, heard: Overheard | None) -> FileMesh:
     name = re.sub(r"[^ -~]", "?", head[:HEADER].decode("latin-1")).strip("? ")
     unit = 1e-3 if "unit=mm" in name else None
     if count == 0:
         return FileMesh("stl-binary", (Part("", soup=np.zeros((0, 3, 3), np.float32)),), unit, name)
     spent = Spending("stl", path)
     spent.count(count)
-    for start in range(0, count, CHUNK):
-        spent.look(f"at facet {start:,}")
-        if not np.isfinite(read_facets(path, start, start + CHUNK)["corners"]).all():
-            raise UnreadableFile(f"{path.name}: a corner near facet {start} is not a number")
-    return FileMesh("stl-binary", (Part("", soup=BinaryStl(path, count)),), unit, name)
+    if heard is not None:
+        heard.hear(0, head)
+    return FileMesh("stl-binary", (Part("", soup=BinaryStl(path, count, heard)),), unit, name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,22 +170,43 @@ class BinaryStl:
 
     path: Path
     count: int
+    heard: Overheard | None = field(default=None, repr=False, compare=False)
 
     def __len__(self) -> int:
         """Number of facets."""
         return self.count
 
     def __getitem__(self, which: slice, /) -> NDArray[np.float32]:
-        """Corners (k, 3, 3) of a run of facets."""
+        """Corners (k, 3, 3) of a run of facets.
+
+        Raises
+        ------
+        UnreadableFile
+            One of them is not a number, or the file has become shorter.
+        """
         start, stop, step = which.indices(self.count)
-        return np.asarray(read_facets(self.path, start, stop)["corners"][::step])
+        records = read_facets(self.path, start, stop, self.heard)
+        if len(records) != max(0, stop - start):
+            raise UnreadableFile(
+                f"{self.path.name}: it ends at facet {start + len(records)}, of {self.count}"
+            )
+        corners = np.asarray(records["corners"][::step])
+        with np.errstate(invalid="ignore"):
+            total = corners.sum(dtype=np.float64)  # of so many float32 it is infinite only if one of them is
+        if not np.isfinite(total):
+            raise UnreadableFile(f"{self.path.name}: a corner near facet {start} is not a number")
+        return corners
 
 
-def read_facets(path: Path, start: int, stop: int) -> NDArray[np.void]:
-    """Facets start … stop − 1 of a binary STL file as records of FACET."""
+def read_facets(path: Path, start: int, stop: int, heard: Overheard | None = None) -> NDArray[np.void]:
+    """Facets start … stop − 1 of a binary STL file as records of FACET; `heard` is told of their bytes."""
+    first = HEADER + 4 + start * FACET.itemsize
     with path.open("rb") as stream:
-        stream.seek(HEADER + 4 + start * FACET.itemsize)
-        return np.frombuffer(stream.read(max(0, stop - start) * FACET.itemsize), dtype=FACET)
+        stream.seek(first)
+        block = stream.read(max(0, stop - start) * FACET.itemsize)
+    if heard is not None:
+        heard.hear(first, block)
+    return np.frombuffer(block[: len(block) - len(block) % FACET.itemsize], dtype=FACET)
 
 
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"

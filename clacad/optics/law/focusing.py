@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from math import hypot, inf, isinf
+from math import hypot, inf, isinf, sin, sqrt
 
 import numpy as np
 
@@ -139,6 +139,8 @@ class Superlens:
     ----------
     pitches, focal_lengths : (2,) lengths
         p1, p2 and f1, f2; the arrays stand f1 + f2 apart.
+    turn : float, radians
+        Of the second array against the first. κ, foci and nodal point are those without.
 
     Notes
     -----
@@ -148,6 +150,7 @@ class Superlens:
 
     pitches: Pair2
     focal_lengths: Pair2
+    turn: float = 0.0
 
     @property
     def eta(self) -> float:
@@ -178,18 +181,25 @@ class Superlens:
 
     @property
     def moire_period(self) -> float:
-        """p1 p2/|p1 − p2|, length."""
-        return abs(self._over_difference(Exact(self.pitches[1])))
+        """p1 p2/|p1 − p2|, length; with a turn α the root of (p1 − p2)² + 4 p1 p2 sin²(α/2) instead of the difference."""
+        return self._over_distance(self.pitches[1])
 
     @property
     def zone_period(self) -> float:
         """Width, length, over which light along the normal stays with its partner: p1²/|p2 − p1|."""
-        return abs(self._over_difference(Exact(self.pitches[0])))
+        return self._over_distance(self.pitches[0])
 
     @property
     def f_number(self) -> float:
         """|f_image| over the zone: |f2|/p1."""
         return abs(_ratio(Exact(self.focal_lengths[1]), Exact(self.pitches[0])))
+
+    def _over_distance(self, length: float) -> float:
+        if self.turn == 0.0:
+            return abs(self._over_difference(Exact(length)))
+        p1, p2 = self.pitches
+        apart = hypot(float(Exact(p1) - Exact(p2)), 2.0 * sqrt(p1 * p2) * sin(0.5 * self.turn))
+        return length * p1 / apart
 
     def _over_difference(self, length: Exact) -> float:
         p1, p2 = map(Exact, self.pitches)

@@ -40,7 +40,7 @@ def suits(sheet: Packed) -> bool:
 @exact
 def pass_quick(sheet: Packed, launched: Launched, position: Floats, direction: Floats) -> int:
     """Take one launched ray through; write where it leaves (0, 3), or give up and write nothing."""
-    faces, bodies, lat, rows, indices, _ = sheet
+    faces, bodies, lat, rows, indices, _, _, _ = sheet
     i, j, x, y, z, L, M, N, _ = launched
     half_x, half_y = lat[slot.HALF], lat[slot.HALF + 1]
     hair = HAIR * half_x

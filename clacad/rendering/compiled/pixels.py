@@ -38,6 +38,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     SCRATCH,
     X,
     Z,
+    lane,
 )
 from clacad.tracing.compiled.walk import walk_ray
 
@@ -280,7 +281,7 @@ def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
         walk.carried[i] = s[PATH, i]
     array = straight(None, sheet, s, walk.chosen[:m], none, none, walk.carried)
     face = sheet.faces[last]
-    centres(lattice, s, m, array, s[GX], s[GY], face[slot.VX], face[slot.VY])
+    centres(lattice, s, m, array, lane(s, GX), lane(s, GY), face[slot.VX], face[slot.VY])
     top = bodies[len(bodies) - 1, slot.LEVEL] + face[slot.VZ]
     _collect(pane.shining, scale, top, m, s, ray, near, state)
     for i in range(m):
@@ -295,8 +296,16 @@ def _collect(
     """Rays behind the sheet of those whose straight trace holds; their mark `near` becomes 2."""
     direct, ghost = SHINES if shining[ALIVE] else BLACK, SHINES if shining[GHOST] else BLACK
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
-    px, py, pz, dx, dy, dz, good = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
-    ci, cj, ci0, cj0, mark, out = s[CI], s[CJ], s[CI0], s[CJ0], near[:m], state[:m]
+    px, py, pz, dx, dy, dz, good = (
+        lane(s, GX),
+        lane(s, GY),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, GOOD),
+    )
+    ci, cj, ci0, cj0, mark, out = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0), near[:m], state[:m]
     inverse = 1.0 / scale
     for i in range(m):
         through = (mark[i] > 0.0) & (good[i] > 0.0) & (dz[i] > 0.0)

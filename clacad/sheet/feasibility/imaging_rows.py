@@ -13,23 +13,29 @@ from clacad.sheet.window import Window
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """How far a superlens is one lens: light along the normal stays with its partner over `width`, (2,) lengths."""
+    """How far a superlens is one lens: light along the normal stays with its partner over `width`, (2,) lengths.
+
+    moire : (2,) lengths
+        Period of the pattern that both arrays make.
+    """
 
     width: Pair2
     f_number: Pair2
+    moire: Pair2
 
 
 def zone_of(window: Window) -> Zone | None:
     """The zone of a sheet whose array 2 has a pitch of its own, along the cells' axes; None of others."""
-    own = window.thin.pitch
-    if own is None or window.cell_laws is None:
+    second = window.thin.second
+    if not second.own or window.cell_laws is None:
         return None
+    own = window.lattice.pitch if second.pitch is None else second.pitch
     (f1x, f1y), (f2x, f2y) = window.thin.focal_length
     x, y = (
-        Superlens((a, b), focal)
+        Superlens((a, b), focal, second.turn)
         for a, b, focal in zip(window.lattice.pitch, own, ((f1x, f2x), (f1y, f2y)), strict=True)
     )
-    return Zone((x.zone_period, y.zone_period), (x.f_number, y.f_number))
+    return Zone((x.zone_period, y.zone_period), (x.f_number, y.f_number), (x.moire_period, y.moire_period))
 
 
 def imaging_rows(
@@ -77,7 +83,9 @@ def imaging_rows(
     if zone is not None:
         rows += [
             ("width of one lens, x, y", of_length(zone.width), name,
-             "p1²/|p2 − p1|: over it light along the normal stays with its partner; a superlens is a lattice of lenses of that period"),
+             "p1²/|p2 − p1|, with a turn p1²/√((p2 − p1)² + 4 p1 p2 sin²(α/2)): over it light along the normal stays with its partner; a superlens is a lattice of lenses of that period"),
             ("F-number of one lens, x, y", ", ".join(map(digits, zone.f_number)), "", "|f2|/p1; law.varying makes one large lens"),
+            ("moire period, x, y", of_length(zone.moire), name,
+             "of the two arrays: no field of a cell survives beyond it; over a pitch it is the magnification of a moire magnifier"),
         ]  # fmt: skip
     return rows

@@ -6,10 +6,12 @@ from math import exp, isfinite, nan
 
 import numpy as np
 
-from clacad.base.compiled import exact, making, owning
+from clacad.base.compiled import exact, least, making, owning
+from clacad.base.compiled_vectors import EIGHT, eight_apart, eight_together
 from clacad.base.types import Cells, Floats, Rows, Singles
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.array_cells import row_of
 from clacad.tracing.compiled.launch import launch_block, launch_ray
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
@@ -34,6 +36,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
+    lane,
 )
 from clacad.tracing.compiled.walk import walk_ray
 from clacad.tracing.triangles.compiled_grid import straight_through
@@ -47,6 +50,8 @@ ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSE
 WAITING = 32
 """Rays that wait before they are walked: enough to keep the walk's code near, few enough to keep theirs near."""
 
+MOST = 2.0**31 - 1.0
+
 LAUNCHED = (X, Y, Z, DX, DY, DZ, PATH, GOOD, CI, CJ)
 ARRIVED = (*LAUNCHED, CI0, CJ0)
 
@@ -54,18 +59,25 @@ ARRIVED = (*LAUNCHED, CI0, CJ0)
 @exact
 def load_block(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
     """Copy a block of starts and directions into the scratch rows."""
-    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
+    x, y, z, dx, dy, dz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ)
     if _together(chosen):
-        start, ray = position[chosen[0] : chosen[-1] + 1], direction[chosen[0] : chosen[-1] + 1]
-        for k in range(len(chosen)):
-            x[k], y[k], z[k] = start[k, 0], start[k, 1], start[k, 2]
-        for k in range(len(chosen)):
-            dx[k], dy[k], dz[k] = ray[k, 0], ray[k, 1], ray[k, 2]
+        _load_vectors(position, chosen[0], len(chosen), x, y, z)
+        _load_vectors(direction, chosen[0], len(chosen), dx, dy, dz)
         return
     for k in range(len(chosen)):
         row = chosen[k]
         x[k], y[k], z[k] = position[row, 0], position[row, 1], position[row, 2]
         dx[k], dy[k], dz[k] = direction[row, 0], direction[row, 1], direction[row, 2]
+
+
+@exact
+def _load_vectors(column: Floats, first: int, m: int, x: Floats, y: Floats, z: Floats) -> None:
+    """Read m vectors of a column (n, 3) from a row on."""
+    whole = m - m % EIGHT
+    for k in range(0, whole, EIGHT):
+        eight_apart(column, first + k, x, y, z, k)
+    for k in range(whole, m):
+        x[k], y[k], z[k] = column[first + k, 0], column[first + k, 1], column[first + k, 2]
 
 
 @exact
@@ -82,18 +94,17 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
     """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
     faces, bodies = sheet.faces, sheet.bodies
     m = len(chosen)
-    px, py, z, dz, good = s[GX], s[GY], s[Z], s[DZ], s[GOOD]
-    ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
+    px, py, z, dz, good = lane(s, GX), lane(s, GY), lane(s, Z), lane(s, DZ), lane(s, GOOD)
+    ci, cj, ci0, cj0 = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0)
     last = len(faces) - 1
     face, top = faces[last], bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
-    centres(sheet.lattice, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    centres(sheet.lattices[row_of(sheet.own, array)], s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
         good[k] = 1.0 if (good[k] > 0.0) & (dz[k] > 0.0) else 0.0
         z[k] += top
     for k in range(m):
-        i0, j0 = ci0[k], cj0[k]
-        ci[k], cj[k] = (ci[k] - i0, cj[k] - j0) if good[k] > 0.0 else (0.0, 0.0)
-        ci0[k], cj0[k] = (i0, j0) if good[k] > 0.0 else (0.0, 0.0)
+        ci[k], cj[k] = _in_range(ci[k] - ci0[k]), _in_range(cj[k] - cj0[k])
+        ci0[k], cj0[k] = _in_range(ci0[k]), _in_range(cj0[k])
     if _together(chosen):
         _store_together(s, chosen[0], m, last, out)
         return
@@ -108,6 +119,13 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
 
 
 @exact
+def _in_range(number: float) -> float:
+    """Give a number that an int32 has: the same where it is one, whatever it is of a ray that came to nothing."""
+    number = least(MOST, number)
+    return -MOST if number < -MOST else number
+
+
+@exact
 def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> None:
     """Write the m rows that follow one another from the first."""
     fate, path, surface = (
@@ -115,12 +133,12 @@ def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> N
         out.path[first : first + m],
         out.surface[first : first + m],
     )
-    ci, cj, length = s[CI], s[CJ], s[PATH]
-    _store_vectors(s[GX], s[GY], s[Z], out.position, first, m)
-    _store_vectors(s[DX], s[DY], s[DZ], out.direction, first, m)
+    ci, cj, length = lane(s, CI), lane(s, CJ), lane(s, PATH)
+    _store_vectors(lane(s, GX), lane(s, GY), lane(s, Z), out.position, first, m)
+    _store_vectors(lane(s, DX), lane(s, DY), lane(s, DZ), out.direction, first, m)
     for k in range(m):
         path[k] = length[k]
-    _store_cells(s[CI0], s[CJ0], out.cell, first, m)
+    _store_cells(lane(s, CI0), lane(s, CJ0), out.cell, first, m)
     _store_cells(ci, cj, out.order, first, m)
     for k in range(m):
         surface[k] = last
@@ -130,15 +148,17 @@ def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> N
 
 @exact
 def _store_vectors(x: Floats, y: Floats, z: Floats, column: Floats, first: int, m: int) -> None:
-    """Write m vectors of a column (n, 3) from a row on; counted in numbers, three apart is plain to the compiler."""
-    flat = column.reshape(column.size)[3 * first : 3 * (first + m)]
-    for k in range(m):
-        flat[3 * k], flat[3 * k + 1], flat[3 * k + 2] = x[k], y[k], z[k]
+    """Write m vectors of a column (n, 3) from a row on."""
+    whole = m - m % EIGHT
+    for k in range(0, whole, EIGHT):
+        eight_together(column, first + k, x, y, z, k)
+    for k in range(whole, m):
+        column[first + k, 0], column[first + k, 1], column[first + k, 2] = x[k], y[k], z[k]
 
 
 @exact
 def _store_cells(i: Floats, j: Floats, column: Cells, first: int, m: int) -> None:
-    """Write m cells of a column (n, 2) from a row on; see `_store_vectors`."""
+    """Write m cells of a column (n, 2) from a row on; counted in numbers, two apart is plain to the compiler."""
     flat = column.reshape(column.size)[2 * first : 2 * (first + m)]
     for k in range(m):
         flat[2 * k], flat[2 * k + 1] = np.int32(i[k]), np.int32(j[k])
@@ -215,7 +235,7 @@ def trace_chunk(
         m = len(block)
         load_block(block, start, ray, s)
         launch_block(sheet.lattice, sheet.bodies[0], s, m)
-        copy_row(s[PATH], carried, m)
+        copy_row(lane(s, PATH), carried, m)
         array = straight(tiles, sheet, s, block, out.hits, out.turns, carried)
         store_block(sheet, s, block, array, out)
         _share(sheet, s, block, out.turns)
@@ -247,7 +267,7 @@ def straight_chunk_single(
         launch_block(sheet.lattice, sheet.bodies[0], wide, m)
         for row in LAUNCHED:
             copy_row(wide[row], s[row], m)
-        copy_row(s[PATH], carried, m)
+        copy_row(lane(s, PATH), carried, m)
         array = straight(None, rounded, s, block, none, none, carried)
         for row in ARRIVED:
             copy_row(s[row], wide[row], m)
@@ -276,7 +296,7 @@ def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
 @exact
 def queue_undecided(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
     """Put the rays of a block whose straight trace does not hold on the list of those to be walked."""
-    good = s[GOOD]
+    good = lane(s, GOOD)
     for k in range(len(block)):
         if good[k] == 0.0:
             waiting[count] = block[k]

@@ -7,7 +7,8 @@ from math import copysign, inf, isnan, nan, sqrt
 from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy, to_array
+from clacad.tracing.compiled.array_cells import apex, into_array, row_of
+from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy
 from clacad.tracing.compiled.face import height, lens_roots
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.plate import in_plate, next_edge
@@ -57,9 +58,10 @@ def _lens_over(sheet: Packed, row: int, work: Floats, x: float, y: float) -> flo
     if not kept(lat, sheet.rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
         return nan
     u, v = work[START + 2 * at] + x, work[START + 2 * at + 1] + y
-    if lat[slot.MARGIN] > 0.0 and not in_zone(lat, u, v, lat[slot.MARGIN]):
+    if lat[slot.MARGIN] > 0.0 and not in_zone(sheet.lattices[row_of(sheet.own, at)], u, v, lat[slot.MARGIN]):
         return nan
-    return height(faces, row, u, v)
+    ax, ay = apex(sheet, row, work[CELL + 2 * at], work[CELL + 2 * at + 1])
+    return height(faces, row, u - ax, v - ay)
 
 
 @exact
@@ -125,7 +127,9 @@ def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
             count += 1
         else:
             at = int(faces[row, slot.ARRAY])
-            one, two = lens_roots(faces, row, work[START + 2 * at], work[START + 2 * at + 1], z, L, M, N)
+            ax, ay = apex(sheet, row, work[CELL + 2 * at], work[CELL + 2 * at + 1])
+            u, v = work[START + 2 * at] - ax, work[START + 2 * at + 1] - ay
+            one, two = lens_roots(faces, row, u, v, z, L, M, N)
             work[count], causes[count] = one, lens
             work[count + 1], causes[count + 1] = two, lens
             count += 2
@@ -142,7 +146,7 @@ def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
         for n in range(int(lat[slot.BORDERS])):
             ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
             here, speed = ux * work[START + 2 * at] + uy * work[START + 2 * at + 1], ux * L + uy * M
-            edge = lat[slot.HALF + n] - lat[slot.MARGIN]
+            edge = sheet.lattices[row_of(sheet.own, at)][slot.HALF + n] - lat[slot.MARGIN]
             work[count], causes[count] = (edge - here) / speed, WALL
             work[count + 1], causes[count + 1] = (-edge - here) / speed, WALL
             count += 2
@@ -188,12 +192,12 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
     Between the front's highest and the back's lowest point there is nothing to meet but the side walls, and
     none between two points of the convex region inside the footprint. The steps are set to the cells over there.
     """
-    bodies, lat = sheet.bodies, sheet.lattice
+    bodies = sheet.bodies
     array, i, j, x, y, z, L, M, N = ray
     low, high = (bodies[b, slot.JUMP_FROM] - z) / N, (bodies[b, slot.JUMP_TO] - z) / N
     if not (low <= now < high):
         return now
-    sx, sy = sheet_xy(lat, array, i, j, x, y)
+    sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, i, j, x, y)
     for t in (now, high):
         if not well_inside(bodies, b, sx + t * L, sy + t * M):
             return now
@@ -201,7 +205,7 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
         at = int(sheet.faces[2 * b + side, slot.ARRAY])
         if at < 0:
             continue
-        p, q, _, _ = to_array(lat, array, at, i, j, x + high * L, y + high * M)
+        p, q, _, _ = into_array(sheet, array, at, i, j, x + high * L, y + high * M)
         work[STEP + 2 * at], work[STEP + 2 * at + 1] = p - work[HOME + 2 * at], q - work[HOME + 2 * at + 1]
     return float(high)
 
@@ -218,7 +222,7 @@ def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
             continue
         u, v, p, q = i, j, x, y
         if at != array:
-            u, v, p, q = to_array(sheet.lattice, array, at, i, j, x, y)
+            u, v, p, q = into_array(sheet, array, at, i, j, x, y)
         work[HOME + 2 * at], work[HOME + 2 * at + 1] = u, v
         work[BASE + 2 * at], work[BASE + 2 * at + 1] = p, q
 
@@ -238,14 +242,14 @@ def enter_cell(lat: Floats, at: int, work: Floats) -> tuple[float, float]:
 @inlined
 def _next_border(sheet: Packed, b: int, ray: Ray, work: Floats) -> tuple[float, int, int, float]:
     """Enter the present cells; the distance to the first border of theirs, which, of what array, in what sense."""
-    faces, lat = sheet.faces, sheet.lattice
+    faces = sheet.faces
     border, across, across_array, sense = inf, 0, 0, 1.0
     for side in range(2):
         at = int(faces[2 * b + side, slot.ARRAY])
         if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
             continue
-        u, v = enter_cell(lat, at, work)
-        t, n, towards = border_ahead(lat, ray, u, v, border)
+        u, v = enter_cell(sheet.lattices[row_of(sheet.own, at)], at, work)
+        t, n, towards = border_ahead(sheet.lattices[row_of(sheet.own, at)], ray, u, v, border)
         if n >= 0:
             border, across, across_array, sense = t, n, at, towards
     return border, across, across_array, sense
@@ -292,7 +296,7 @@ def _first_stretch(
 
 
 @inlined
-def write_event(lat: Floats, kind: int, distance: float, work: Floats, event: Floats) -> None:
+def write_event(sheet: Packed, kind: int, distance: float, work: Floats, event: Floats) -> None:
     """Write what was met, how far, and cell and start for each array."""
     event[KIND], event[DISTANCE] = kind, distance
     for at in range(slot.MOST_ARRAYS):
@@ -300,7 +304,11 @@ def write_event(lat: Floats, kind: int, distance: float, work: Floats, event: Fl
         event[place] = work[HOME + 2 * at] + work[STEP + 2 * at]
         event[place + 1] = work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1]
         event[place + 2], event[place + 3] = less_steps(
-            lat, work[BASE + 2 * at], work[BASE + 2 * at + 1], work[STEP + 2 * at], work[STEP + 2 * at + 1]
+            sheet.lattices[row_of(sheet.own, at)],
+            work[BASE + 2 * at],
+            work[BASE + 2 * at + 1],
+            work[STEP + 2 * at],
+            work[STEP + 2 * at + 1],
         )
 
 
@@ -308,7 +316,7 @@ def write_event(lat: Floats, kind: int, distance: float, work: Floats, event: Fl
 def ends_of_body(sheet: Packed, b: int, ray: CellRay, inside: bool) -> tuple[Ray, float, float]:
     """The ray in the sheet's frame, and how far it goes until it is above body b (not looked for inside), or beside it."""
     array, i, j, x, y, z, L, M, N = ray
-    sx, sy = sheet_xy(sheet.lattice, array, i, j, x, y)
+    sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, i, j, x, y)
     aside = max(box_span(sheet.lattice, sheet.bodies, b, sx, sy, L, M)[1], 0.0)
     above = inf if inside else (sheet.bodies[b, slot.BODY_HIGH] - z) / N
     return Ray(sx, sy, z, L, M, N), above, aside
@@ -355,7 +363,7 @@ def first_change(
                 continue
         if across >= 0:
             step_on(across, sense, work, STEP + 2 * across_array)
-    write_event(lat, kind, since, work, event)
+    write_event(sheet, kind, since, work, event)
 
 
 @exact

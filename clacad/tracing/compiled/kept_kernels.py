@@ -10,7 +10,7 @@ from clacad.base.kernel_cache import is_kept
 from clacad.base.types import Rung
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
-from clacad.tracing.compiled.packing import pack
+from clacad.tracing.compiled.surfaces import packed
 from clacad.tracing.compiled.threads import in_arrays
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
@@ -19,7 +19,7 @@ from clacad.tracing.ledger import Ledger
 def rung_is_kept(rung: Rung, layout: Layout) -> bool:
     """Whether the kernel that traces this rung without a record is kept; types of arguments alone decide."""
     one = Rays(np.zeros((1, 3)), np.ones((1, 3)))
-    sheet, rows, left = pack(layout), np.arange(1), np.empty(1, dtype=np.intp)
+    sheet, rows, left = packed(layout), np.arange(1), np.empty(1, dtype=np.intp)
     traced = (rows, *in_arrays(one, Ledger.blank(1, 0)))
     if rung in ("surfaces", "mesh"):
         from clacad.tracing.compiled.chunk import trace_chunk

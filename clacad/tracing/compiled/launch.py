@@ -15,7 +15,7 @@ from clacad.tracing.compiled.cells import hexagon_steps, locate
 from clacad.tracing.compiled.column import box_span
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import Launched
-from clacad.tracing.compiled.straight_path_slots import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z
+from clacad.tracing.compiled.straight_path_slots import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z, lane
 
 SANE = 1e100
 """Directions with components beyond this, or all below its inverse, are scaled before use."""
@@ -73,8 +73,8 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
     Rays of insane scale, and those that are not over a cell on the reference plane, lose their mark GOOD. Lengths are
     taken only in a block that has a direction of another length than 1: a root and a division a ray.
     """
-    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
-    path, good, xl, yl = s[PATH], s[GOOD], s[GX], s[GY]
+    x, y, z, dx, dy, dz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ)
+    path, good, xl, yl = lane(s, PATH), lane(s, GOOD), lane(s, GX), lane(s, GY)
     plane, low = body[slot.LEVEL] + body[slot.BODY_LOW], body[slot.BODY_LOW]
     loose = 0
     for k in range(m):
@@ -98,16 +98,16 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
     if loose:
         _normalise(s, m)
     if lat[slot.HEXAGONAL] == 0.0:
-        _cells_of_axis(x, xl, s[CI], lat[slot.PITCH], lat[slot.N1], m)
-        _cells_of_axis(y, yl, s[CJ], lat[slot.ROW], lat[slot.N2], m)
+        _cells_of_axis(x, xl, lane(s, CI), lat[slot.PITCH], lat[slot.N1], m)
+        _cells_of_axis(y, yl, lane(s, CJ), lat[slot.ROW], lat[slot.N2], m)
     else:
-        _hexagons(lat, x, xl, y, yl, s[CI], s[CJ], m)
+        _hexagons(lat, x, xl, y, yl, lane(s, CI), lane(s, CJ), m)
 
 
 @exact
 def _normalise(s: Floats, m: int) -> None:
     """Give directions length 1, and what was counted in their lengths its length, where they had another."""
-    dx, dy, dz, path = s[DX], s[DY], s[DZ], s[PATH]
+    dx, dy, dz, path = lane(s, DX), lane(s, DY), lane(s, DZ), lane(s, PATH)
     for k in range(m):
         a, b, c = dx[k], dy[k], dz[k]
         square = a * a + b * b + c * c

@@ -49,6 +49,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     STEEP,
     X,
     Y,
+    lane,
 )
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
@@ -93,7 +94,7 @@ def law_chunk(
         load_block(block, start, ray, s)
         _refract(law, s, m)
         launch_block(sheet.lattice, sheet.bodies[0], s, m)
-        copy_row(s[GOOD], s[SANE], m)
+        copy_row(lane(s, GOOD), lane(s, SANE), m)
         arrive_well_inside(sheet, s, m)
         _cross(sheet, s, m)
         store_block(sheet, s, block, 0, out)
@@ -113,7 +114,15 @@ def less_product(x: float, a: float, b: float) -> float:
 @exact
 def _refract(law: Floats, s: Floats, m: int) -> None:
     """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and how surely there are any into GZ."""
-    dx, dy, dz, out_x, out_y, out_z, sure = s[DX], s[DY], s[DZ], s[LEFT_X], s[LEFT_Y], s[ROOT], s[GZ]
+    dx, dy, dz, out_x, out_y, out_z, sure = (
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, LEFT_X),
+        lane(s, LEFT_Y),
+        lane(s, ROOT),
+        lane(s, GZ),
+    )
     eta_x, eta_y, delta_x, delta_y = law[ETA_X], law[ETA_Y], law[DELTA_X], law[DELTA_Y]
     a, b, c = law[R0], law[R0 + 1], law[R0 + 2]
     d, e, f = law[R0 + 3], law[R0 + 4], law[R0 + 5]
@@ -131,10 +140,18 @@ def _refract(law: Floats, s: Floats, m: int) -> None:
 @exact
 def _cross(sheet: Packed, s: Floats, m: int) -> None:
     """Give rays that start before the plane their new directions; those that are turned back or nearly so are not good."""
-    x, y, dx, dy, dz, good, path = s[X], s[Y], s[DX], s[DY], s[DZ], s[GOOD], s[PATH]
-    out_x, out_y, out_z, sure = s[LEFT_X], s[LEFT_Y], s[ROOT], s[GZ]
-    copy_row(s[CI], s[CI0], m)
-    copy_row(s[CJ], s[CJ0], m)
+    x, y, dx, dy, dz, good, path = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, GOOD),
+        lane(s, PATH),
+    )
+    out_x, out_y, out_z, sure = lane(s, LEFT_X), lane(s, LEFT_Y), lane(s, ROOT), lane(s, GZ)
+    copy_row(lane(s, CI), lane(s, CI0), m)
+    copy_row(lane(s, CJ), lane(s, CJ0), m)
     far = FAR * sheet.lattice[slot.REACH]
     for i in range(m):
         dx[i], dy[i], dz[i] = out_x[i], out_y[i], out_z[i]

@@ -48,6 +48,23 @@ LATTICE_NUMBERS = BETWEEN + 4 * MOST_ARRAYS * MOST_ARRAYS
 
 NO_BAFFLE = -1.0
 
+# Columns of a face's row in `OwnCells.change`.
+CHANGES, XX, XY, YX, YY, TABLE = range(6)
+
+
+class OwnCells(NamedTuple):
+    """Where in each cell the lens stands, of a sheet whose cells differ.
+
+    Attributes
+    ----------
+    change : (faces, 6)
+        Whether lenses stand elsewhere in each cell, the gradient row by row, and which table (−1: none).
+    table : (tables, n1, n2, 2) lengths
+    """
+
+    change: Floats
+    table: Floats
+
 
 class Packed(NamedTuple):
     """A sheet as arrays, in double or single precision.
@@ -64,6 +81,10 @@ class Packed(NamedTuple):
         and the attenuation of each body.
     edges : (e, EDGE_NUMBERS)
         Of the plate that the bodies end at, columns as in `clacad.sheet.plate`; none where the outline is no plate.
+    lattices : (1, LATTICE_NUMBERS) or (MOST_ARRAYS, LATTICE_NUMBERS)
+        The lattice's numbers for all arrays; or for each, with its own pitch, origin and half widths, where cells differ.
+    own : OwnCells or None
+        None where all cells are alike, and kernels are then compiled without what asks it; else `lattice` is that of array 1.
     """
 
     faces: Floats
@@ -72,6 +93,8 @@ class Packed(NamedTuple):
     rows: Ints
     indices: Floats
     edges: Floats
+    lattices: Floats
+    own: OwnCells | None = None
 
 
 def pack(layout: Layout) -> Packed:
@@ -91,13 +114,15 @@ def pack_array_1(layout: Layout) -> Packed:
     if kept is not None:
         return kept
     faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
+    lattice = lattice_row(layout)
     layout.kept["packed"] = made = Packed(
         faces=np.array(faces),
         bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
-        lattice=lattice_row(layout),
+        lattice=lattice,
         rows=_rows(layout),
         indices=np.array([body.index for body in layout.window.bodies]),
         edges=np.zeros((0, EDGE_NUMBERS)) if (plate := layout.bodies[0].plate) is None else plate.edges,
+        lattices=lattice[None, :],
     )
     return made
 
@@ -106,7 +131,7 @@ def in_single(sheet: Packed) -> Packed:
     """The same numbers in single precision."""
     rounded: dict[str, Any] = {
         name: getattr(sheet, name).astype(np.float32)
-        for name in ("faces", "bodies", "lattice", "indices", "edges")
+        for name in ("faces", "bodies", "lattice", "indices", "edges", "lattices")
     }
     return sheet._replace(**rounded)
 
@@ -162,7 +187,7 @@ def lattice_row(layout: Layout) -> Floats:
     row[X0], row[Y0] = lattice.first_centre
     row[MARGIN], row[TINY], row[REACH] = layout.margin, layout.tiny, lattice.circumradius
     row[BORDERS] = borders
-    row[NORMAL : NORMAL + 2 * borders] = layout.normals.ravel()
+    row[NORMAL : NORMAL + 2 * borders] = layout.normals[0].ravel()
     row[HALF : HALF + borders] = layout.halves
     arrays = len(layout.lattices)
     row[SHIFT : SHIFT + 2 * arrays] = np.ravel(layout.window.shifts)

@@ -31,7 +31,7 @@ COLUMNS = 4
 @inlined
 def quick_change(sheet: Packed, b: int, ray: CellRay, stage: int, event: Floats) -> bool:
     """Fill in the event that `first_change` would find and give True, or give False where that has to be asked."""
-    faces, bodies, lat, rows, _, _ = sheet
+    faces, bodies, lat, rows = sheet.faces, sheet.bodies, sheet.lattice, sheet.rows
     array, i, j, x, y, z, L, M, N = ray
     if bodies[b, slot.QUICK] == 0.0 or array != int(bodies[b, slot.ENTRY]):
         return False

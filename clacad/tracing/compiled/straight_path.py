@@ -21,9 +21,11 @@ import numpy as np
 from clacad.base.compiled import exact, inlined, least
 from clacad.base.types import Floats, Ints, Rows
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.array_cells import row_of
 from clacad.tracing.compiled.cells import hexagon_steps
 from clacad.tracing.compiled.face import bend, height, meet
-from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.own_straight import carry_own, from_own_lens, own_thick, to_own_lens
+from clacad.tracing.compiled.packing import OwnCells, Packed
 from clacad.tracing.compiled.records import Vector
 from clacad.tracing.compiled.straight_path_slots import (
     CI,
@@ -48,6 +50,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
+    lane,
 )
 from clacad.tracing.compiled.walk import reach
 from clacad.tracing.triangles.compiled_tile_block import cross_facets
@@ -73,7 +76,16 @@ def copy_row(one: Floats, other: Floats, m: int) -> None:
 @exact
 def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, offset: Vector) -> None:
     """First loop of a face: to the hit. Positions plus the offset are relative to the vertex, and are after."""
-    x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[PATH]
+    x, y, z, dx, dy, dz, root, path = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, ROOT),
+        lane(s, PATH),
+    )
     cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
     real = s.dtype.type
     one, n1, ox, oy, oz = real(1.0), real(n1), real(offset[0]), real(offset[1]), real(offset[2])
@@ -97,7 +109,7 @@ def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, offset: Vector) ->
 @exact
 def _turn_in(face: Floats, s: Floats, m: int, offset: Vector) -> None:
     """Positions plus the offset, and directions, from sheet axes to lens axes."""
-    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
+    x, y, z, dx, dy, dz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ)
     a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
     d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
@@ -114,8 +126,16 @@ def _turn_in(face: Floats, s: Floats, m: int, offset: Vector) -> None:
 @exact
 def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
     """Back to sheet axes; normals must face up, rays must climb."""
-    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
-    gx, gy, gz = s[GX], s[GY], s[GZ]
+    x, y, z, dx, dy, dz, good = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, GOOD),
+    )
+    gx, gy, gz = lane(s, GX), lane(s, GY), lane(s, GZ)
     a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
     d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
@@ -137,7 +157,16 @@ def _refract_quadric(
     """Second loop of a face: Snell's law. The normal must be of the apex half, the hit inside hx and hy of the
     cell's centre, and the ray must climb on; these comparisons hide behind the divisions.
     """
-    x, y, z, dx, dy, dz, root, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[GOOD]
+    x, y, z, dx, dy, dz, root, good = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, ROOT),
+        lane(s, GOOD),
+    )
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
     sk, vx, vy = face[slot.SIDE] * face[slot.KX], face[slot.VX], face[slot.VY]
     n1, n2 = media
@@ -159,7 +188,7 @@ def _refract_quadric(
 @exact
 def _normals(face: Floats, s: Floats, m: int) -> None:
     """Normals of a quadric at the hits."""
-    x, y, z, gx, gy, gz = s[X], s[Y], s[Z], s[GX], s[GY], s[GZ]
+    x, y, z, gx, gy, gz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, GX), lane(s, GY), lane(s, GZ)
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
     sk, one = face[slot.SIDE] * face[slot.KX], s.dtype.type(1.0)
     for i in range(m):
@@ -190,7 +219,7 @@ def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, media: Media, offset
 @exact
 def _proud(face: Floats, s: Floats, m: int) -> None:
     """Hits must be on the lens where land could cover it."""
-    z, good = s[Z], s[GOOD]
+    z, good = lane(s, Z), lane(s, GOOD)
     vz, land, side = face[slot.VZ], face[slot.LAND], face[slot.SIDE]
     for i in range(m):
         good[i] = least(good[i], (land - vz - z[i]) * side)
@@ -199,7 +228,7 @@ def _proud(face: Floats, s: Floats, m: int) -> None:
 @exact
 def hold_in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
     """Points plus (ox, oy) must lie inside their cell, `margin` from its borders."""
-    x, y, good, real = s[X], s[Y], s[GOOD], s.dtype.type
+    x, y, good, real = lane(s, X), lane(s, Y), lane(s, GOOD), s.dtype.type
     margin, ox, oy, middle = real(margin), real(ox), real(oy), real(0.5)
     if lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
@@ -216,7 +245,15 @@ def hold_in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: f
 @exact
 def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
     """Rays must be in their cell, `margin` inside, where they cross a level; everything times N, so no division."""
-    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
+    x, y, z, dx, dy, dz, good = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, GOOD),
+    )
     real = s.dtype.type
     level, ox, oy, margin, middle = real(level), real(ox), real(oy), real(margin), real(0.5)
     half, half_y, slant = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin, lat[slot.NORMAL + 3]
@@ -248,7 +285,17 @@ def _carry(
     origin : (x, y, z)
         The rays' origin, seen from the centre of their cell and the body's level.
     """
-    x, y, z, dx, dy, dz, path, ci, cj = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[PATH], s[CI], s[CJ]
+    x, y, z, dx, dy, dz, path, ci, cj = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, PATH),
+        lane(s, CI),
+        lane(s, CJ),
+    )
     real = s.dtype.type
     ox, oy, oz = origin
     rise, level, index, middle, one = real(level - oz), real(level), real(index), real(0.5), real(1.0)
@@ -289,7 +336,7 @@ def _carry(
 @exact
 def arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
     """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
-    x, y, dz, ci, cj, good = s[X], s[Y], s[DZ], s[CI], s[CJ], s[GOOD]
+    x, y, dz, ci, cj, good = lane(s, X), lane(s, Y), lane(s, DZ), lane(s, CI), lane(s, CJ), lane(s, GOOD)
     climb, middle = s.dtype.type(climb), s.dtype.type(0.5)
     if lat[slot.PLAIN] != 0.0:
         n1, n2, hx, hy = lat[slot.N1] - middle, lat[slot.N2] - middle, lat[slot.HALF], lat[slot.HALF + 1]
@@ -310,7 +357,7 @@ def arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
 @exact
 def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float) -> None:
     """Sheet-frame x and y of points plus (ox, oy)."""
-    x, y, ci, cj = s[X], s[Y], s[CI], s[CJ]
+    x, y, ci, cj = lane(s, X), lane(s, Y), lane(s, CI), lane(s, CJ)
     sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
     real = s.dtype.type
@@ -330,7 +377,7 @@ def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, 
 @exact
 def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: float, oy: float) -> None:
     """Rays must be certainly over the body."""
-    px, py, good = s[GX], s[GY], s[GOOD]
+    px, py, good = lane(s, GX), lane(s, GY), lane(s, GOOD)
     centres(lat, s, m, array, px, py, ox, oy)
     mx, my, hx, hy, radius = (
         body[slot.MID_X],
@@ -361,7 +408,7 @@ def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
 @exact
 def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
     """Do as `_thick` where both faces are quadrics: the hit's place against the other's own half space."""
-    x, y, z, good = s[X], s[Y], s[Z], s[GOOD]
+    x, y, z, good = lane(s, X), lane(s, Y), lane(s, Z), lane(s, GOOD)
     ox, oy, oz = (
         face[slot.VX] - other[slot.VX],
         face[slot.VY] - other[slot.VY],
@@ -385,14 +432,20 @@ def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> Non
 
 
 @exact
-def _cross(sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float, offset: Vector) -> None:
+def _cross(
+    own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float, offset: Vector
+) -> None:
     """Cross one face; positions plus the offset are relative to its vertex, and are after.
 
-    Hits on a structured face must lie in the optical zone of the cell.
+    Hits on a structured face must lie in the optical zone of the cell; where cells differ that is left to `_out_of_lens`.
     """
     faces, lat = sheet.faces, sheet.lattice
     face = faces[f]
-    within, turned, quadric = face[slot.ARRAY] >= 0.0, face[slot.TURNED] != 0.0, face[slot.BICONIC] == 0.0
+    within, turned, quadric = (
+        own is None and face[slot.ARRAY] >= 0.0,
+        face[slot.TURNED] != 0.0,
+        face[slot.BICONIC] == 0.0,
+    )
     hx, hy, lowest = inf, inf, climb
     plain = quadric and not turned
     margin = lat[slot.MARGIN]
@@ -418,10 +471,28 @@ def _cross(sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float,
         _proud(face, s, m)
 
 
+@inlined
+def _into_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
+    """Positions seen from the lens of each ray's own cell, if it stands elsewhere than its neighbours'."""
+    if own is not None:
+        to_own_lens(sheet, own, f, s, m)
+
+
+@inlined
+def _out_of_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
+    """Positions as before `_into_lens`; hits on a structured face must lie in the optical zone of the cell."""
+    if own is not None:
+        from_own_lens(own, f, s, m)
+        face = sheet.faces[f]
+        if face[slot.ARRAY] >= 0.0:
+            lat = sheet.lattices[int(face[slot.ARRAY])]
+            hold_in_zone(lat, s, m, lat[slot.MARGIN], face[slot.VX], face[slot.VY])
+
+
 @exact
 def _climbing(s: Floats, m: int, climb: float) -> None:
     """Rays must climb faster than a face does."""
-    dz, good, climb = s[DZ], s[GOOD], s.dtype.type(climb)
+    dz, good, climb = lane(s, DZ), lane(s, GOOD), s.dtype.type(climb)
     for i in range(m):
         good[i] = least(good[i], dz[i] - climb)
 
@@ -429,7 +500,7 @@ def _climbing(s: Floats, m: int, climb: float) -> None:
 @exact
 def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
     """The first face must not lie behind the start."""
-    path, good, behind = s[PATH], s[GOOD], s.dtype.type(BEHIND_START)
+    path, good, behind = lane(s, PATH), lane(s, GOOD), s.dtype.type(BEHIND_START)
     for i in range(m):
         slack = behind * (abs(carried[i]) + abs(path[i] - carried[i]))
         good[i] = least(good[i], path[i] - slack)
@@ -451,7 +522,17 @@ def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
 
     With a = n1/n2 |g| cos i and b = |g| cos t, g the normal: T_s = 4 a b/(a + b)², T_p = 4 a b/(|g| cos i + n1/n2 b)².
     """
-    x, y, z, dx, dy, dz, root, share, over = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[SHARE], s[OVER]
+    x, y, z, dx, dy, dz, root, share, over = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, ROOT),
+        lane(s, SHARE),
+        lane(s, OVER),
+    )
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
     sk = face[slot.SIDE] * face[slot.KX]
     mu = n1 / n2
@@ -466,7 +547,14 @@ def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
 @exact
 def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
     """The same at any face whose normals are kept: in what axes does not matter."""
-    gx, gy, gz, root, share, over = s[GX], s[GY], s[GZ], s[ROOT], s[SHARE], s[OVER]
+    gx, gy, gz, root, share, over = (
+        lane(s, GX),
+        lane(s, GY),
+        lane(s, GZ),
+        lane(s, ROOT),
+        lane(s, SHARE),
+        lane(s, OVER),
+    )
     mu = n1 / n2
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
@@ -481,7 +569,7 @@ def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
 @exact
 def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
     """Add rate · length inside a body to DEPTH: its two ends' heights over the body's level, over N in between."""
-    z, dz, depth, steep = s[Z], s[DZ], s[DEPTH], s[STEEP]
+    z, dz, depth, steep = lane(s, Z), lane(s, DZ), lane(s, DEPTH), lane(s, STEEP)
     if side == 0:
         for i in range(m):
             steep[i] = rate / dz[i]
@@ -510,8 +598,8 @@ def _lose(sheet: Packed, f: int, s: Floats, m: int, media: Media) -> None:
 def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: Floats, turn: Floats) -> None:
     """Note hits and directions at one face."""
     face, level, m = sheet.faces[f], sheet.bodies[f // 2, slot.LEVEL], len(chosen)
-    px, py, base = s[GX], s[GY], level + face[slot.VZ]
-    centres(sheet.lattice, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    px, py, base = lane(s, GX), lane(s, GY), level + face[slot.VZ]
+    centres(sheet.lattices[row_of(sheet.own, array)], s, m, array, px, py, face[slot.VX], face[slot.VY])
     for i in range(m):
         if s[GOOD, i] > 0.0:
             row = chosen[i]
@@ -522,10 +610,22 @@ def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: 
 @exact
 def _same_cell(s: Floats, m: int) -> None:
     """Rays in another cell of the field lens than of lens 1 are left to the walk, which tells the two apart."""
-    ci, cj, ci0, cj0, good = s[CI], s[CJ], s[CI0], s[CJ0], s[GOOD]
+    ci, cj, ci0, cj0, good = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0), lane(s, GOOD)
     for i in range(m):
         if ci[i] != ci0[i] or cj[i] != cj0[i]:
             good[i] = 0.0
+
+
+@inlined
+def _carry_on(
+    own: OwnCells | None, sheet: Packed, s: Floats, m: int, level: float, index: float, arrays: tuple[int, int],
+    origin: Vector,
+) -> None:  # fmt: skip
+    """Carry rays to a level and into the cells of the array there, of whatever pitch."""
+    if own is None:
+        _carry(sheet.lattice, s, m, level, index, arrays, origin)
+    else:
+        carry_own(sheet.lattices, s, m, level, index, arrays, origin)
 
 
 @inlined
@@ -535,25 +635,37 @@ def _enter_array(sheet: Packed, f: int, s: Floats, m: int, index: float, array: 
     columnar = body[slot.COLUMNAR] != 0.0
     if f > 0:
         level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
-        _carry(sheet.lattice, s, m, level, index, (array, int(face[slot.ARRAY])), origin)
-    arrive(sheet.lattice, sheet.rows, s, m, face[slot.CLIMB])
+        _carry_on(sheet.own, sheet, s, m, level, index, (array, int(face[slot.ARRAY])), origin)
+        array = int(face[slot.ARRAY])
+    lat = sheet.lattices[row_of(sheet.own, array)]
+    arrive(lat, sheet.rows, s, m, face[slot.CLIMB])
     margin = sheet.lattice[slot.MARGIN]
     if not columnar and margin > 0.0:  # a lenslet with a seam is an island with walls
-        hold_in_zone(sheet.lattice, s, m, margin, 0.0, 0.0)
+        hold_in_zone(lat, s, m, margin, 0.0, 0.0)
 
 
 @inlined
 def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex: Vector) -> None:
     """A hit on a structured face must be in its cell still at the face's end, or before the body's other face."""
-    face, other, body = sheet.faces[f], sheet.faces[f + 1 - 2 * (f % 2)], sheet.bodies[f // 2]
+    face, body = sheet.faces[f], sheet.bodies[f // 2]
     vx, vy, vz = vertex
     if body[slot.COLUMNAR] == 0.0:
-        _in_cell_at(sheet.lattice, s, m, face[slot.HIGH] - vz, vx, vy, sheet.lattice[slot.MARGIN])
+        lat = sheet.lattices[row_of(sheet.own, int(face[slot.ARRAY]))]
+        _in_cell_at(lat, s, m, face[slot.HIGH] - vz, vx, vy, lat[slot.MARGIN])
     elif body[slot.COVERED] == 0.0 and not facets:
-        if face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
-            _between(face, other, s, m, 1.0 - 2.0 * (f % 2))
-        else:
-            _thick(sheet.faces, f, s, m)
+        _before_other(sheet.own, sheet, f, s, m)
+
+
+@inlined
+def _before_other(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
+    """A hit must come before the body's other face."""
+    face, other = sheet.faces[f], sheet.faces[f + 1 - 2 * (f % 2)]
+    if own is not None:
+        own_thick(sheet, own, f, s, m)
+    elif face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
+        _between(face, other, s, m, 1.0 - 2.0 * (f % 2))
+    else:
+        _thick(sheet.faces, f, s, m)
 
 
 @exact
@@ -566,7 +678,7 @@ def straight(
     `Packed.indices`) the rows SHARE and DEPTH gather what bare faces let through of unpolarised light and what the
     bodies absorb, and no hit is stored.
     """
-    faces, bodies, lat, _, indices, _ = sheet
+    faces, bodies, lat, indices, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.indices, sheet.own
     m = len(chosen)
     array, met, counted = 0, 0, len(indices) > len(bodies)
     for i in range(m if counted else 0):
@@ -593,8 +705,8 @@ def straight(
                 if f > 0:
                     array, ox, oy, oz = int(face[slot.ARRAY]), 0.0, 0.0, 0.0
                 if met == 0:
-                    copy_row(s[CI], s[CI0], m)
-                    copy_row(s[CJ], s[CJ0], m)
+                    copy_row(lane(s, CI), lane(s, CI0), m)
+                    copy_row(lane(s, CJ), lane(s, CJ0), m)
                 elif array == FIELD:
                     _same_cell(s, m)
             climb = 0.0
@@ -606,15 +718,18 @@ def straight(
                 if structured:
                     hold_in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
             else:
-                _cross(sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
+                _into_lens(own, sheet, f, s, m)
+                _cross(own, sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
             if counted:
                 _lose(sheet, f, s, m, media)
+            if tiles is None:
+                _out_of_lens(own, sheet, f, s, m)
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
                 _stay_inside(sheet, f, s, m, tiles is not None, (vx, vy, vz))
             if not columnar:
-                _in_inner(body, lat, s, m, array, ox, oy)
+                _in_inner(body, sheet.lattices[row_of(sheet.own, array)], s, m, array, ox, oy)
             if f == 0:
                 _start_ahead(s, m, carried)
             if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
@@ -622,5 +737,7 @@ def straight(
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:
-            _in_cell_at(lat, s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
+            _in_cell_at(
+                sheet.lattices[row_of(sheet.own, array)], s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0
+            )
     return array

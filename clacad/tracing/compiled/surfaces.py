@@ -6,22 +6,35 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clacad.base.types import Rows
+from clacad.base.types import Floats, Rows
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk, trace_chunk_of_triangles
-from clacad.tracing.compiled.packing import in_single, pack
-from clacad.tracing.compiled.threads import in_arrays, over_threads
+from clacad.tracing.compiled.packing import Packed, in_single, pack
+from clacad.tracing.compiled.records import Outcome
+from clacad.tracing.compiled.threads import CHUNK, in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.triangles.facet_grid import Triangles
 from clacad.tracing.triangles.tiles import Tiles
+
+FIRST = np.arange(CHUNK)
+"""Rows of a chunk in columns of its own."""
+
+
+def packed(layout: Layout) -> Packed:
+    """A layout of any cells, packed; what knows of cells that differ is loaded where they do."""
+    if layout.window.uniform:
+        return pack(layout)
+    from clacad.tracing.compiled.own_cells import pack_own
+
+    return pack_own(layout)
 
 
 def trace_compiled(
     layout: Layout,
     rays: Rays,
     ledger: Ledger,
-    rows: Rows,
+    rows: Rows | range,
     indices: Sequence[float],
     threads: int,
     facets: Tiles | Triangles | None = None,
@@ -29,15 +42,17 @@ def trace_compiled(
 ) -> None:
     """Trace the rays `rows`, whatever they are, and write their rows; the results of `reference.surfaces.trace_surfaces`.
 
+    rows : a range costs less than the same rows in an array; of a ledger without hits
     indices : refractive index of each body; see `Packed.indices`
     facets : a mesh's own tiles, or triangles from anywhere, in place of the smooth faces
     single : the straight path in single precision; rays for which it does not hold are traced in double
     """
-    sheet = pack(layout)._replace(indices=np.asarray(indices, dtype=np.float64))
-    position, direction, out = in_arrays(rays, ledger)
+    sheet = packed(layout)._replace(indices=np.asarray(indices, dtype=np.float64))
+    whole = in_arrays(rays, ledger)
     rounded = in_single(sheet) if single else sheet
 
-    def one(chosen: Rows) -> None:
+    def one(rows: Rows | range) -> None:
+        chosen, (position, direction, out) = piece(rows, *whole) if isinstance(rows, range) else (rows, whole)
         if isinstance(facets, Triangles):
             trace_chunk_of_triangles(facets.trees, facets.grid, sheet, chosen, position, direction, out)
             return
@@ -49,3 +64,12 @@ def trace_compiled(
             trace_chunk(facets, sheet, chosen, position, direction, out)
 
     over_threads(one, rows, threads)
+
+
+def piece(
+    rows: range, position: Floats, direction: Floats, out: Outcome
+) -> tuple[Rows, tuple[Floats, Floats, Outcome]]:
+    """Rows that follow one another as a job of its own: their places in columns of their own, and these."""
+    part = slice(rows.start, rows.stop)
+    columns = Outcome._make(column if column.ndim == 3 else column[part] for column in out)
+    return FIRST[: len(rows)], (position[part], direction[part], columns)

@@ -18,6 +18,7 @@ CHUNK = 1 << 16
 """Rays handed to a thread at a time: many chunks a thread, so that none waits long for the last."""
 
 Found = TypeVar("Found")
+Several = TypeVar("Several", Rows, range, Rows | range)
 
 
 def in_arrays(rays: Rays, ledger: Ledger) -> tuple[Floats, Floats, Outcome]:
@@ -28,8 +29,8 @@ def in_arrays(rays: Rays, ledger: Ledger) -> tuple[Floats, Floats, Outcome]:
     )  # fmt: skip
 
 
-def over_threads(one: Callable[[Rows], Found], rows: Rows, threads: int) -> list[Found]:
-    """What a function gives for each chunk of rows (k,), in their order."""
+def over_threads(one: Callable[[Several], Found], rows: Several, threads: int) -> list[Found]:
+    """What a function gives for each chunk of rows (k,), or of a range of them, in their order."""
     chunks = [rows[k : k + CHUNK] for k in range(0, len(rows), CHUNK)]
     if threads == 1 or len(chunks) == 1:
         return [one(chunk) for chunk in chunks]

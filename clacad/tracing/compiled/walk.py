@@ -9,7 +9,8 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import kept, less_steps, sheet_xy, to_array
+from clacad.tracing.compiled.array_cells import into_array, row_of, vertex
+from clacad.tracing.compiled.cells import kept, less_steps, sheet_xy
 from clacad.tracing.compiled.column import box_span, first_change, in_footprint
 from clacad.tracing.compiled.face import meet, snell, to_lens, to_sheet, upward
 from clacad.tracing.compiled.packing import Packed
@@ -78,7 +79,7 @@ def walk_ray(
         if b:
             for c in range(WALKER_NUMBERS):
                 left[c] = w[c]
-            gap, end = _cross_gap(sheet.bodies, sheet.lattice, b, w)
+            gap, end = _cross_gap(sheet, b, w)
             if end != GOES_ON:
                 _record_end(w, row, out.hits, out.turns)
                 break
@@ -202,14 +203,13 @@ def _through_body(
 @exact
 def _over(sheet: Packed, b: int, w: Floats, distance: float) -> bool:
     """Whether a ray that has risen past the body did so over its footprint."""
-    lat = sheet.lattice
     array = int(w[AT_ARRAY])
-    sx, sy = sheet_xy(lat, array, w[CI], w[CJ], w[X], w[Y])
+    sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, w[CI], w[CJ], w[X], w[Y])
     main = int(sheet.bodies[b, slot.ENTRY])
-    i, j, _, _ = to_array(
-        lat, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
+    i, j, _, _ = into_array(
+        sheet, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
     )  # fmt: skip
-    over = kept(lat, sheet.rows, i, j)
+    over = kept(sheet.lattice, sheet.rows, i, j)
     return in_footprint(sheet, b, sx + distance * w[DX], sy + distance * w[DY], over)
 
 
@@ -237,7 +237,8 @@ def _refract(
         if on_lens:
             ox, oy, oz = _through_facet(event, (L, M, N), n1, n2)
     elif on_lens:
-        sx, sy, sz = to_lens(faces, f, x - faces[f, slot.VX], y - faces[f, slot.VY], z - faces[f, slot.VZ])
+        (vx, vy), vz = vertex(sheet, f, event[place], event[place + 1]), faces[f, slot.VZ]
+        sx, sy, sz = to_lens(faces, f, x - vx, y - vy, z - vz)
         u, v, k = to_lens(faces, f, L, M, N)
         t, px, py, pz, gx, gy, gz, root = meet(faces, f, sx, sy, sz, u, v, k)
         if not abs(t - distance) <= SAME * lat[slot.HALF]:
@@ -253,13 +254,13 @@ def _refract(
         ox, oy, oz = to_sheet(faces, f, ox, oy, oz)
         met, distance = True, t
         px, py, pz = to_sheet(faces, f, px, py, pz)
-        x, y, z = px + faces[f, slot.VX], py + faces[f, slot.VY], pz + faces[f, slot.VZ]
+        x, y, z = px + vx, py + vy, pz + vz
     if not met:
         x, y = x + distance * L, y + distance * M
         z = faces[f, slot.LAND] if levelled else z + distance * N
     w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = event[place], event[place + 1], x, y, z, array
     w[PATH] += n1 * distance
-    w[PX], w[PY] = sheet_xy(lat, array, w[CI], w[CJ], x, y)
+    w[PX], w[PY] = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, w[CI], w[CJ], x, y)
     w[PZ] = z + bodies[b, slot.LEVEL]
     w[SURFACE] = 2 * b + side
     if faces[f, slot.ARRAY] >= 0.0 or not on_lens:
@@ -305,37 +306,39 @@ def _note_cell(lat: Floats, rows: Ints, w: Floats, face: Floats, on_lens: bool) 
 @exact
 def _pass_hole(sheet: Packed, b: int, w: Floats, distance: float) -> None:
     """Put a ray that rose past the body over its footprint on its highest level."""
-    faces, lat = sheet.faces, sheet.lattice
+    faces = sheet.faces
     for side in range(2):
         if faces[2 * b + side, slot.ARRAY] < 0.0:
             continue
         array = int(faces[2 * b + side, slot.ARRAY])
-        i, j, x, y = to_array(
-            lat, int(w[AT_ARRAY]), array, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
+        i, j, x, y = into_array(
+            sheet, int(w[AT_ARRAY]), array, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
         )  # fmt: skip
         w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, w[Z] + distance * w[DZ], array
         w[PATH] += distance
-        _note_cell(lat, sheet.rows, w, faces[2 * b + side], False)
+        _note_cell(sheet.lattice, sheet.rows, w, faces[2 * b + side], False)
         distance = 0.0
-    w[PX], w[PY] = sheet_xy(lat, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y])
+    array = int(w[AT_ARRAY])
+    w[PX], w[PY] = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, w[CI], w[CJ], w[X], w[Y])
     w[PZ] = w[Z] + sheet.bodies[b, slot.LEVEL]
 
 
 @exact
-def _cross_gap(bodies: Floats, lat: Floats, b: int, w: Floats) -> tuple[float, int]:
+def _cross_gap(sheet: Packed, b: int, w: Floats) -> tuple[float, int]:
     """Carry a ray to body b's reference plane, or to where it comes alongside above that plane."""
+    bodies, lat = sheet.bodies, sheet.lattice
     entry = int(bodies[b, slot.ENTRY])
     z = w[Z] - (bodies[b, slot.LEVEL] - bodies[b - 1, slot.LEVEL])
     gap = (bodies[b, slot.BODY_LOW] - z) / w[DZ]
     of = int(w[AT_ARRAY])
-    i, j, x, y = to_array(lat, of, entry, w[CI], w[CJ], w[X] + gap * w[DX], w[Y] + gap * w[DY])
-    sx, sy = sheet_xy(lat, entry, i, j, x, y)
+    i, j, x, y = into_array(sheet, of, entry, w[CI], w[CJ], w[X] + gap * w[DX], w[Y] + gap * w[DY])
+    sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, entry)], entry, i, j, x, y)
     enter, leave = box_span(lat, bodies, b, sx, sy, w[DX], w[DY])
     span = (bodies[b, slot.BODY_HIGH] - bodies[b, slot.BODY_LOW]) / w[DZ]
     if not (enter <= leave and leave >= 0.0 and enter <= span and isfinite(gap)):
         return gap, (MISSED if lat[slot.BAFFLE] == slot.NO_BAFFLE else VIGNETTED)
     late = enter if enter > 0.0 else 0.0
-    i, j, x, y = to_array(lat, entry, entry, i, j, x + late * w[DX], y + late * w[DY])
+    i, j, x, y = into_array(sheet, entry, entry, i, j, x + late * w[DX], y + late * w[DY])
     w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, bodies[b, slot.BODY_LOW] + late * w[DZ], entry
     return gap + late, GOES_ON
 
@@ -385,12 +388,14 @@ def _end_at(
     sheet: Packed, b: int, w: Floats, event: Floats, index: float, row: int, hits: Floats, turns: Floats
 ) -> int:
     """End a ray at a wall, or at a face met from its wrong side."""
-    bodies, lat = sheet.bodies, sheet.lattice
+    bodies = sheet.bodies
     main = int(bodies[b, slot.ENTRY])
     place = PLACE + 4 * main
     kind, distance = int(event[KIND]), event[DISTANCE]
     x, y = event[place + 2] + distance * w[DX], event[place + 3] + distance * w[DY]
-    w[PX], w[PY] = sheet_xy(lat, main, event[place], event[place + 1], x, y)
+    w[PX], w[PY] = sheet_xy(
+        sheet.lattices[row_of(sheet.own, main)], main, event[place], event[place + 1], x, y
+    )
     w[PZ] = w[Z] + distance * w[DZ] + bodies[b, slot.LEVEL]
     w[PATH] += index * distance
     _record_end(w, row, hits, turns)

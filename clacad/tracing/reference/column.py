@@ -151,7 +151,10 @@ def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
     count = len(layout.halves)
     for array, start in piece.starts.items():
         for n in range(count):
-            here, speed = along_normal(layout, n, start), along_normal(layout, n, piece.direction)
+            here, speed = (
+                along_normal(layout, array, n, start),
+                along_normal(layout, array, n, piece.direction),
+            )
             t = (np.copysign(layout.widths[array, n], speed) - here) / speed
             t = np.where(speed == 0.0, np.inf, t)
             closer = t < nearest
@@ -160,9 +163,10 @@ def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
     return nearest, across
 
 
-def along_normal(layout: Layout, n: int, rows: Floats) -> Floats:
-    """Component (k,) of vectors (k, ≥ 2) along the normal of border n of a cell."""
-    return np.asarray(layout.normals[n, 0] * rows[:, 0] + layout.normals[n, 1] * rows[:, 1])
+def along_normal(layout: Layout, array: int, n: int, rows: Floats) -> Floats:
+    """Component (k,) of vectors (k, ≥ 2) along the normal of border n of a cell of an array."""
+    ux, uy = layout.normals[array, n]
+    return np.asarray(ux * rows[:, 0] + uy * rows[:, 1])
 
 
 def _step(layout: Layout, grids: list[_Grid], active: Rows, across: Ints) -> None:
@@ -230,7 +234,7 @@ def _divisions(layout: Layout, body: BodyPlan, piece: _Piece) -> tuple[Floats, K
 def _zone_borders(layout: Layout, array: int, start: Floats, direction: Floats) -> list[Floats]:
     out = []
     for n, half in enumerate(layout.widths[array]):
-        here, speed = along_normal(layout, n, start), along_normal(layout, n, direction)
+        here, speed = along_normal(layout, array, n, start), along_normal(layout, array, n, direction)
         out += [(edge - here) / speed for edge in (half - layout.margin, layout.margin - half)]
     return out
 

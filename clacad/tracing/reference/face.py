@@ -46,7 +46,7 @@ def cross(
 ) -> Hit:
     """Meet a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's level.
 
-    apex : (m, 2) lengths or None, here and below
+    apex : (m, 3) lengths or None, here and below
         How far each ray's lens stands from the face's vertex, see `apexes`.
     """
     vx, vy, vz = _vertex(face, apex)
@@ -96,10 +96,10 @@ def cross_at(
     )
 
 
-def _vertex(face: FacePlan, apex: Floats | None) -> tuple[float | Floats, float | Floats, float]:
-    """Apex of the lens of each ray: x and y, one or (m,), and z."""
+def _vertex(face: FacePlan, apex: Floats | None) -> tuple[float | Floats, float | Floats, float | Floats]:
+    """Apex of the lens of each ray, x, y and z: one or (m,)."""
     x, y, z = face.vertex
-    return (x, y, z) if apex is None else (x + apex[:, 0], y + apex[:, 1], z)
+    return (x, y, z) if apex is None else (x + apex[:, 0], y + apex[:, 1], z + apex[:, 2])
 
 
 def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
@@ -125,18 +125,19 @@ def height(face: FacePlan, local: Floats, apex: Floats | None = None) -> Floats:
     if face.array is None:
         return np.full(len(local), face.vertex[2])
     if apex is not None:
-        local = local - apex
+        local = local - apex[:, :2]
     lens = Face(face.surface, face.vertex) if face.rotation is None else Face(
         face.surface, face.vertex, face.rotation
     )  # fmt: skip
-    return lens_height(lens, local[:, 0], local[:, 1])
+    found = lens_height(lens, local[:, 0], local[:, 1])
+    return found if apex is None else found + apex[:, 2]
 
 
 def in_zone(layout: Layout, local: Floats, margin: float, array: int = 0) -> Bools:
     """Which points (m, 2) of the cell frame of an array lie at least `margin` inside their cell's borders."""
     inside = np.ones(len(local), dtype=bool)
     with np.errstate(invalid="ignore"):
-        for (ux, uy), half in zip(layout.normals, layout.widths[array], strict=True):
+        for (ux, uy), half in zip(layout.normals[array], layout.widths[array], strict=True):
             inside &= np.abs(ux * local[:, 0] + uy * local[:, 1]) <= half - margin
     return inside
 

@@ -33,7 +33,7 @@ def reach(layout: Layout, left: Floats, met: Floats, order: Ints) -> Floats:
     margin = 0.5 * layout.window.baffle.wall
     target = less_steps(layout.lattice, met, -order)
     first = np.full(len(left), np.inf)
-    for (ux, uy), half in zip(layout.normals, layout.halves, strict=True):
+    for (ux, uy), half in zip(layout.normals[0], layout.halves, strict=True):
         here = ux * left[:, 0] + uy * left[:, 1]
         there = ux * target[:, 0] + uy * target[:, 1]
         free = half - margin

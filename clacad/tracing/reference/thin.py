@@ -66,13 +66,15 @@ class ThinPatch:
         flat = self.power.index(0.0)
         return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))
 
-    def lens_centre(self, layout: Layout, cell: Ints) -> tuple[float | Floats, float | Floats, float]:
-        """Centres of the lenses of cells (m, 2): x and y, one or (m,), and z."""
+    def lens_centre(
+        self, layout: Layout, cell: Ints
+    ) -> tuple[float | Floats, float | Floats, float | Floats]:
+        """Centres of the lenses of cells (m, 2), x, y and z: one or (m,)."""
         x, y, z = self.vertex
         if self.change is None:
             return x, y, z
         moved = self.change.at(layout.lattice, cell)
-        return x + moved[:, 0], y + moved[:, 1], z
+        return x + moved[:, 0], y + moved[:, 1], z + self.change.rise(moved)
 
     def over(self, layout: Layout, cell: Ints, local: Floats, z: Floats) -> Floats:
         """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis."""
@@ -132,9 +134,7 @@ def thin_layout(layout: Layout) -> Layout:
     """The same window with the cells of array 2 and of field lenses where the thin pair has them."""
     pair = layout.window.thin
     field = tuple(CellPlacement((float(x), float(y))) for x, y, _ in map(pair.field_centre, pair.field))
-    window = replace(
-        layout.window, placements=(CellPlacement(), CellPlacement(pair.shift, pair.pitch), *field)
-    )
+    window = replace(layout.window, placements=(CellPlacement(), pair.second, *field))
     return replace(layout, window=window, **array_numbers(layout.lattice, window.placements))
 
 
@@ -184,6 +184,8 @@ def _patch(
         moved = change.at(layout.lattice, extreme_cells(change, layout.lattice))
         tile = (tile[None] - moved[:, None]).reshape(-1, 2)
     heights = -(tile @ axis[:2]) / axis[2]
+    if change is not None:
+        heights = heights + np.repeat(change.rise(moved), len(heights) // len(moved))
     pad = 1e-9 * layout.lattice.circumradius
     f_x, f_y = focal_length
     return ThinPatch(
@@ -405,7 +407,7 @@ def _meet(layout: Layout, patch: ThinPatch, beam: Beam) -> Met:
 def _next_border(layout: Layout, array: int, local: Floats, ray: Floats) -> tuple[Floats, Ints]:
     nearest, across = np.full(len(local), np.inf), np.zeros(len(local), dtype=np.int64)
     for n, half in enumerate(layout.widths[array]):
-        here, speed = along_normal(layout, n, local), along_normal(layout, n, ray)
+        here, speed = along_normal(layout, array, n, local), along_normal(layout, array, n, ray)
         t = np.where(speed == 0.0, np.inf, (np.copysign(half, speed) - here) / speed)
         closer = t < nearest
         nearest = np.where(closer, t, nearest)

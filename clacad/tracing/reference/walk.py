@@ -189,7 +189,7 @@ def _refract(
         surface=np.full(len(rows), 2 * here.number + side, dtype=np.int64),
     )
     if face.array is not None or not on_lens.all():
-        walkers = _note_cell(here, walkers, face, on_lens)
+        walkers = note_cell(here.layout, walkers, face, on_lens)
     opaque = ~on_lens & here.layout.window.land.opaque
     total = ~opaque & ~np.isfinite(out[:, 0])
     after = np.where((opaque | total)[:, None], beam.direction, out)
@@ -256,7 +256,7 @@ def _pass_hole(here: BodyWalk, walkers: Walkers, rows: Rows, event: Event) -> Wa
             continue
         beam = to_array(here.layout, _advanced(walkers.beam, distance), face.array)
         walkers = replace(walkers, beam=beam, path=walkers.path + distance)
-        walkers = _note_cell(here, walkers, face, np.zeros(len(rows), dtype=bool))
+        walkers = note_cell(here.layout, walkers, face, np.zeros(len(rows), dtype=bool))
         distance = np.zeros(len(rows))
     beam = walkers.beam
     return replace(walkers, position=here.sheet(beam.array, beam.cell, beam.local, beam.z))
@@ -267,9 +267,9 @@ def _advanced(beam: Beam, distance: Floats) -> Beam:
     return replace(beam, local=beam.local + step[:, :2], z=beam.z + step[:, 2])
 
 
-def _note_cell(here: BodyWalk, walkers: Walkers, face: FacePlan, on_lens: Bools) -> Walkers:
+def note_cell(layout: Layout, walkers: Walkers, face: FacePlan, on_lens: Bools) -> Walkers:
     """Enter the cell of a structured face, or of land or a hole, in the ray's record."""
-    kept = here.layout.lattice.contains(walkers.beam.cell)
+    kept = layout.lattice.contains(walkers.beam.cell)
     cell = np.where(kept[:, None], walkers.beam.cell, NO_CELL)
     unmet = (walkers.first == NO_CELL).all(axis=1, keepdims=True)
     first = np.where(unmet, cell, walkers.first)
@@ -370,7 +370,7 @@ def _write(here: BodyWalk, walkers: Walkers, fate: NDArray[np.uint8]) -> None:
     ledger, rows = here.ledger, walkers.beam.rows
     ledger.end(rows, fate, walkers.position, walkers.beam.direction, walkers.path, walkers.surface)
     ledger.cell[rows] = walkers.first
-    ledger.order[rows] = _order(walkers)
+    ledger.order[rows] = order_of(walkers)
 
 
 def _record_end(here: BodyWalk, walkers: Walkers) -> None:
@@ -381,7 +381,7 @@ def _record_end(here: BodyWalk, walkers: Walkers) -> None:
         here.ledger.record(face, walkers.beam.rows[on], position, direction)
 
 
-def _order(walkers: Walkers) -> Ints:
+def order_of(walkers: Walkers) -> Ints:
     """Cell of lens 2 minus cell 1; where they agree but a face between did not, that face's."""
     both = walkers.second & (walkers.first != NO_CELL).all(axis=1) & (walkers.last != NO_CELL).all(axis=1)
     order = walkers.last - walkers.first

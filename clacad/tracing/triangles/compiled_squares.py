@@ -36,6 +36,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
+    lane,
 )
 from clacad.tracing.triangles.compiled_hierarchy import LEVEL
 from clacad.tracing.triangles.compiled_tile_block import SquareGrid, half_bin, to_level
@@ -133,8 +134,16 @@ def _in_sheet(sheet: Packed, s: Floats, m: int) -> None:
 @exact
 def _begin(s: Floats, m: int, level: float) -> None:
     """Where rays cross the lower end of a body the rectangle begins that they stay in; they may not start above it."""
-    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
-    left, right, lower, upper = s[LEAST_X], s[MOST_X], s[LEAST_Y], s[MOST_Y]
+    x, y, z, dx, dy, dz, good = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, GOOD),
+    )
+    left, right, lower, upper = lane(s, LEAST_X), lane(s, MOST_X), lane(s, LEAST_Y), lane(s, MOST_Y)
     for i in range(m):
         t = (level - z[i]) / dz[i]
         u, v = x[i] + t * dx[i], y[i] + t * dy[i]
@@ -169,8 +178,17 @@ def _planes_of_bins(grid: FacetGrid, side: int, s: Floats, m: int) -> None:
 @exact
 def _to_planes(squares: SquareGrid, s: Floats, m: int, hair: float) -> None:
     """How far rays go to their planes: NaN unless over the same half, `hair` bins off its borders; and the half there."""
-    x, y, z, dx, dy, dz, bins, far = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[HALF], s[FAR]
-    a, b, c = s[GX], s[GY], s[GZ]
+    x, y, z, dx, dy, dz, bins, far = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, HALF),
+        lane(s, FAR),
+    )
+    a, b, c = lane(s, GX), lane(s, GY), lane(s, GZ)
     low_x, low_y, per_x, per_y, nx, ny, first, split = squares
     for i in range(m):
         t = (far[i] - (a[i] * x[i] + b[i] * y[i] + c[i] * z[i])) / (
@@ -192,9 +210,18 @@ def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float
 
     level : square of the slope up to which a facet may be land; negative where there is none
     """
-    x, y, z, dx, dy, dz, good, path = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD], s[PATH]
-    gx, gy, gz, far = s[GX], s[GY], s[GZ], s[FAR]
-    left, right, lower, upper = s[LEAST_X], s[MOST_X], s[LEAST_Y], s[MOST_Y]
+    x, y, z, dx, dy, dz, good, path = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, Z),
+        lane(s, DX),
+        lane(s, DY),
+        lane(s, DZ),
+        lane(s, GOOD),
+        lane(s, PATH),
+    )
+    gx, gy, gz, far = lane(s, GX), lane(s, GY), lane(s, GZ), lane(s, FAR)
+    left, right, lower, upper = lane(s, LEAST_X), lane(s, MOST_X), lane(s, LEAST_Y), lane(s, MOST_Y)
     mu, weight = n1 / n2, (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
         t, u, v, w = far[i], dx[i], dy[i], dz[i]

@@ -128,7 +128,6 @@ def first_facet_change(
 
     A piece is what lies over one facet of each of the body's tilings; in it both faces are planes.
     """
-    lat = sheet.lattice
     start_search(sheet, b, ray, work)
     _look_up_again(causes)
     along, above, aside = ends_of_body(sheet, b, ray, inside)
@@ -169,7 +168,7 @@ def first_facet_change(
             causes[FACET + at] = tiles.beside[causes[FACET + at], edge]
         elif across != NO_STEP:
             break
-    write_event(lat, kind, since, work, event)
+    write_event(sheet, kind, since, work, event)
     event[FACET_NORMAL], event[FACET_NORMAL + 1], event[FACET_NORMAL + 2] = normal
 
 

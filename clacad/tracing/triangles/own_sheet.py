@@ -1,115 +1,49 @@
 """Rung "mesh" of a sheet whose cells differ: its triangles as they lie, whoever's they are, and cells told afterwards.
 
 The trees that find triangles know no cells; the kernels above them count cells of one pitch. So light goes through the triangles as
-through those of a sheet of equal cells without an end, and every ray's cells are read off the places where it met the arrays.
+through those of a sheet of equal cells without an end, and every ray's cells are read off the places where it met the arrays, in
+the order in which it met them.
 """
 
 from __future__ import annotations
 
-import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.pairs import two_sum
+from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.window import Window
 from clacad.storage.errors import LimitRefused
-from clacad.tracing.triangles.ready_facets import Facets, facets_of
-from clacad.tracing.triangles.triangle_soup import TriangleSoup, read_soup
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
+from clacad.tracing.reference.face import in_footprint
+from clacad.tracing.reference.launch import Beam
+from clacad.tracing.reference.walk import Walkers, note_cell, order_of
+from clacad.tracing.triangles.triangle_soup import TriangleSoup
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
-    from clacad.tracing.triangles.ready_facets import AnyMesh
+    from clacad.tracing.triangles.ready_facets import Facets
     from clacad.tracing.triangles.tiles import Normals
 
 MOST_FACETS = 4_000_000
 """Triangles of a sheet that are held for tracing, none of them a copy of another."""
 
+ENDLESS = 1_000_001
+"""Cells a way of a sheet that light does not pass beside."""
 
-def own_facets(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) -> Facets:
-    """Triangles of a sheet whose cells differ, ready for rays; those of its own mesh are kept with the window.
+
+def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
+    """All the triangles of a sheet's own mesh.
 
     Raises
     ------
     LimitRefused
-        More triangles than are held.
+        More than are held.
     """
-    if isinstance(mesh, Facets):
-        return mesh
-    if isinstance(mesh, (str, os.PathLike)):
-        return facets_of(endless(window), read_soup(mesh, window), normals)
-    if isinstance(mesh, TriangleSoup):
-        return facets_of(endless(window), mesh, normals)
-    key = (mesh if isinstance(mesh, int) else id(mesh), normals)
-    kept: dict[object, Facets] = window.kept.setdefault("own facets", {})
-    if key not in kept:
-        from clacad.mesh import tessellate
-
-        whole = tessellate(window, quads=mesh) if isinstance(mesh, int) else mesh
-        kept.clear()
-        kept[key] = facets_of(endless(window), _soup(whole, normals), normals)
-    return kept[key]
-
-
-def endless(window: Window) -> Window:
-    """A sheet of equal cells without an end that stands for one whose cells differ wherever only triangles are asked."""
-    n1, n2 = window.lattice.count
-    bodies = tuple(
-        replace(body, front=replace(body.front, change=None), back=replace(body.back, change=None))
-        for body in window.bodies
-    )
-    return replace(
-        window,
-        bodies=bodies,
-        placements=tuple(CellPlacement(place.shift) for place in window.placements),
-        lattice=replace(window.lattice, count=(4 * n1 + 8, 4 * n2 + 8), outline=None),
-        outline=None,
-        thin=replace(window.thin, pitch=None, change=None),
-        cell_laws=None,
-    )
-
-
-def told(window: Window, rays: Rays, result: TraceResult, record: bool) -> TraceResult:
-    """The same light with the cells of the sheet itself; `result` was recorded through the triangles of `endless`.
-
-    What was never in glass missed the sheet: one without an end calls it land.
-    """
-    arrays = [face.array for face in window.faces]
-    first, last = arrays.index(0), len(arrays) - 1 - arrays[::-1].index(1)
-    assert result.hits is not None
-    one = window.locate(0, *result.hits[first, :, :2].T)[0]
-    two = window.locate(1, *result.hits[last, :, :2].T)[0]
-    met_one, met_two = result.cell[:, :1] != NO_CELL, result.order[:, :1] != NO_CELL
-    met_one &= window.lattice.contains(one)[:, None]
-    way = result.position - rays.position
-    dry = result.optical_path <= np.linalg.norm(way, axis=1) * (1.0 + 1e-12)
-    missed = (result.fate == Fate.LAND) & dry
-    met_one &= ~missed[:, None]
-    cell = np.where(met_one, one, NO_CELL).astype(np.int32)
-    order = np.where(met_one & met_two, two - one, NO_CELL).astype(np.int32)
-    through = (result.fate == Fate.ALIVE) | (result.fate == Fate.GHOST)
-    apart = (order != 0).any(axis=1)
-    fate = np.where(through, np.where(apart, Fate.GHOST, Fate.ALIVE), result.fate).astype(np.uint8)
-    fate[missed] = Fate.MISSED
-    position = np.where(missed[:, None], rays.position, result.position)
-    surface = np.where(missed, NO_CELL, result.surface).astype(np.int32)
-    path = np.where(missed, 0.0, result.optical_path)
-    return replace(
-        result,
-        cell=cell,
-        order=order,
-        fate=fate,
-        position=position,
-        surface=surface,
-        optical_path=path,
-        hits=result.hits if record else None,
-        directions=result.directions if record else None,
-    )
-
-
-def _soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
     count = sum(body.facets_about for body in mesh.bodies)
     if count > MOST_FACETS:
         raise LimitRefused(
@@ -122,3 +56,159 @@ def _soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
     from clacad.mesh import corner_normals
 
     return TriangleSoup(corners, np.concatenate([n for body in mesh.bodies for n in corner_normals(body)]))
+
+
+def endless_layout(layout: Layout) -> Layout:
+    """A sheet of equal cells without an end that stands for one whose cells differ wherever only triangles are asked.
+
+    layout : Layout
+        Of the sheet, with the bounds of the triangles.
+    """
+    window = layout.window
+    still = tuple(
+        replace(body, front=replace(body.front, change=None), back=replace(body.back, change=None))
+        for body in window.bodies
+    )
+    wide = lay_out(
+        replace(
+            window,
+            bodies=still,
+            placements=tuple(CellPlacement(place.shift) for place in window.placements),
+            lattice=replace(window.lattice, count=(ENDLESS, ENDLESS), outline=None),
+            outline=None,
+            thin=replace(window.thin, pitch=None, turn=0.0, change=None),
+            cell_laws=None,
+        )
+    )
+    bounded = tuple(
+        replace(body, low=own.low, high=own.high)
+        for body, own in zip(wide.bodies, layout.bodies, strict=True)
+    )
+    return replace(wide, bodies=bounded)
+
+
+def told(window: Window, facets: Facets, rays: Rays, result: TraceResult, record: bool) -> TraceResult:
+    """The same light with the cells of the sheet itself; `result` was recorded through the triangles of `endless_layout`.
+
+    What passed a body beside its cells has missed the sheet: one without an end calls it land.
+    """
+    way = _Way.of(facets.layout.bodies, rays, result)
+    walkers, missed = _unmet(len(rays)), np.zeros(len(rays), dtype=bool)
+    for b, plan in enumerate(lay_out(window).bodies):
+        rows = np.flatnonzero(way.dry[b] & ~missed)
+        top = way.tops[b][rows]
+        over = in_footprint(plan, top[:, :2], window.lattice.contains(_cells(window, plan.arrays[0], top)))
+        missed[rows[~over]] = True
+        for side, face in enumerate((plan.front, plan.back)):
+            if face.array is None:
+                continue
+            met = (way.met[2 * b + side] | way.dry[b]) & ~missed
+            at = np.where(way.dry[b][:, None], way.tops[b], way.hits[2 * b + side])
+            walkers = _noted(window, walkers, face, at, met, ~way.dry[b])
+    return _written(rays, result, walkers, missed, record)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """What n rays met, face by face.
+
+    hits : (faces, n, 3) lengths
+    met : (faces, n) bool
+        They were bent at that face.
+    dry : (bodies, n) bool
+        They have passed that body without meeting it.
+    tops : (bodies, n, 3) lengths
+        Where those rose past it.
+    """
+
+    hits: Floats
+    met: Bools
+    dry: Bools
+    tops: Floats
+
+    @classmethod
+    def of(cls, bodies: tuple[BodyPlan, ...], rays: Rays, result: TraceResult) -> _Way:
+        """Read it off what was recorded: a face that was not met repeats the last point, or the end."""
+        hits, turns, surface = result.hits, result.directions, result.surface
+        assert hits is not None
+        assert turns is not None
+        wall, last = result.fate == Fate.WALL, _last_body(bodies, result)
+        end = np.where(wall[:, None], result.position, np.nan)
+        met, dry = np.zeros(hits.shape[:2], dtype=bool), np.zeros((len(bodies), len(rays)), dtype=bool)
+        tops = np.zeros((len(bodies), len(rays), 3))
+        point, ray = rays.position, rays.direction
+        for b, body in enumerate(bodies):
+            for f in (2 * b, 2 * b + 1):
+                met[f] = np.where(wall, (hits[f] != end).any(axis=1), f <= surface) & (b <= last)
+            passed = met[2 * b + 1] & (hits[2 * b + 1] != point).any(axis=1)
+            dry[b] = (b < last) & ~passed
+            met[2 * b : 2 * b + 2] &= ~dry[b]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                tops[b] = point + ((body.level + body.high - point[:, 2]) / ray[:, 2])[:, None] * ray
+            point, ray = (
+                np.where(dry[b][:, None], before, at[2 * b + 1])
+                for before, at in ((point, hits), (ray, turns))
+            )
+        return cls(hits, met, dry, tops)
+
+
+def _last_body(bodies: tuple[BodyPlan, ...], result: TraceResult) -> Ints:
+    """Number (n,) of the body in which rays ended; one beyond the last of those that passed all, −1 of those that met none."""
+    lows = np.array([body.level + body.low for body in bodies])
+    with np.errstate(invalid="ignore"):
+        at_wall = np.searchsorted(lows, result.position[:, 2], side="right") - 1
+    ended = np.where(result.fate == Fate.WALL, np.maximum(at_wall, 0), result.surface // 2)
+    ended = np.where(result.fate <= Fate.LAND, len(bodies), ended)
+    return np.asarray(np.where(result.fate >= Fate.MISSED, -1, ended), dtype=np.int64)
+
+
+def _unmet(n: int) -> Walkers:
+    """Rays that have met nothing."""
+    none, no, zero = np.full((n, 2), NO_CELL, dtype=np.int64), np.zeros(n, dtype=bool), np.zeros(n)
+    beam = Beam(np.arange(n), 0, none, np.zeros((n, 2)), zero, np.zeros((n, 3)))
+    return Walkers(beam, zero, np.zeros((n, 3)), none, none, none, no, no, no, none[:, 0])
+
+
+def _cells(window: Window, array: int, at: Floats) -> Ints:
+    """Cells (m, 2) of an array that hold points (m, 3), kept or not, told by differences that are rounded once."""
+    dx, dy = window.placements[array].shift
+    (x, x_low), (y, y_low) = two_sum(at[:, 0], -dx), two_sum(at[:, 1], -dy)
+    return window.lattice_of(array).locate(x, y, x_low, y_low)[0]
+
+
+def _noted(
+    window: Window, walkers: Walkers, face: FacePlan, at: Floats, met: Bools, on_lens: Bools
+) -> Walkers:
+    """Enter the cells of those rays (n,) that met a face at points (n, 3) in their record."""
+    assert face.array is not None
+    rows = np.flatnonzero(met)
+    cell = _cells(window, face.array, at[rows])
+    some = walkers.take(rows)
+    some = note_cell(lay_out(window), replace(some, beam=replace(some.beam, cell=cell)), face, on_lens[rows])
+    noted = {name: getattr(walkers, name).copy() for name in ("first", "last", "odd", "second", "ghost")}
+    for name, column in noted.items():
+        column[rows] = getattr(some, name)
+    return replace(walkers, **noted)
+
+
+def _written(rays: Rays, result: TraceResult, walkers: Walkers, missed: Bools, record: bool) -> TraceResult:
+    """The rows with their cells; those that missed as launched."""
+    order = np.where(missed[:, None], NO_CELL, order_of(walkers)).astype(np.int32)
+    through = result.fate <= Fate.GHOST
+    fate = np.where(through, np.where(walkers.ghost, Fate.GHOST, Fate.ALIVE), result.fate)
+    back = missed[:, None]
+    hits, turns = result.hits, result.directions
+    assert hits is not None
+    assert turns is not None
+    return replace(
+        result,
+        cell=walkers.first.astype(np.int32),
+        order=order,
+        fate=np.where(missed, Fate.MISSED, fate).astype(np.uint8),
+        position=np.where(back, rays.position, result.position),
+        direction=np.where(back, rays.direction, result.direction),
+        surface=np.where(missed, NO_CELL, result.surface).astype(np.int32),
+        optical_path=np.where(missed, 0.0, result.optical_path),
+        hits=np.where(back, rays.position, hits) if record else None,
+        directions=np.where(back, rays.direction, turns) if record else None,
+    )

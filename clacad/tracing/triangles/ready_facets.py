@@ -44,11 +44,15 @@ class Facets:
 def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) -> Facets:
     """Triangles ready for rays through a window; the last ones are kept with the window.
 
+    Where cells differ they are those of a sheet without an end, and who traces tells cells by what was met.
+
     Raises
     ------
     ValueError
         The mesh has other bodies than the window, no normals where those are asked for, or no unit that fits; so many
         quads cannot be made.
+    LimitRefused
+        Cells differ, and their triangles are more than are held.
     """
     if isinstance(mesh, Facets):
         return mesh
@@ -82,6 +86,12 @@ def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
         mesh = tessellate(window, quads=mesh)
     elif isinstance(mesh, (str, os.PathLike)):
         mesh = read_soup(mesh, window)
+    if not window.uniform:
+        from clacad.tracing.triangles.own_sheet import endless_layout, own_soup
+
+        mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
+        layout, triangles = lay_out_soup(window, mesh, normals)
+        return Facets(endless_layout(layout), triangles)
     if not isinstance(mesh, TriangleSoup):
         return Facets(*lay_out_mesh(window, mesh, normals))
     layout, triangles = lay_out_soup(window, mesh, normals)

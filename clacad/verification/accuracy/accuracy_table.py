@@ -51,7 +51,7 @@ def accuracy(
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.bundle import bundle
     from clacad.tracing.worst_cell import worst_cell
-    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays, own_rows
+    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays
 
     report = progress or silent
     refuse_early(design, (), {})
@@ -66,16 +66,32 @@ def accuracy(
     def traced(count: int) -> TracedRays:
         return TracedRays.raised(seen.like, light(count).rays)
 
-    found = _measured(design.name, traced, rays, tuple(quads or QUADS), report)
+    grids = tuple(quads or QUADS)
     if not seen.tried:
-        return found
+        return _measured(design.name, traced, rays, grids, report)
     i, j = seen.cell.tolist()
-    own = own_rows(TracedRays.raised(seen.window, seen.placed(light(rays)).rays, (i, j)))
+    own = TracedRays.raised(seen.window, seen.placed(light(rays)).rays, (i, j))
+    rows, coarse = _of_differing_cells(own, grids, report)
+    found = _measured(design.name, traced, rays, grids, report)
     said = (
         f'every cell of this sheet differs: rows "cells that differ" are of the sheet itself, its light through cell ({i}, {j}), '
-        f"the worst of {seen.tried} tried; the others, and the floors, of a sheet of equal cells like that one"
+        f"the worst of {seen.tried} tried{coarse}; the others, and the floors, of a sheet of equal cells like that one"
     )
-    return replace(found, rows=(*own, *found.rows), notes=(said, *found.notes))
+    return replace(found, rows=(*rows, *found.rows), notes=(said, *found.notes))
+
+
+def _of_differing_cells(
+    ladder: TracedRays, grids: Sequence[int], progress: Progress
+) -> tuple[list[AccuracyRow], str]:
+    """Rows of a sheet whose cells differ, and what is left out of them."""
+    from clacad.verification.accuracy.measure_rungs import OWN_FINEST, own_mesh_rows, own_rows
+
+    progress("the sheet itself", 0.01)
+    rows = own_rows(ladder)
+    asked = [grid for grid in grids if grid <= OWN_FINEST]
+    for grid in asked:
+        rows += own_mesh_rows(ladder, grid)
+    return rows, "" if len(asked) == len(grids) else f", its facets up to {OWN_FINEST} quads a cell side"
 
 
 def _measured(
@@ -105,6 +121,9 @@ def _measured(
 OWN_SECONDS, OWN_SECONDS_A_RAY = 10.0, 2.0e-5
 """Of the rows of a sheet whose cells differ: its worst cell found and 50 digits; each ray, mostly on rungs law and thin in numpy."""
 
+OWN_SECONDS_A_FACET, OWN_SECONDS_A_RAY_A_GRID = 4.5e-3, 8.0e-5
+"""Of their facets: sorted, by quads squared; each ray through each grid, with facet and vertex normals."""
+
 TASK = "accuracy"
 """Name under which the time it takes is noted."""
 
@@ -114,7 +133,7 @@ def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = No
     trace and the STEP spot once; rays through every row, facets laid out and the floors of each pattern of cells that is
     meshed. Hexagons have more facets a quad than squares, and cells with land are cut along their rims.
     """
-    from clacad.verification.accuracy.measure_rungs import QUADS
+    from clacad.verification.accuracy.measure_rungs import OWN_FINEST, QUADS
 
     grids = tuple(quads or QUADS)
     patterns = sum(2 if len({f.array for f in (b.front, b.back)} - {None}) == 2 and window.shifts[1] != (0.0, 0.0) else 1
@@ -123,7 +142,10 @@ def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = No
     if window.outline is not None and patterns == len(window.bodies) and not window.lattice.hexagonal:
         rough = 2.2
     facets = 1.25e-4 * sum(q * q for q in grids) + 1.1
-    own = 0.0 if window.uniform else OWN_SECONDS + OWN_SECONDS_A_RAY * rays
+    fit = [q for q in grids if q <= OWN_FINEST]
+    each = OWN_SECONDS_A_RAY + OWN_SECONDS_A_RAY_A_GRID * len(fit)
+    faceted = OWN_SECONDS_A_FACET * sum(q * q for q in fit)
+    own = 0.0 if window.uniform else OWN_SECONDS + faceted + each * rays
     return own + 2.0 + patterns * (0.6 + 3.3e-6 * rays * len(grids) + rough * facets)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
 from clacad.sheet.cell_places import VertexChange
+from clacad.sheet.turn import cosine_and_sine
 from clacad.sheet.window import Face, Window
 
 Ints = NDArray[np.integer]
@@ -129,9 +130,12 @@ def _centre(window: Window, i: int, j: int, array: int) -> Vector:
     n1, n2 = lattice.count
     if lattice.hexagonal:
         x0, y0 = (Decimal(c) for c in lattice.first_centre)
-        x, y = x0 + (2 * i + j) * px / 2, y0 + j * Decimal(lattice.a2[1])
+        x, y = x0 + (2 * i + j) * px / 2, y0 + j * Decimal(lattice.row_height)
     else:
         x, y = (2 * i - n1 + 1) * px / 2, (2 * j - n2 + 1) * py / 2
+    if lattice.turn:
+        c, s = (Decimal(high) + Decimal(low) for high, low in cosine_and_sine(lattice.turn))
+        x, y = c * x - s * y, s * x + c * y
     return x + Decimal(sx), y + Decimal(sy), Decimal(0)
 
 
@@ -141,9 +145,14 @@ def _moved(window: Window, change: VertexChange, i: int, j: int) -> Vector:
     (xx, xy), (yx, yy) = ((Decimal(a), Decimal(b)) for a, b in change.gradient)
     moved = (xx * x + xy * y, yx * x + yy * y, Decimal(0))
     if change.table is None:
-        return moved
+        return _risen(change, moved)
     own = replace(change, gradient=((0.0, 0.0), (0.0, 0.0))).at(window.lattice, np.array([i, j]))
-    return _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0)))
+    return _risen(change, _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0))))
+
+
+def _risen(change: VertexChange, moved: Vector) -> Vector:
+    along, across = (Decimal(s) for s in change.slope)
+    return moved[0], moved[1], along * moved[0] + across * moved[1]
 
 
 def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | None:

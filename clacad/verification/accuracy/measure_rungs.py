@@ -11,18 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.optics.law import angle_between
-from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.error_and_seconds import AccuracyRow
 from clacad.verification.accuracy.extended_precision import direction_errors
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
+    from clacad.tracing.triangles.tiles import Normals
 
 QUADS = (4, 8, 16, 32, 64, 128)
 """Tessellations of the ladder, quads per cell side."""
+OWN_FINEST = 32
+"""Finest of them that a sheet whose cells differ is cut into: its triangles are no copies of one another, and as many are sorted."""
 ORACLE_RAYS = 1000
 """Rays traced in 50 digits."""
 REPEATS = 3
@@ -167,6 +170,43 @@ def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
             ),
         )
     ]  # fmt: skip
+
+
+def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
+    """Facets of a sheet whose cells differ: those of the cells that its light meets and of their neighbours."""
+    from clacad.formats.mesh.stl import stl_bytes
+    from clacad.mesh import tessellate
+    from clacad.tracing.trace import trace
+    from clacad.tracing.triangles.own_sheet import own_soup
+
+    window, rays, rows = ladder.window, ladder.rays, []
+    normals: tuple[Normals, ...] = ("facet", "vertex")
+    for normal in normals:
+        began = time.process_time()
+        whole = tessellate(window, quads=quads)
+        mesh = whole.part(_cells_about(window, ladder.truth))
+        soup = own_soup(mesh, normal)
+        prepare = time.process_time() - began
+        run = partial(trace, window, rays, rung="mesh", mesh=soup, normals=normal)
+        measured = row(ladder, "mesh", f"cells that differ, {quads} quads, {normal} normals", run, prepare)
+        file_bytes = stl_bytes(sum(body.facets_about for body in whole.bodies))
+        rows.append(
+            replace(
+                measured, quads=quads, normals=normal, float="f64", triangles=len(soup.corners), own_cells=True,
+                bytes=soup.corners.nbytes, file_bytes=file_bytes if normal == "facet" else None,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _cells_about(window: Window, truth: TraceResult) -> Ints:
+    """Kept cells (m, 2) that light met, in array 1 or 2, and those about them."""
+    through = (truth.cell != NO_CELL).all(axis=1)
+    both = through & (truth.order != NO_CELL).all(axis=1)
+    met = np.concatenate([truth.cell[through], truth.cell[both] + truth.order[both]]).astype(np.int64)
+    steps = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2)
+    cells = np.unique((np.unique(met, axis=0)[:, None] + steps).reshape(-1, 2), axis=0)
+    return np.asarray(cells[window.lattice.contains(cells)])
 
 
 def _own_bytes(window: Window) -> int:

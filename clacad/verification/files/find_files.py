@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.exporting.roles import NOT_OPTICAL, WORDS, Role
 from clacad.storage.atomic import MANIFEST, file_hash, read_manifest
 from clacad.storage.errors import BadRequest
+from clacad.storage.overheard import Overheard
 from clacad.verification.checks import Check
 from clacad.verification.files.stranger_words import believable, is_there, shown_name
 
@@ -76,6 +77,17 @@ class Subject:
         """Whether it holds exact solids."""
         return self.format in SOLID_FORMATS or self.format.startswith("step")
 
+    @property
+    def missing(self) -> bool:
+        """Whether it is listed and not there, or listed again."""
+        return self.name.endswith(AGAIN) or not is_there(self.path)
+
+    def hashed(self, heard: Overheard | None = None) -> Subject:
+        """The same with its hash, if it is there and has none yet; `heard` has what was read of it."""
+        if self.sha256 or self.missing:
+            return self
+        return replace(self, sha256=file_hash(self.path) if heard is None else heard.hexdigest())
+
 
 @dataclass(frozen=True, eq=False)
 class Delivery:
@@ -86,13 +98,7 @@ class Delivery:
 
     def hashed(self) -> Delivery:
         """The same with the hash of every file that is there and has none yet; reads each of them once."""
-        return replace(self, subjects=tuple(one if one.sha256 else _hashed(one) for one in self.subjects))
-
-
-def _hashed(subject: Subject) -> Subject:
-    if subject.name.endswith(AGAIN) or not is_there(subject.path):
-        return subject
-    return replace(subject, sha256=file_hash(subject.path))
+        return replace(self, subjects=tuple(one.hashed() for one in self.subjects))
 
 
 Roles = Mapping[str, Role]

@@ -22,7 +22,7 @@ from clacad.formats.maps.sag import (
     structured_faces,
 )
 from clacad.sheet.bundle import central_cell
-from clacad.sheet.window import Body, Face, Window
+from clacad.sheet.window import Body, Face, Window, in_optical_tile
 from clacad.storage.errors import ExportError
 from clacad.tracing.sampled_face import sampled_face
 from clacad.tracing.triangles.telescopelet_facets import AnyFace, ExactFace, FacetBody, trace_facets
@@ -148,7 +148,13 @@ def _pixels(kind: str) -> Reader:
         x = map_.origin[0] + map_.pixel * (columns + 0.5) - centre[0]
         y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - rows) - centre[1]
         gx, gy = np.meshgrid(x, y)
-        return Samples(np.column_stack([gx.ravel(), gy.ravel(), z.ravel()]), np.full(2, map_.pixel))
+        mine = in_optical_tile(
+            of.window, gx, gy, of.face.array or 0
+        )  # the stand-in's cells may be larger, or lie straight
+        return Samples(
+            np.column_stack([gx.ravel(), gy.ravel(), np.where(mine, z, np.nan).ravel()]),
+            np.full(2, map_.pixel),
+        )
 
     return read
 

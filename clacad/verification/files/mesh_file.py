@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,9 @@ from clacad.verification.files.mesh_light import MeshEvidence, checks_of_light, 
 from clacad.verification.files.mesh_shape import chord_volume, shape_check, volume_check
 from clacad.verification.files.mesh_wholeness import (
     COUNTED_FACETS,
+    PieceCount,
     closed_check,
+    counted_on_the_way,
     holding,
     pieces_check,
     scale_check,
@@ -51,9 +53,10 @@ def judge_mesh(
     held = held_part(window, present)
     gatherer = Gatherer(window, lit_cells(window, design.check.field), _bevel(window, asked.stated))
     places = standing(mesh, window, factor)
-    found = _measured(mesh, factor, gatherer, places, asked.progress)
+    counted = counted_on_the_way(mesh) if places is None else None
+    found = _measured(mesh, factor, _Lookers(gatherer, counted), places, asked.progress)
     gathered = gatherer.result
-    pieces = pieces_check(held, found, mesh, name, asked.stated)
+    pieces = pieces_check(held, found, mesh, name, asked.stated, counted)
     shells = int(pieces[0].value) if found.closed and isinstance(pieces[0].value, float) else None
     holds = holding(mesh, shells)
     checks = [
@@ -88,8 +91,16 @@ def held_part(window: Window, present: Sequence[str] | None) -> Window:
     return replace(window, bodies=bodies, z_range=(min(low), max(high)))
 
 
+@dataclass(frozen=True, slots=True)
+class _Lookers:
+    """What looks at the facets of a file while they are measured."""
+
+    gatherer: Gatherer
+    counted: PieceCount | None
+
+
 def _measured(
-    mesh: FileMesh, factor: float, gatherer: Gatherer, places: Standing | None, progress: Progress
+    mesh: FileMesh, factor: float, lookers: _Lookers, places: Standing | None, progress: Progress
 ) -> Measure:
     """Measure a file and gather its facets: parts that stand for cells once, all else wherever it stands."""
     cells = set() if places is None else {id(part) for p in places.places for part in p.parts}
@@ -101,17 +112,19 @@ def _measured(
             measure(()),
         )  # open by themselves: closed by their neighbours, perhaps
     rest = replace(mesh, parts=tuple(part for part in mesh.parts if id(part) not in cells))
-    found = measure(_looked_at(rest, factor, gatherer, progress), origin=np.zeros(3))
+    found = measure(_looked_at(rest, factor, lookers, progress), origin=np.zeros(3))
     for one in () if places is None else places.places:
-        look_at_places(gatherer, one, factor, places.limit if places is not None else 0.0)
+        look_at_places(lookers.gatherer, one, factor, places.limit if places is not None else 0.0)
     return joined([one for one in (found, repeated) if one.facets])
 
 
-def _looked_at(mesh: FileMesh, factor: float, gatherer: Gatherer, progress: Progress) -> Iterator[Floats]:
+def _looked_at(mesh: FileMesh, factor: float, lookers: _Lookers, progress: Progress) -> Iterator[Floats]:
     total, done = max(1, mesh.facet_count), 0
     for chunk, normals in mesh.pairs():
         corners = chunk * factor
-        gatherer.look(corners, normals)
+        lookers.gatherer.look(corners, normals)
+        if lookers.counted is not None:
+            lookers.counted.add(chunk)
         done += len(corners)
         progress("reading triangles", done / total)
         yield corners

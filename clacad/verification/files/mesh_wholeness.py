@@ -116,9 +116,10 @@ def _open_edges(corners: Floats) -> tuple[int, Floats]:
 
 
 def pieces_check(
-    window: Window, found: Measure, mesh: FileMesh, name: str, stated: Mapping[str, Any]
-) -> list[Check]:
-    """Count connected pieces and holes of the file itself."""
+    window: Window, found: Measure, mesh: FileMesh, name: str, stated: Mapping[str, Any],
+    counted: PieceCount | None = None,
+) -> list[Check]:  # fmt: skip
+    """Count connected pieces and holes of the file itself; `counted`: as its facets were measured."""
     common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
     if found.facets == 0:
         return [not_run("pieces", "the file holds no triangles", **common)]
@@ -139,7 +140,7 @@ def pieces_check(
         pieces, holes = sum(count[0] for count in counts), sum(count[1] for count in counts)
         sentence = f"{pieces} connected pieces with {holes:g} holes; {wanted} pieces are expected"
     else:
-        pieces = sum(connected(part) * len(part.placements) for part in mesh.parts)
+        pieces = counted.pieces if counted else sum(connected(p) * len(p.placements) for p in mesh.parts)
         sentence = f"{pieces} connected pieces; {wanted} pieces are expected"
     state: State = "pass" if pieces in expected else "fail"
     return [Check("pieces", state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
@@ -157,23 +158,57 @@ def _counted(part: Part) -> tuple[int, float]:
 
 
 def connected(part: Part) -> int:
-    """Connected pieces of a part at one of its places, in one pass; corners are one vertex where their hashes agree."""
-    from clacad.verification.files.compiled_pieces import join, rehash
-
-    table, number = np.zeros(1 << 16, dtype=np.uint64), np.zeros(1 << 16, dtype=np.int32)
-    parent = np.zeros(1 << 16, dtype=np.int32)
-    vertices = joins = 0
+    """Connected pieces of a part at one of its places, in one pass."""
+    count = PieceCount(part.facet_count)
     for start in range(0, part.facet_count, CHUNK):
-        keys = vertex_hashes(part.corners(start, start + CHUNK))
-        while vertices + keys.size > FULL * len(table):
-            larger = np.zeros(2 * len(table), dtype=np.uint64), np.zeros(2 * len(table), dtype=np.int32)
-            rehash(table, number, *larger)
-            table, number = larger
-        if vertices + keys.size > len(parent):
-            parent = np.concatenate([parent, np.zeros(max(len(parent), keys.size), dtype=np.int32)])
-        vertices, more = join(keys, table, number, parent, vertices)
-        joins += more
-    return vertices - joins
+        count.add(part.corners(start, start + CHUNK))
+    return count.pieces
+
+
+class PieceCount:
+    """Connected pieces of triangles that come as a stream; corners are one vertex where their hashes agree.
+
+    Its hash table is made for a closed surface of so many facets, which has half as many vertices; for more it grows.
+    """
+
+    def __init__(self, facets: int) -> None:
+        expected = facets // 2 + 3 * min(facets, CHUNK)
+        size = 1 << max(16, int(expected / FULL).bit_length())
+        self._table, self._number = np.zeros(size, dtype=np.uint64), np.zeros(size, dtype=np.int32)
+        self._parent = np.zeros(expected, dtype=np.int32)
+        self._vertices = self._joins = 0
+
+    @property
+    def pieces(self) -> int:
+        """Pieces of what was added."""
+        return self._vertices - self._joins
+
+    def add(self, corners: Floats) -> None:
+        """Add facets (k, 3, 3)."""
+        from clacad.verification.files.compiled_pieces import join, rehash
+
+        keys = vertex_hashes(corners)
+        most = self._vertices + keys.size
+        while most > FULL * len(self._table):
+            size = 2 * len(self._table)
+            larger = np.zeros(size, dtype=np.uint64), np.zeros(size, dtype=np.int32)
+            rehash(self._table, self._number, *larger)
+            self._table, self._number = larger
+        if most > len(self._parent):
+            more = np.zeros(max(len(self._parent), keys.size), dtype=np.int32)
+            self._parent = np.concatenate([self._parent, more])
+        self._vertices, joins = join(keys, self._table, self._number, self._parent, self._vertices)
+        self._joins += joins
+
+
+def counted_on_the_way(mesh: FileMesh) -> PieceCount | None:
+    """What counts the pieces of a file while its facets are measured; None where `pieces_check` reads them again, or does not."""
+    one = len(mesh.parts) == 1 and not mesh.parts[0].repeated
+    return (
+        PieceCount(mesh.stored_count)
+        if one and COUNTED_FACETS < mesh.stored_count <= COUNTED_PIECES
+        else None
+    )
 
 
 def scale_check(design: Design, window: Window, found: Measure, name: str) -> Check:

@@ -1,0 +1,162 @@
+"""Where the cells of an array stand and the lens in each, compiled: alike in all arrays, or told by `OwnCells`.
+
+Which of the two is a matter of types: the kernels of sheets of equal cells are compiled without what asks `OwnCells`.
+Held to `clacad.sheet.cell_places` and `clacad.tracing.reference.launch.cell_in`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from clacad.base.compiled import exact, inlined
+from clacad.base.compiled_pairs import pair_sum, two_product, two_sum
+from clacad.base.types import Floats
+from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.cells import kept, locate, relocate, to_array
+from clacad.tracing.compiled.packing import OwnCells, Packed
+
+Place = tuple[float, float, float, float]
+
+
+class Grid(NamedTuple):
+    """Where a lattice's cells are: cell (i, j) is i − across + skew j pitches from x0, and j − along rows from y0."""
+
+    skew: float
+    across: float
+    along: float
+    pitch: float
+    row: float
+    x0: float
+    y0: float
+
+
+@inlined
+def row_of(own: OwnCells | None, array: int) -> int:
+    """Which row of `Packed.lattices` an array's cells have."""
+    if own is None:
+        return 0
+    return array
+
+
+@inlined
+def apex(sheet: Packed, f: int, i: float, j: float) -> tuple[float, float]:
+    """How far the lens of a cell stands from the face's vertex; see `VertexChange.at`."""
+    return _apex(sheet, sheet.own, f, i, j)
+
+
+@exact
+def _apex(sheet: Packed, own: OwnCells | None, f: int, i: float, j: float) -> tuple[float, float]:
+    if own is None:
+        return 0.0, 0.0
+    return own_apex(sheet, own, f, i, j)
+
+
+@exact
+def own_apex(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> tuple[float, float]:
+    """How far the lens of a cell stands from the vertex of a face where cells differ."""
+    if own.change[f, slot.CHANGES] == 0.0:
+        return 0.0, 0.0
+    ax, ay = times_gradient(gradient_of(own, f), centre_of(grid_of(sheet.lattice), i, j))
+    which = int(own.change[f, slot.TABLE])
+    if which >= 0:
+        tx, ty = tabled(sheet, own, which, i, j)
+        ax, ay = ax + tx, ay + ty
+    return ax, ay
+
+
+@inlined
+def gradient_of(own: OwnCells, f: int) -> Place:
+    """Give the gradient of the lenses' places on a face, row by row."""
+    change = own.change
+    return change[f, slot.XX], change[f, slot.XY], change[f, slot.YX], change[f, slot.YY]
+
+
+@inlined
+def times_gradient(gradient: Place, place: tuple[float, float]) -> tuple[float, float]:
+    """Give a gradient times a place."""
+    (xx, xy, yx, yy), (x, y) = gradient, place
+    return xx * x + xy * y, yx * x + yy * y
+
+
+@inlined
+def grid_of(lat: Floats) -> Grid:
+    """Give the numbers that say where a lattice's cells are."""
+    if lat[slot.HEXAGONAL] != 0.0:
+        return Grid(0.5, 0.0, 0.0, lat[slot.PITCH], lat[slot.ROW], lat[slot.X0], lat[slot.Y0])
+    across, along = 0.5 * (lat[slot.N1] - 1.0), 0.5 * (lat[slot.N2] - 1.0)
+    return Grid(0.0, across, along, lat[slot.PITCH], lat[slot.ROW], 0.0, 0.0)
+
+
+@inlined
+def steps_to(grid: Grid, i: float, j: float) -> tuple[float, float]:
+    """How many pitches and rows a cell is from where these are counted: exact."""
+    return (i - grid.across) + grid.skew * j, j - grid.along
+
+
+@inlined
+def centre_of(grid: Grid, i: float, j: float) -> tuple[float, float]:
+    """Give the centre of a cell, rounded."""
+    across, along = steps_to(grid, i, j)
+    return grid.x0 + across * grid.pitch, grid.y0 + along * grid.row
+
+
+@exact
+def tabled(sheet: Packed, own: OwnCells, which: int, i: float, j: float) -> tuple[float, float]:
+    """Give the part of a lens's place that a table has; 0 for cells that are not kept."""
+    if not kept(sheet.lattice, sheet.rows, i, j):
+        return 0.0, 0.0
+    place = int(i) + int(j) // 2 if sheet.lattice[slot.HEXAGONAL] != 0.0 else int(i)
+    return own.table[which, place, int(j), 0], own.table[which, place, int(j), 1]
+
+
+@inlined
+def vertex(sheet: Packed, f: int, i: float, j: float) -> tuple[float, float]:
+    """Where the lens of a cell stands, from the cell's centre."""
+    return _vertex(sheet, sheet.own, f, i, j)
+
+
+@inlined
+def _vertex(sheet: Packed, own: OwnCells | None, f: int, i: float, j: float) -> tuple[float, float]:
+    vx, vy = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY]
+    if own is None:
+        return vx, vy
+    ax, ay = own_apex(sheet, own, f, i, j)
+    return vx + ax, vy + ay
+
+
+@inlined
+def into_array(sheet: Packed, of: int, array: int, i: float, j: float, x: float, y: float) -> Place:
+    """Cell and local coordinates in another array of a point given in the cells of array `of`."""
+    return _into_array(sheet, sheet.own, of, array, i, j, x, y)
+
+
+@inlined
+def _into_array(
+    sheet: Packed, own: OwnCells | None, of: int, array: int, i: float, j: float, x: float, y: float
+) -> Place:
+    if own is None:
+        return to_array(sheet.lattice, of, array, i, j, x, y)
+    return _into_own(sheet.lattices, of, array, i, j, x, y)
+
+
+@exact
+def _into_own(lattices: Floats, of: int, array: int, i: float, j: float, x: float, y: float) -> Place:
+    here, there = lattices[of], lattices[array]
+    if of == array:
+        di, dj, x, y = relocate(there, x, y)
+        return i + di, j + dj, x, y
+    if here[slot.PITCH] == there[slot.PITCH] and here[slot.ROW] == there[slot.ROW]:
+        return to_array(there, of, array, i, j, x, y)
+    grid = grid_of(here)
+    across, along = steps_to(grid, i, j)
+    xh, xl = two_product(across, grid.pitch)
+    xh, xl = pair_sum(xh, xl, grid.x0, 0.0)
+    yh, yl = two_product(along, grid.row)
+    yh, yl = pair_sum(yh, yl, grid.y0, 0.0)
+    xh, xl = pair_sum(xh, xl, x, 0.0)
+    yh, yl = pair_sum(yh, yl, y, 0.0)
+    h, e = two_sum(here[slot.SHIFT + 2 * of], -here[slot.SHIFT + 2 * array])
+    xh, xl = pair_sum(xh, xl, h, e)
+    h, e = two_sum(here[slot.SHIFT + 2 * of + 1], -here[slot.SHIFT + 2 * array + 1])
+    yh, yl = pair_sum(yh, yl, h, e)
+    return locate(there, xh, xl, yh, yl)

@@ -1,0 +1,233 @@
+"""Rung "mesh" of sheets of two bodies whose cells differ: fates, cells and effects are those of the faces within what facets turn."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import clacad
+from clacad.effects import Setting, light_reaching_camera
+from clacad.formats.mesh.stl import write_stl
+from clacad.mesh import tessellate
+from clacad.optics.rays import NO_CELL, Fate
+from clacad.sheet.cell_places import CellPlacement, VertexChange
+from clacad.tracing.triangles.own_sheet import told
+from clacad.tracing.triangles.triangle_soup import read_soup
+
+AIMED = {
+    "format": 1, "name": "aimed", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+    "pair": {"form": "plano", "separation": 10, "index": 1.5, "thickness": 0.6},
+    "lattice": {"pitch": 0.5, "count": [6, 5], "aperture": {"point": [-40, 10, -400]}},
+}  # fmt: skip
+BICONVEX = {"form": "biconvex", "separation": 10, "index": 1.5, "offset": "paraxial"}
+INSIDE = {**AIMED["pair"], "curved": "inside"}
+
+
+def sheet(pair=None, **lattice):
+    """The aimed sheet, of another pair or lattice."""
+    pair = AIMED["pair"] if pair is None else pair
+    return clacad.prescribe(
+        clacad.Design.from_dict({**AIMED, "pair": pair, "lattice": {**AIMED["lattice"], **lattice}})
+    )
+
+
+def light(n=3000, wide=0.03):
+    """Of the viewer, all over the sheet and beside it, a third of it steeper."""
+    rng = np.random.default_rng(4)
+    at = np.column_stack([rng.uniform(-1.8, 1.8, n), rng.uniform(-1.5, 1.5, n), np.zeros(n)])
+    way = at - [-40.0, 10.0, -400.0]
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    way[2 * n // 3 :, :2] += rng.normal(0.0, wide, (n - 2 * n // 3, 2))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    return clacad.Rays(at - way * (1.0 / way[:, 2:]), way)
+
+
+def room(window, exact, faces):
+    """Distance (n,) of the places where rays met the faces from the nearest border of their cells, and of the sheet."""
+    least = np.full(len(exact), np.inf)
+    for f in faces:
+        array = window.faces[f].array
+        pitch = np.asarray(window.placements[array].pitch or window.lattice.pitch)
+        _, x, y = window.locate(array, *exact.hits[f, :, :2].T)
+        least = np.minimum(least, (0.5 * pitch - np.abs(np.column_stack([x, y]))).min(axis=1))
+    return least
+
+
+def turned_aside(window, quads):
+    """Length by which facets move light between the arrays at most: their slope error at a corner times the way."""
+    radius = 1.0 / abs(next(face.surface.curvature_x for face in window.faces if face.array == 0))
+    side = window.lattice.pitch[0] / quads
+    faces = sum(face.array == 0 for face in window.faces)
+    return faces * 0.5 * side / (np.sqrt(2.0) * radius) * window.thin.separation
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        AIMED["pair"],
+        pytest.param(INSIDE, marks=pytest.mark.slow, id="curved inside"),
+        pytest.param(BICONVEX, marks=pytest.mark.slow, id="biconvex"),
+    ],
+)
+def test_light_through_triangles_of_two_bodies_goes_where_that_through_their_faces_does(pair):
+    window, rays, rms = sheet(pair), light(), []
+    exact = clacad.trace(window, rays, path="numpy", record=True)
+    straight = exact.fate <= Fate.GHOST
+    for quads in (8, 16):
+        seen = clacad.trace(window, rays, rung="mesh", mesh=quads)
+        second = [f for f, face in enumerate(window.faces) if face.array == 1]
+        aside = turned_aside(window, quads)
+        # steps between lenses stand in the way of light that passes a border at their height
+        clear = (
+            straight
+            & (room(window, exact, second) > aside + 0.03)
+            & (
+                room(
+                    window,
+                    exact,
+                    [0, 1]
+                    if pair is BICONVEX
+                    else [f for f, face in enumerate(window.faces) if face.array == 0],
+                )
+                > 0.03
+            )
+        )
+        assert clear.sum() > 200 * (quads // 8)
+        assert (seen.fate == exact.fate)[clear].all()
+        assert (seen.order == exact.order)[clear].all()
+        assert (seen.cell == exact.cell)[clear].all()
+        assert (seen.surface == exact.surface)[clear].all()
+        alive = clear & (exact.fate == Fate.ALIVE)
+        rms.append(np.sqrt((np.linalg.norm(seen.direction - exact.direction, axis=1)[alive] ** 2).mean()))
+        assert (seen.fate == exact.fate).mean() > 0.88
+    assert 0.4 < rms[1] / rms[0] < 0.65  # the slope of a facet is off by its size
+
+
+def test_what_passes_array_2_beside_it_has_missed_the_sheet_and_comes_back_as_launched():
+    window, rays = sheet(), light(1500, 0.1)
+    exact = clacad.trace(window, rays, path="numpy", record=True)
+    seen = clacad.trace(window, rays, rung="mesh", mesh=16, record=True)
+    beside = (exact.fate == Fate.MISSED) & (exact.cell != NO_CELL).all(axis=1) & (seen.fate == Fate.MISSED)
+    assert beside.sum() > 50  # through lens 1, and past array 2
+    for name in ("cell", "order", "surface", "optical_path", "position", "direction"):
+        assert (getattr(seen, name) == getattr(exact, name))[beside].all(), name
+    for name in ("hits", "directions"):
+        assert (getattr(seen, name) == getattr(exact, name))[:, beside].all(), name
+
+
+SAME = {
+    "plano": {"pair": AIMED["pair"]},
+    "inside": {"pair": INSIDE},
+    "biconvex": {"pair": BICONVEX},
+    "seam": {"pair": AIMED["pair"], "lattice": {"seam": 0.06}},
+}
+
+
+def said_twice(name):
+    """A sheet of equal cells, and the same one said in words of one whose cells differ."""
+    lattice = {"pitch": 0.5, "count": [6, 5], "aperture": [0.1, -0.03], **SAME[name].get("lattice", {})}
+    equal = clacad.prescribe(
+        clacad.Design.from_dict({**AIMED, "pair": SAME[name]["pair"], "lattice": lattice})
+    )
+    own = CellPlacement(equal.shifts[1], tuple(p * (1.0 + 2.0**-50) for p in equal.lattice.pitch))
+
+    def still(face):
+        return replace(face, change=VertexChange()) if face.array == 1 else face
+
+    bodies = tuple(replace(b, front=still(b.front), back=still(b.back)) for b in equal.bodies)
+    thin = replace(equal.thin, pitch=own.pitch, change=VertexChange())
+    differs = replace(equal, bodies=bodies, placements=(CellPlacement(), own), thin=thin)
+    assert equal.uniform
+    assert not differs.uniform
+    return equal, differs
+
+
+@pytest.mark.parametrize(
+    "name", ["biconvex", *(pytest.param(n, marks=pytest.mark.slow) for n in SAME if n != "biconvex")]
+)
+def test_equal_cells_told_by_what_was_met_are_those_that_the_kernels_count(name, tmp_path):
+    """A sheet of equal cells, and the same said as one whose cells differ: all columns, fates of every kind."""
+    equal, differs = said_twice(name)
+    path = tmp_path / "sheet.stl"
+    write_stl(tessellate(equal, quads=4).bodies, path, 1.0, "sheet")
+    rays = light(4000, 0.2)
+    one, two = (clacad.trace(w, rays, rung="mesh", mesh=str(path), record=True) for w in (equal, differs))
+    assert len(np.unique(one.fate)) >= 4
+    for column in ("fate", "cell", "order", "surface"):
+        assert (getattr(one, column) == getattr(two, column)).all(), column
+    for column in ("position", "direction", "optical_path", "hits", "directions"):
+        assert np.abs(getattr(one, column) - getattr(two, column)).max() < 1e-9, column
+
+
+def border_places(window, seen):
+    """Points as near borders of array 2's cells as half of the last bit of half a pitch leaves room, and their cells by
+    rational numbers.
+    """
+    place, near = window.placements[1], Fraction(1, 2**55)
+    where, cells = seen.hits[2:].copy(), np.zeros((len(seen), 2), dtype=int)
+    for axis in (0, 1):
+        pitch, shift = Fraction(place.pitch[axis]), Fraction(place.shift[axis])
+        n = window.lattice.count[axis]
+        for k in range(len(seen)):
+            border = shift + pitch * (Fraction(1 + k % (n - 1)) - Fraction(n, 2))
+            aside = (-1) ** (k // n) * near * Fraction(6, 5)
+            x = float(border + aside)
+            while abs(Fraction(x) - border) <= near:
+                x = float(np.nextafter(x, np.copysign(np.inf, float(aside))))
+            where[:, k, axis] = x
+            cells[k, axis] = ((Fraction(x) - shift) / pitch + Fraction(n, 2)).__floor__()
+    return where, cells
+
+
+def test_light_on_a_border_of_a_scaled_array_is_in_the_cell_that_rational_numbers_say():
+    window, rays = sheet(), light(400)
+    tracer = clacad.Tracer(window, rung="mesh", mesh=4)
+    seen = tracer(rays, record=True)
+    through = seen.fate <= Fate.GHOST
+    assert through.sum() > 100
+    where, cells = border_places(window, seen)
+    found = told(
+        window, tracer.facets, rays, replace(seen, hits=np.concatenate([seen.hits[:2], where])), True
+    )
+    assert ((found.cell + found.order)[through] == cells[through]).all()
+    assert (found.cell == seen.cell)[through].all()
+    ghost = (cells != found.cell).any(axis=1)
+    assert (found.fate == np.where(ghost, Fate.GHOST, Fate.ALIVE))[through].all()
+
+
+SETTING = Setting(extinction=1e-5, roughness=2e-9, slope_rms=1e-4)
+PASSES = ("ghosts", "walls", "fresnel", "absorption", "tir_paths", "scatter", "polarisation")
+
+
+@pytest.mark.parametrize(
+    "names", [("ghosts", "fresnel", "walls"), *(pytest.param((n,), marks=pytest.mark.slow) for n in PASSES)]
+)
+def test_effects_change_light_through_triangles_as_those_of_equal_cells(names, tmp_path):
+    equal, differs = said_twice("biconvex")
+    path = tmp_path / "sheet.stl"
+    write_stl(tessellate(equal, quads=4).bodies, path, 1.0, "sheet")
+    rays = light(600, 0.2)
+    rays = clacad.Rays(rays.position, rays.direction, np.full(600, 550e-9))
+    one, two = (
+        light_reaching_camera(w, rays, "mesh", names, SETTING, mesh=read_soup(path, w), path="numpy")
+        for w in (equal, differs)
+    )
+    assert (one[1].fate == two[1].fate).all()
+    assert len(one[0].parent) == len(two[0].parent)
+    assert (one[0].parent == two[0].parent).all()
+    for column in ("flux", "direction", "position"):
+        assert np.abs(getattr(one[0], column) - getattr(two[0], column)).max() < 1e-9, column
+    assert (one[0].flux < 0.99).any() == bool({"fresnel", "absorption", "polarisation"} & set(names))
+
+
+@pytest.mark.slow
+def test_what_an_aimed_sheet_reflects_by_its_triangles_tends_to_what_its_faces_do():
+    window, rays = sheet(), light()
+    exact = clacad.trace(window, rays, effects=("fresnel",), path="numpy")
+    off = []
+    for quads in (8, 32):
+        seen = clacad.trace(window, rays, rung="mesh", mesh=quads, effects=("fresnel",))
+        alive = (seen.fate == Fate.ALIVE) & (exact.fate == Fate.ALIVE)
+        off.append(np.sqrt(((seen.flux - exact.flux)[alive] ** 2).mean()))
+    assert 0 < off[1] < 0.35 * off[0]
