@@ -60,8 +60,10 @@ DESIGNS = {
 }
 
 
-STEEP = DESIGNS["aimed steeply"]
-DESIGNS["the middle of one aimed steeply"] = STEEP
+DESIGNS["the middle of one aimed steeply"] = (
+    "window-100mm",
+    DESIGNS["aimed steeply"][1] | {"lattice.count": [40, 40]},
+)
 VIEWS = {"aimed steeply": ([11, 0, 0], 3.0), "the middle of one aimed steeply": ([0.07, 0.05, 0], 3.03)}
 """What a camera looks at, and how much it sees of it; lenses at the rim stand lower than those in the middle."""
 
