@@ -115,7 +115,7 @@ def test_what_repeats_or_samples_one_cell_is_refused_by_one_code(tmp_path):
     from clacad.sheet.need_window import CellsDiffer
 
     for name in ("sag", "coupon", "zmx"):
-        with pytest.raises(CellsDiffer, match=f"CL139: format {name}.*step, stl"):
+        with pytest.raises(CellsDiffer, match=f"CL139: format {name}.*step, brep"):
             clacad.export(PAIR, tmp_path / "out", formats=(name,))
     assert not (tmp_path / "out").exists()
 

@@ -60,10 +60,18 @@ DESIGNS = {
 }
 
 
+DESIGNS["the middle of one aimed steeply"] = (
+    "window-100mm",
+    DESIGNS["aimed steeply"][1] | {"lattice.count": [40, 40]},
+)
+VIEWS = {"aimed steeply": ([11, 0, 0], 3.0), "the middle of one aimed steeply": ([0.07, 0.05, 0], 3.03)}
+"""What a camera looks at, and how much it sees of it; lenses at the rim stand lower than those in the middle."""
+
+
 def scene_of(kind, pixels=120):
     design, changes = DESIGNS[kind]
     point = changes.get("lattice.aperture", {"point": [3, -2, -150]})["point"]
-    target, frame = ([11, 0, 0], 3.0) if kind == "aimed steeply" else ([0, 0, 0], 7.0)
+    target, frame = VIEWS.get(kind, ([0, 0, 0], 7.0))
     return before_stripes(
         "differing",
         {"design": f"designs/{design}.toml", "set": changes},

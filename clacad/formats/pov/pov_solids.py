@@ -153,7 +153,7 @@ def _layer(
 
 
 def _heights(window: Window, face: Face) -> HeightRange:
-    """Heights between which a face lies, lens and land; sampled over the cells farthest out and their borders, with room."""
+    """Heights between which a face lies, lens and land; sampled over cells and their borders where lenses stand farthest out and nearest, with room."""
     if face.array is None:
         return HeightRange(face.vertex[2], face.vertex[2])
     tile = window.lattice_of(face.array).tile()
@@ -163,12 +163,19 @@ def _heights(window: Window, face: Face) -> HeightRange:
     z = np.concatenate(
         [
             lens_height_and_normal(one, points[:, 0], points[:, 1])[0]
-            for one in faces_that_differ(window, face)
+            for one in [*faces_that_differ(window, face), _nearest(window, face)]
         ]
     )
     z = np.append(z[np.isfinite(z)], [] if face.land is None or isnan(face.land) else [face.land])
     room = 0.01 * float(np.ptp(z))
     return HeightRange(float(z.min()) - room, float(z.max()) + room)
+
+
+def _nearest(window: Window, face: Face) -> Face:
+    """The face as it stands in the cell where its lens is nearest to the middle: as far as it rises."""
+    cells = window.lattice.cells()
+    apart = np.hypot(*window.vertices(face, cells)[:, :2].T)
+    return window.in_cell(face, cells[int(np.argmin(apart))])
 
 
 def _glass(body: Body) -> Look:
