@@ -79,7 +79,7 @@ FAR_OUT, ROWS = (
 )
 ALIKE, ITS_KERNEL = (
     f"{DIFFERING} -k 'like_one or wide_as or farthest'",
-    f"{DIFFERING} -m '' -k 'numba and not (2e4 or 10.4)'",
+    f"{DIFFERING} -m '' -k 'numba and (kappa or curl or hexagonal or .9975)'",
 )
 
 MUTATIONS = [

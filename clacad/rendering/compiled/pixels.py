@@ -39,6 +39,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Z,
     lane,
+    lanes,
 )
 from clacad.tracing.compiled.walk import walk_ray
 
@@ -296,15 +297,7 @@ def _collect(
     """Rays behind the sheet of those whose straight trace holds; their mark `near` becomes 2."""
     direct, ghost = SHINES if shining[ALIVE] else BLACK, SHINES if shining[GHOST] else BLACK
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
-    px, py, pz, dx, dy, dz, good = (
-        lane(s, GX),
-        lane(s, GY),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, GOOD),
-    )
+    px, py, pz, dx, dy, dz, good = lanes(s, (GX, GY, Z, DX, DY, DZ, GOOD))
     ci, cj, ci0, cj0, mark, out = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0), near[:m], state[:m]
     inverse = 1.0 / scale
     for i in range(m):

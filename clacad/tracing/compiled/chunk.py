@@ -37,6 +37,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     Y,
     Z,
     lane,
+    lanes,
 )
 from clacad.tracing.compiled.walk import walk_ray
 from clacad.tracing.triangles.compiled_grid import straight_through
@@ -59,7 +60,7 @@ ARRIVED = (*LAUNCHED, CI0, CJ0)
 @exact
 def load_block(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
     """Copy a block of starts and directions into the scratch rows."""
-    x, y, z, dx, dy, dz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ)
+    x, y, z, dx, dy, dz = lanes(s, (X, Y, Z, DX, DY, DZ))
     if _together(chosen):
         _load_vectors(position, chosen[0], len(chosen), x, y, z)
         _load_vectors(direction, chosen[0], len(chosen), dx, dy, dz)
@@ -94,8 +95,8 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
     """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
     faces, bodies = sheet.faces, sheet.bodies
     m = len(chosen)
-    px, py, z, dz, good = lane(s, GX), lane(s, GY), lane(s, Z), lane(s, DZ), lane(s, GOOD)
-    ci, cj, ci0, cj0 = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0)
+    px, py, z, dz, good = lanes(s, (GX, GY, Z, DZ, GOOD))
+    ci, cj, ci0, cj0 = lanes(s, (CI, CJ, CI0, CJ0))
     last = len(faces) - 1
     face, top = faces[last], bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
     centres(sheet.lattices[row_of(sheet.own, array)], s, m, array, px, py, face[slot.VX], face[slot.VY])
@@ -133,7 +134,7 @@ def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> N
         out.path[first : first + m],
         out.surface[first : first + m],
     )
-    ci, cj, length = lane(s, CI), lane(s, CJ), lane(s, PATH)
+    ci, cj, length = lanes(s, (CI, CJ, PATH))
     _store_vectors(lane(s, GX), lane(s, GY), lane(s, Z), out.position, first, m)
     _store_vectors(lane(s, DX), lane(s, DY), lane(s, DZ), out.direction, first, m)
     for k in range(m):

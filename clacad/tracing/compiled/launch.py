@@ -15,7 +15,22 @@ from clacad.tracing.compiled.cells import hexagon_steps, locate
 from clacad.tracing.compiled.column import box_span
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import Launched
-from clacad.tracing.compiled.straight_path_slots import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z, lane
+from clacad.tracing.compiled.straight_path_slots import (
+    CI,
+    CJ,
+    DX,
+    DY,
+    DZ,
+    GOOD,
+    GX,
+    GY,
+    PATH,
+    X,
+    Y,
+    Z,
+    lane,
+    lanes,
+)
 
 SANE = 1e100
 """Directions with components beyond this, or all below its inverse, are scaled before use."""
@@ -73,8 +88,8 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
     Rays of insane scale, and those that are not over a cell on the reference plane, lose their mark GOOD. Lengths are
     taken only in a block that has a direction of another length than 1: a root and a division a ray.
     """
-    x, y, z, dx, dy, dz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ)
-    path, good, xl, yl = lane(s, PATH), lane(s, GOOD), lane(s, GX), lane(s, GY)
+    x, y, z, dx, dy, dz = lanes(s, (X, Y, Z, DX, DY, DZ))
+    path, good, xl, yl = lanes(s, (PATH, GOOD, GX, GY))
     plane, low = body[slot.LEVEL] + body[slot.BODY_LOW], body[slot.BODY_LOW]
     loose = 0
     for k in range(m):
@@ -107,7 +122,7 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
 @exact
 def _normalise(s: Floats, m: int) -> None:
     """Give directions length 1, and what was counted in their lengths its length, where they had another."""
-    dx, dy, dz, path = lane(s, DX), lane(s, DY), lane(s, DZ), lane(s, PATH)
+    dx, dy, dz, path = lanes(s, (DX, DY, DZ, PATH))
     for k in range(m):
         a, b, c = dx[k], dy[k], dz[k]
         square = a * a + b * b + c * c

@@ -50,6 +50,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     lane,
+    lanes,
 )
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
@@ -114,15 +115,7 @@ def less_product(x: float, a: float, b: float) -> float:
 @exact
 def _refract(law: Floats, s: Floats, m: int) -> None:
     """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and how surely there are any into GZ."""
-    dx, dy, dz, out_x, out_y, out_z, sure = (
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, LEFT_X),
-        lane(s, LEFT_Y),
-        lane(s, ROOT),
-        lane(s, GZ),
-    )
+    dx, dy, dz, out_x, out_y, out_z, sure = lanes(s, (DX, DY, DZ, LEFT_X, LEFT_Y, ROOT, GZ))
     eta_x, eta_y, delta_x, delta_y = law[ETA_X], law[ETA_Y], law[DELTA_X], law[DELTA_Y]
     a, b, c = law[R0], law[R0 + 1], law[R0 + 2]
     d, e, f = law[R0 + 3], law[R0 + 4], law[R0 + 5]
@@ -140,16 +133,8 @@ def _refract(law: Floats, s: Floats, m: int) -> None:
 @exact
 def _cross(sheet: Packed, s: Floats, m: int) -> None:
     """Give rays that start before the plane their new directions; those that are turned back or nearly so are not good."""
-    x, y, dx, dy, dz, good, path = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, GOOD),
-        lane(s, PATH),
-    )
-    out_x, out_y, out_z, sure = lane(s, LEFT_X), lane(s, LEFT_Y), lane(s, ROOT), lane(s, GZ)
+    x, y, dx, dy, dz, good, path = lanes(s, (X, Y, DX, DY, DZ, GOOD, PATH))
+    out_x, out_y, out_z, sure = lanes(s, (LEFT_X, LEFT_Y, ROOT, GZ))
     copy_row(lane(s, CI), lane(s, CI0), m)
     copy_row(lane(s, CJ), lane(s, CJ0), m)
     far = FAR * sheet.lattice[slot.REACH]

@@ -39,6 +39,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     Y,
     Z,
     lane,
+    lanes,
 )
 
 CLEAR = 2.0**-44
@@ -54,11 +55,11 @@ def carry_own(
     Cells of one index in two arrays are that many times the difference of their pitches apart, which is exact where they
     are alike; products and sums of it are kept in pairs.
     """
-    z, dx, dy, dz, path = lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ), lane(s, PATH)
+    z, dx, dy, dz, path = lanes(s, (Z, DX, DY, DZ, PATH))
     ox, oy, oz = origin
     rise = level - oz
     here, there = lattices[arrays[0]], lattices[arrays[1]]
-    x, y, xl, yl, ci, cj = lane(s, X), lane(s, Y), lane(s, XL), lane(s, YL), lane(s, CI), lane(s, CJ)
+    x, y, xl, yl, ci, cj = lanes(s, (X, Y, XL, YL, CI, CJ))
     for i in range(m):
         t = (rise - z[i]) / dz[i]
         x[i], y[i] = x[i] + ox + t * dx[i], y[i] + oy + t * dy[i]
@@ -110,15 +111,7 @@ def _into_squares(x: Floats, low: Floats, cell: Floats, good: Floats, m: int, pi
 
 @exact
 def _into_hexagons(lat: Floats, s: Floats, m: int) -> None:
-    x, y, xl, yl, ci, cj, good = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, XL),
-        lane(s, YL),
-        lane(s, CI),
-        lane(s, CJ),
-        lane(s, GOOD),
-    )
+    x, y, xl, yl, ci, cj, good = lanes(s, (X, Y, XL, YL, CI, CJ, GOOD))
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
     per_pitch, per_row, half, slant = 1.0 / pitch, 1.0 / row, 0.5 * pitch, row / pitch
     clear = half * (1.0 - CLEAR)
@@ -142,7 +135,7 @@ def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None
     """Positions seen from the lens of each ray's own cell, as far as lenses stand elsewhere in every cell."""
     if own.change[f, slot.CHANGES] == 0.0:
         return
-    x, y, ax, ay, ci, cj = lane(s, X), lane(s, Y), lane(s, AX), lane(s, AY), lane(s, CI), lane(s, CJ)
+    x, y, ax, ay, ci, cj = lanes(s, (X, Y, AX, AY, CI, CJ))
     grid, gradient = grid_of(sheet.lattice), gradient_of(own, f)
     for i in range(m):
         ax[i], ay[i] = times_gradient(gradient, centre_of(grid, ci[i], cj[i]))
@@ -156,7 +149,7 @@ def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None
 @exact
 def _add_tabled(sheet: Packed, table: Floats, s: Floats, m: int) -> None:
     """Add a table's part of the lenses' places; rays that are GOOD have arrived in cells that are kept."""
-    ax, ay, ci, cj, good = lane(s, AX), lane(s, AY), lane(s, CI), lane(s, CJ), lane(s, GOOD)
+    ax, ay, ci, cj, good = lanes(s, (AX, AY, CI, CJ, GOOD))
     hexagonal = sheet.lattice[slot.HEXAGONAL] != 0.0
     for i in range(m):
         kept = good[i] > 0.0
@@ -171,7 +164,7 @@ def from_own_lens(own: OwnCells, f: int, s: Floats, m: int) -> None:
     """Positions as before `to_own_lens`."""
     if own.change[f, slot.CHANGES] == 0.0:
         return
-    x, y, ax, ay = lane(s, X), lane(s, Y), lane(s, AX), lane(s, AY)
+    x, y, ax, ay = lanes(s, (X, Y, AX, AY))
     for i in range(m):
         x[i], y[i] = x[i] + ax[i], y[i] + ay[i]
 

@@ -51,6 +51,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     Y,
     Z,
     lane,
+    lanes,
 )
 from clacad.tracing.compiled.walk import reach
 from clacad.tracing.triangles.compiled_tile_block import cross_facets
@@ -76,16 +77,7 @@ def copy_row(one: Floats, other: Floats, m: int) -> None:
 @exact
 def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, offset: Vector) -> None:
     """First loop of a face: to the hit. Positions plus the offset are relative to the vertex, and are after."""
-    x, y, z, dx, dy, dz, root, path = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, ROOT),
-        lane(s, PATH),
-    )
+    x, y, z, dx, dy, dz, root, path = lanes(s, (X, Y, Z, DX, DY, DZ, ROOT, PATH))
     cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
     real = s.dtype.type
     one, n1, ox, oy, oz = real(1.0), real(n1), real(offset[0]), real(offset[1]), real(offset[2])
@@ -109,7 +101,7 @@ def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, offset: Vector) ->
 @exact
 def _turn_in(face: Floats, s: Floats, m: int, offset: Vector) -> None:
     """Positions plus the offset, and directions, from sheet axes to lens axes."""
-    x, y, z, dx, dy, dz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ)
+    x, y, z, dx, dy, dz = lanes(s, (X, Y, Z, DX, DY, DZ))
     a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
     d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
@@ -126,16 +118,8 @@ def _turn_in(face: Floats, s: Floats, m: int, offset: Vector) -> None:
 @exact
 def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
     """Back to sheet axes; normals must face up, rays must climb."""
-    x, y, z, dx, dy, dz, good = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, GOOD),
-    )
-    gx, gy, gz = lane(s, GX), lane(s, GY), lane(s, GZ)
+    x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
+    gx, gy, gz = lanes(s, (GX, GY, GZ))
     a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
     d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
@@ -157,16 +141,7 @@ def _refract_quadric(
     """Second loop of a face: Snell's law. The normal must be of the apex half, the hit inside hx and hy of the
     cell's centre, and the ray must climb on; these comparisons hide behind the divisions.
     """
-    x, y, z, dx, dy, dz, root, good = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, ROOT),
-        lane(s, GOOD),
-    )
+    x, y, z, dx, dy, dz, root, good = lanes(s, (X, Y, Z, DX, DY, DZ, ROOT, GOOD))
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
     sk, vx, vy = face[slot.SIDE] * face[slot.KX], face[slot.VX], face[slot.VY]
     n1, n2 = media
@@ -188,7 +163,7 @@ def _refract_quadric(
 @exact
 def _normals(face: Floats, s: Floats, m: int) -> None:
     """Normals of a quadric at the hits."""
-    x, y, z, gx, gy, gz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, GX), lane(s, GY), lane(s, GZ)
+    x, y, z, gx, gy, gz = lanes(s, (X, Y, Z, GX, GY, GZ))
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
     sk, one = face[slot.SIDE] * face[slot.KX], s.dtype.type(1.0)
     for i in range(m):
@@ -219,7 +194,7 @@ def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, media: Media, offset
 @exact
 def _proud(face: Floats, s: Floats, m: int) -> None:
     """Hits must be on the lens where land could cover it."""
-    z, good = lane(s, Z), lane(s, GOOD)
+    z, good = lanes(s, (Z, GOOD))
     vz, land, side = face[slot.VZ], face[slot.LAND], face[slot.SIDE]
     for i in range(m):
         good[i] = least(good[i], (land - vz - z[i]) * side)
@@ -245,15 +220,7 @@ def hold_in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: f
 @exact
 def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
     """Rays must be in their cell, `margin` inside, where they cross a level; everything times N, so no division."""
-    x, y, z, dx, dy, dz, good = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, GOOD),
-    )
+    x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     real = s.dtype.type
     level, ox, oy, margin, middle = real(level), real(ox), real(oy), real(margin), real(0.5)
     half, half_y, slant = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin, lat[slot.NORMAL + 3]
@@ -285,17 +252,7 @@ def _carry(
     origin : (x, y, z)
         The rays' origin, seen from the centre of their cell and the body's level.
     """
-    x, y, z, dx, dy, dz, path, ci, cj = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, PATH),
-        lane(s, CI),
-        lane(s, CJ),
-    )
+    x, y, z, dx, dy, dz, path, ci, cj = lanes(s, (X, Y, Z, DX, DY, DZ, PATH, CI, CJ))
     real = s.dtype.type
     ox, oy, oz = origin
     rise, level, index, middle, one = real(level - oz), real(level), real(index), real(0.5), real(1.0)
@@ -336,7 +293,7 @@ def _carry(
 @exact
 def arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
     """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
-    x, y, dz, ci, cj, good = lane(s, X), lane(s, Y), lane(s, DZ), lane(s, CI), lane(s, CJ), lane(s, GOOD)
+    x, y, dz, ci, cj, good = lanes(s, (X, Y, DZ, CI, CJ, GOOD))
     climb, middle = s.dtype.type(climb), s.dtype.type(0.5)
     if lat[slot.PLAIN] != 0.0:
         n1, n2, hx, hy = lat[slot.N1] - middle, lat[slot.N2] - middle, lat[slot.HALF], lat[slot.HALF + 1]
@@ -357,7 +314,7 @@ def arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
 @exact
 def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float) -> None:
     """Sheet-frame x and y of points plus (ox, oy)."""
-    x, y, ci, cj = lane(s, X), lane(s, Y), lane(s, CI), lane(s, CJ)
+    x, y, ci, cj = lanes(s, (X, Y, CI, CJ))
     sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
     real = s.dtype.type
@@ -377,7 +334,7 @@ def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, 
 @exact
 def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: float, oy: float) -> None:
     """Rays must be certainly over the body."""
-    px, py, good = lane(s, GX), lane(s, GY), lane(s, GOOD)
+    px, py, good = lanes(s, (GX, GY, GOOD))
     centres(lat, s, m, array, px, py, ox, oy)
     mx, my, hx, hy, radius = (
         body[slot.MID_X],
@@ -408,7 +365,7 @@ def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
 @exact
 def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
     """Do as `_thick` where both faces are quadrics: the hit's place against the other's own half space."""
-    x, y, z, good = lane(s, X), lane(s, Y), lane(s, Z), lane(s, GOOD)
+    x, y, z, good = lanes(s, (X, Y, Z, GOOD))
     ox, oy, oz = (
         face[slot.VX] - other[slot.VX],
         face[slot.VY] - other[slot.VY],
@@ -522,17 +479,7 @@ def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
 
     With a = n1/n2 |g| cos i and b = |g| cos t, g the normal: T_s = 4 a b/(a + b)², T_p = 4 a b/(|g| cos i + n1/n2 b)².
     """
-    x, y, z, dx, dy, dz, root, share, over = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, ROOT),
-        lane(s, SHARE),
-        lane(s, OVER),
-    )
+    x, y, z, dx, dy, dz, root, share, over = lanes(s, (X, Y, Z, DX, DY, DZ, ROOT, SHARE, OVER))
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
     sk = face[slot.SIDE] * face[slot.KX]
     mu = n1 / n2
@@ -547,14 +494,7 @@ def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
 @exact
 def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
     """The same at any face whose normals are kept: in what axes does not matter."""
-    gx, gy, gz, root, share, over = (
-        lane(s, GX),
-        lane(s, GY),
-        lane(s, GZ),
-        lane(s, ROOT),
-        lane(s, SHARE),
-        lane(s, OVER),
-    )
+    gx, gy, gz, root, share, over = lanes(s, (GX, GY, GZ, ROOT, SHARE, OVER))
     mu = n1 / n2
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
@@ -569,7 +509,7 @@ def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
 @exact
 def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
     """Add rate · length inside a body to DEPTH: its two ends' heights over the body's level, over N in between."""
-    z, dz, depth, steep = lane(s, Z), lane(s, DZ), lane(s, DEPTH), lane(s, STEEP)
+    z, dz, depth, steep = lanes(s, (Z, DZ, DEPTH, STEEP))
     if side == 0:
         for i in range(m):
             steep[i] = rate / dz[i]
@@ -610,7 +550,7 @@ def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: 
 @exact
 def _same_cell(s: Floats, m: int) -> None:
     """Rays in another cell of the field lens than of lens 1 are left to the walk, which tells the two apart."""
-    ci, cj, ci0, cj0, good = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0), lane(s, GOOD)
+    ci, cj, ci0, cj0, good = lanes(s, (CI, CJ, CI0, CJ0, GOOD))
     for i in range(m):
         if ci[i] != ci0[i] or cj[i] != cj0[i]:
             good[i] = 0.0

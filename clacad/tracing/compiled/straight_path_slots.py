@@ -23,23 +23,40 @@ BLOCK = 256
 """Rays in a block: the rows that one face works on take 24 KB, which the first-level cache holds."""
 
 
+def _row(context: Any, builder: Any, scratch: Any, value: Any, number: Any) -> Any:
+    """Row of a scratch array (any, BLOCK) as a place so many numbers from its start."""
+    whole = context.make_array(scratch)(context, builder, value)
+    row = context.make_array(scratch.copy(ndim=1))(context, builder)
+    width, size = (context.get_constant(numba.types.intp, n) for n in (BLOCK, scratch.dtype.bitwidth // 8))
+    start = builder.gep(whole.data, [builder.mul(number, width)])
+    numba.np.arrayobj.populate_array(row, start, (width,), (size,), size, None)
+    return row._getvalue()
+
+
 def _lane(typing_context: Any, scratch: Any, number: Any) -> Any:
-    """Give a row of a scratch array (any, BLOCK) as a place so many numbers from its start."""
-    one = scratch.copy(ndim=1)
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _row(context, builder, scratch, *arguments)
+
+    return scratch.copy(ndim=1)(scratch, numba.types.intp), generate
+
+
+def _lanes(typing_context: Any, scratch: Any, numbers: Any) -> Any:
+    count = len(numbers)
+    asked = numba.types.UniTuple(numba.types.intp, count)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        whole, made = context.make_array(scratch)(context, builder, arguments[0]), context.make_array(one)
-        row = made(context, builder)
-        width, size = (
-            context.get_constant(numba.types.intp, n) for n in (BLOCK, scratch.dtype.bitwidth // 8)
-        )
-        start = builder.gep(whole.data, [builder.mul(arguments[1], width)])
-        numba.np.arrayobj.populate_array(row, start, (width,), (size,), size, None)
-        return row._getvalue()
+        rows = [
+            _row(context, builder, scratch, arguments[0], number)
+            for number in numba.core.cgutils.unpack_tuple(builder, arguments[1], count)
+        ]
+        return context.make_tuple(builder, signature.return_type, rows)
 
-    return one(scratch, numba.types.intp), generate
+    return numba.types.UniTuple(scratch.copy(ndim=1), count)(scratch, asked), generate
 
 
 lane: Callable[[Floats, int], Floats] = numba.extending.intrinsic(_lane)
 """Row `number` of the scratch array, whose place is known when the kernel is compiled: of rows that plainly lie apart no loop
 has to ask first whether they overlap, which takes longer than a short loop does."""
+
+lanes: Callable[[Floats, tuple[int, ...]], tuple[Floats, ...]] = numba.extending.intrinsic(_lanes)
+"""Several of them."""

@@ -54,6 +54,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     Y,
     Z,
     lane,
+    lanes,
 )
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
@@ -123,14 +124,7 @@ def thin_chunk(
 @exact
 def _unit(s: Floats, m: int) -> None:
     """Divide the directions as given, in LEFT_X, LEFT_Y and ROOT, by their lengths: rounded once, as in numpy."""
-    dx, dy, dz, given_x, given_y, given_z = (
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, LEFT_X),
-        lane(s, LEFT_Y),
-        lane(s, ROOT),
-    )
+    dx, dy, dz, given_x, given_y, given_z = lanes(s, (DX, DY, DZ, LEFT_X, LEFT_Y, ROOT))
     for i in range(m):
         u, v, w = given_x[i], given_y[i], given_z[i]
         square = u * u + v * v + w * w
@@ -190,17 +184,7 @@ def _name_cells(s: Floats, block: Rows, out: Outcome) -> None:
 @exact
 def _carry_over(sheet: Packed, s: Floats, m: int) -> None:
     """Carry rays to the reference plane of array 2 and into its cells."""
-    x, y, z, dx, dy, dz, path, ci, cj = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, PATH),
-        lane(s, CI),
-        lane(s, CJ),
-    )
+    x, y, z, dx, dy, dz, path, ci, cj = lanes(s, (X, Y, Z, DX, DY, DZ, PATH, CI, CJ))
     one, two = sheet.bodies[0], sheet.bodies[1]
     level = two[slot.LEVEL] + two[slot.BODY_LOW] - one[slot.LEVEL]
     for i in range(m):
@@ -215,16 +199,7 @@ def _carry_over(sheet: Packed, s: Floats, m: int) -> None:
 @exact
 def _meet(lens: Floats, s: Floats, m: int) -> None:
     """Carry rays to the lens of their cell, which they must climb to."""
-    x, y, z, dx, dy, dz, path, good = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, PATH),
-        lane(s, GOOD),
-    )
+    x, y, z, dx, dy, dz, path, good = lanes(s, (X, Y, Z, DX, DY, DZ, PATH, GOOD))
     cx, cy, a, b, c = lens[CENTRE_X], lens[CENTRE_Y], lens[R0 + 2], lens[R0 + 5], lens[R0 + 8]
     for i in range(m):
         climb = dx[i] * a + dy[i] * b + dz[i] * c
@@ -237,15 +212,7 @@ def _meet(lens: Floats, s: Floats, m: int) -> None:
 @exact
 def _bend(lens: Floats, s: Floats, m: int) -> None:
     """Turn rays at a lens: slope t at x becomes t − x/f in each meridian; they must go on forwards."""
-    x, y, z, dx, dy, dz, good = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, GOOD),
-    )
+    x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     cx, cy, power_x, power_y = lens[CENTRE_X], lens[CENTRE_Y], lens[POWER_X], lens[POWER_Y]
     a, b, c = lens[R0], lens[R0 + 1], lens[R0 + 2]
     d, e, f = lens[R0 + 3], lens[R0 + 4], lens[R0 + 5]
@@ -265,7 +232,7 @@ def _bend(lens: Floats, s: Floats, m: int) -> None:
 @exact
 def _ahead(s: Floats, m: int, carried: Floats, far: float) -> None:
     """The first lens must not lie behind the start, nor out of all proportion from it."""
-    path, good = lane(s, PATH), lane(s, GOOD)
+    path, good = lanes(s, (PATH, GOOD))
     for i in range(m):
         gone = abs(carried[i])
         slack = BEHIND_START * (gone + abs(path[i] - carried[i]))
@@ -275,6 +242,6 @@ def _ahead(s: Floats, m: int, carried: Floats, far: float) -> None:
 @exact
 def _not_far_off(s: Floats, m: int, most: float) -> None:
     """The cells met must be fewer than `most` steps apart, each way."""
-    ci, cj, ci0, cj0, good = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0), lane(s, GOOD)
+    ci, cj, ci0, cj0, good = lanes(s, (CI, CJ, CI0, CJ0, GOOD))
     for i in range(m):
         good[i] = least(good[i], least(most - abs(ci[i] - ci0[i]), most - abs(cj[i] - cj0[i])))

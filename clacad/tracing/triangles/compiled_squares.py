@@ -36,7 +36,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
-    lane,
+    lanes,
 )
 from clacad.tracing.triangles.compiled_hierarchy import LEVEL
 from clacad.tracing.triangles.compiled_tile_block import SquareGrid, half_bin, to_level
@@ -134,16 +134,8 @@ def _in_sheet(sheet: Packed, s: Floats, m: int) -> None:
 @exact
 def _begin(s: Floats, m: int, level: float) -> None:
     """Where rays cross the lower end of a body the rectangle begins that they stay in; they may not start above it."""
-    x, y, z, dx, dy, dz, good = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, GOOD),
-    )
-    left, right, lower, upper = lane(s, LEAST_X), lane(s, MOST_X), lane(s, LEAST_Y), lane(s, MOST_Y)
+    x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
+    left, right, lower, upper = lanes(s, (LEAST_X, MOST_X, LEAST_Y, MOST_Y))
     for i in range(m):
         t = (level - z[i]) / dz[i]
         u, v = x[i] + t * dx[i], y[i] + t * dy[i]
@@ -178,17 +170,8 @@ def _planes_of_bins(grid: FacetGrid, side: int, s: Floats, m: int) -> None:
 @exact
 def _to_planes(squares: SquareGrid, s: Floats, m: int, hair: float) -> None:
     """How far rays go to their planes: NaN unless over the same half, `hair` bins off its borders; and the half there."""
-    x, y, z, dx, dy, dz, bins, far = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, HALF),
-        lane(s, FAR),
-    )
-    a, b, c = lane(s, GX), lane(s, GY), lane(s, GZ)
+    x, y, z, dx, dy, dz, bins, far = lanes(s, (X, Y, Z, DX, DY, DZ, HALF, FAR))
+    a, b, c = lanes(s, (GX, GY, GZ))
     low_x, low_y, per_x, per_y, nx, ny, first, split = squares
     for i in range(m):
         t = (far[i] - (a[i] * x[i] + b[i] * y[i] + c[i] * z[i])) / (
@@ -210,18 +193,9 @@ def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float
 
     level : square of the slope up to which a facet may be land; negative where there is none
     """
-    x, y, z, dx, dy, dz, good, path = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, GOOD),
-        lane(s, PATH),
-    )
-    gx, gy, gz, far = lane(s, GX), lane(s, GY), lane(s, GZ), lane(s, FAR)
-    left, right, lower, upper = lane(s, LEAST_X), lane(s, MOST_X), lane(s, LEAST_Y), lane(s, MOST_Y)
+    x, y, z, dx, dy, dz, good, path = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD, PATH))
+    gx, gy, gz, far = lanes(s, (GX, GY, GZ, FAR))
+    left, right, lower, upper = lanes(s, (LEAST_X, MOST_X, LEAST_Y, MOST_Y))
     mu, weight = n1 / n2, (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
         t, u, v, w = far[i], dx[i], dy[i], dz[i]

@@ -31,7 +31,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
-    lane,
+    lanes,
 )
 from clacad.tracing.triangles.compiled_tiles import facet_normal, locate_facet
 from clacad.tracing.triangles.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
@@ -48,7 +48,7 @@ def cross_facets(
     tiles: Tiles, faces: Floats, f: int, s: Floats, m: int, media: tuple[float, float], climb: float, origin: Vector
 ) -> None:  # fmt: skip
     """Cross one face of facets; positions plus the origin are relative to cell and level, and are after."""
-    x, y, z = lane(s, X), lane(s, Y), lane(s, Z)
+    x, y, z = lanes(s, (X, Y, Z))
     ox, oy, oz = origin
     for i in range(m):
         x[i], y[i], z[i] = x[i] + ox, y[i] + oy, z[i] + oz
@@ -74,15 +74,7 @@ def _squares_of(row: Floats) -> SquareGrid:
 @exact
 def to_level(squares: SquareGrid, s: Floats, m: int, level: float) -> None:
     """Carry rays to a level, in thought, and find the half bin there."""
-    x, y, z, dx, dy, dz, bins = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, HALF),
-    )
+    x, y, z, dx, dy, dz, bins = lanes(s, (X, Y, Z, DX, DY, DZ, HALF))
     low_x, low_y, per_x, per_y, nx, ny, first, split = squares
     for i in range(m):
         t = (level - z[i]) / dz[i]
@@ -112,17 +104,8 @@ def _planes_of_bins(tiles: Tiles, side: int, s: Floats, m: int) -> None:
 @exact
 def _to_planes(row: Floats, s: Floats, m: int) -> None:
     """Carry rays to their planes, in thought: how far, NaN if the hit lies over another half bin, and that one."""
-    x, y, z, dx, dy, dz, bins, far = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, HALF),
-        lane(s, RANGE),
-    )
-    a, b, c = lane(s, GX), lane(s, GY), lane(s, GZ)
+    x, y, z, dx, dy, dz, bins, far = lanes(s, (X, Y, Z, DX, DY, DZ, HALF, RANGE))
+    a, b, c = lanes(s, (GX, GY, GZ))
     low_x, low_y, per_x, per_y, nx, ny, first, split = _squares_of(row)
     for i in range(m):
         t = (c[i] + a[i] * x[i] + b[i] * y[i] - z[i]) / (dz[i] - a[i] * dx[i] - b[i] * dy[i])
@@ -136,7 +119,7 @@ def _to_planes(row: Floats, s: Floats, m: int) -> None:
 @exact
 def _settle(tiles: Tiles, tile: int, side: int, level: float, s: Floats, m: int) -> None:
     """Put in the normals; look up one by one the rays whose facet is not certain."""
-    gx, gy, gz, far = lane(s, GX), lane(s, GY), lane(s, GZ), lane(s, RANGE)
+    gx, gy, gz, far = lanes(s, (GX, GY, GZ, RANGE))
     for i in range(m):
         gx[i], gy[i], gz[i] = -gx[i], -gy[i], 1.0
     smooth = len(tiles.normal) > 0
@@ -179,16 +162,8 @@ def _facet_met(tiles: Tiles, tile: int, side: int, guess: int, ray: Ray) -> tupl
 @exact
 def _refract_facets(s: Floats, m: int, n1: float, n2: float, climb: float) -> None:
     """Move to the hits and refract there by the normals in GX, GY, GZ."""
-    x, y, z, dx, dy, dz, good = (
-        lane(s, X),
-        lane(s, Y),
-        lane(s, Z),
-        lane(s, DX),
-        lane(s, DY),
-        lane(s, DZ),
-        lane(s, GOOD),
-    )
-    gx, gy, gz, far, path = lane(s, GX), lane(s, GY), lane(s, GZ), lane(s, RANGE), lane(s, PATH)
+    x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
+    gx, gy, gz, far, path = lanes(s, (GX, GY, GZ, RANGE, PATH))
     mu, weight = n1 / n2, (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
         t, u, v, w = far[i], dx[i], dy[i], dz[i]
