@@ -7,9 +7,11 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from viewscenes import ROOT
 
 from clacad.base.types import Floats
 from clacad.formats.pov.pov_scene import write_pov
@@ -36,3 +38,18 @@ def povray(scene: Scene, folder: Path, seconds: list[float] | None = None) -> Fl
     head = re.match(rb"P6\s+(?:#[^\n]*\s+)*(\d+)\s+(\d+)\s+(\d+)\s", data)
     assert head is not None
     return np.frombuffer(data[head.end() :], dtype=">u2").reshape(height, width, 3) / float(head[3])
+
+
+def before_stripes(name: str, sheet: dict[str, Any], camera: dict[str, Any]) -> Scene:
+    """A sheet before a striped screen, ghosts shown and every other effect left out: single rays tell where they went."""
+    return Scene.from_dict(
+        {
+            "format": 1, "name": name, "unit": "mm", "sheet": {"rung": "surfaces", **sheet}, "camera": {"samples": 1, **camera},
+            "light": {"ambient": 1.0, "key": 0.0},
+            "background": {"sky": ["#99ffcc", "#99ffcc"], "ground": "#333333"},
+            "effects": {"mode": "list", "list": ["ghosts"]},
+            "object": [{"kind": "screen", "id": "s", "at": [0, 0, 120], "size": [400, 400], "pattern": "stripes",
+                        "period": 7.0, "colours": ["#cc4422", "#2244cc"]}],
+        },
+        folder=str(ROOT),
+    )  # fmt: skip

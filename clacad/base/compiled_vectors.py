@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from clacad.base.compiled import numba
+from clacad.base.kernel_cache import numba
 from clacad.base.types import Floats
 
 EIGHT = 8

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.announce_cost import forecast
+from clacad.cli.announce_cost import forecast, tell_compiling
 from clacad.cli.console import Progress, show_json, show_text, size, table
 from clacad.cli.design_commands import load_counted
 from clacad.cli.option_values import parse_angle, picture_kind
@@ -25,8 +25,11 @@ def measure_accuracy(
     """Print the table (or JSON), write the plot, name the cheapest file within a target."""
     design = load_counted(path, overrides)
     from clacad.prescription.prescribe import prescribe
+    from clacad.tracing.worst_cell import worst_cell
     from clacad.verification.accuracy.accuracy_table import TASK, accuracy, accuracy_seconds
     from clacad.verification.accuracy.cheapest_file import files_within
+    from clacad.verification.kernels_ahead import OF_TABLE, compiling_seconds
+    from clacad.verification.kernels_ahead import TASK as COMPILING
 
     kind = picture_kind(out, "svg")
     limit = None if target is None else parse_angle("--target", target)
@@ -35,7 +38,9 @@ def measure_accuracy(
     progress, window = Progress(quiet=quiet), prescribe(design)
     try:
         with forecast(TASK, accuracy_seconds(rays, window), quiet=quiet) as span:
-            progress.expect(span.middle)
+            ahead = compiling_seconds(worst_cell(window, design.check.field).like, OF_TABLE)
+            tell_compiling(COMPILING, ahead, quiet=quiet)
+            progress.expect(span.middle + ahead)
             measured = accuracy(design, rays=rays, progress=progress)
     finally:
         progress.done()

@@ -49,6 +49,13 @@ def forecast(
         rates.note(task, modelled, clock() - began)
 
 
+def tell_compiling(task: str, modelled: float, *, quiet: bool) -> None:
+    """Say what compiling takes that comes on top of a forecast, in processor seconds of the reference machine; nothing of 0."""
+    if modelled > 0.0:
+        takes = Rates.here().span(task, modelled)
+        say(f"what traces is compiled on the way, once on this machine: {takes} more", quiet=quiet)
+
+
 def _kernels() -> frozenset[tuple[Path, int]]:
     """Compiled kernels that are kept, of every package, and from when each is."""
     from clacad.doctor import kernel_cache

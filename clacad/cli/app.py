@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from clacad.cli.option_values import joined
 from clacad.cli.options import (
     EPILOG,
     HELP,
@@ -153,8 +154,8 @@ def export(
     out: Out,
     formats: Annotated[str, declared("formats")] = ",".join(DEFAULTS.formats),
     slope_error: Annotated[str | None, declared("slope_error")] = None,
-    quads: Annotated[str | None, declared("quads")] = None,
-    role: Annotated[str | None, declared("role")] = None,
+    quads: Annotated[list[str] | None, declared("quads")] = None,
+    role: Annotated[list[str] | None, declared("role")] = None,
     step: Annotated[str, declared("step")] = DEFAULTS.step,
     fused: Annotated[bool, declared("fused")] = DEFAULTS.fused,
     cells: Cells = None,
@@ -252,8 +253,8 @@ def verify(
     rays: Annotated[int, typer.Option("--rays", min=64, max=100_000_000, help="Rays of the main bundle.")] = 65536,
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Fewest rays that tell errors of this size, "
                                                "and files must be within it, e.g. '0.5 mrad'.")] = None,
-    role: Annotated[str | None, typer.Option("--role", metavar="WORD|FORMAT=WORD,...", help="What files are for: master "
-                                             "(parts are made from it), preview, or scan.")] = None,
+    role: Annotated[list[str] | None, typer.Option("--role", metavar="WORD|FORMAT=WORD,...", help="What files are for: master "
+                                                   "(parts are made from it), preview, or scan.")] = None,
     overwrite: Overwrite = False,
     set: Set = None,
     json: Json = False,
@@ -265,7 +266,7 @@ def verify(
 
     if out is None and (pdf or timings):
         raise typer.BadParameter("--pdf and --timings say what the report holds: give its folder with -o")
-    request = VerifyRequest(files, out, cells, rays, overwrite, pdf, timings, target, role)
+    request = VerifyRequest(files, out, cells, rays, overwrite, pdf, timings, target, joined(role))
     return verify_design(design, set or [], request, json=json, quiet=quiet)
 
 

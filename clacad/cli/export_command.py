@@ -11,6 +11,7 @@ from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_design
 from clacad.cli.option_values import (
     BadOption,
+    joined,
     one_of,
     parse_angle,
     parse_cells,
@@ -72,7 +73,7 @@ def _asked(design: Design, formats: tuple[str, ...], typed: Mapping[str, Any]) -
     """
     from clacad.exporting.request import Request, asked_quads, asked_roles
 
-    quads, role = per_format("--quads", typed["quads"]), per_format("--role", typed["role"])
+    quads, role = (per_format(f"--{name}", joined(typed[name])) for name in ("quads", "role"))
     read = {
         "formats": formats, "slope_error": parse_slope_error(typed["slope_error"]),
         "quads": asked_quads(_numbers(quads), formats), "step": one_of("step", typed["step"]),

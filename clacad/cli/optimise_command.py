@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from math import degrees, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -108,7 +110,8 @@ def optimise_design(
     from clacad.storage.atomic import write_file
 
     page = _page(request)
-    ahead = outlook(design, request.free, request.weights, tolerances=request.tolerances)
+    with _named_as_typed():
+        ahead = outlook(design, request.free, request.weights, tolerances=request.tolerances)
     if page is not None:
         ahead["seconds"] += page_seconds()
     if request.dry_run:
@@ -138,6 +141,23 @@ def optimise_design(
     finally:
         progress.done()
     return _finished(ended[0], made, request, json=json, quiet=quiet)
+
+
+@contextmanager
+def _named_as_typed() -> Iterator[None]:
+    """Let mistakes in what shall be free name the option that they were typed behind.
+
+    Raises
+    ------
+    DesignError
+    """
+    from clacad.design import DesignError
+
+    try:
+        yield
+    except DesignError as error:
+        found = [replace(one, path="--free") if one.key == "free" else one for one in error.mistakes]
+        raise DesignError(found) from None
 
 
 def page_seconds() -> float:

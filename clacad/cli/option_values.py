@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isfinite, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -22,6 +22,11 @@ class BadOption(ValueError):
     """An option that cannot be understood; exit status 2."""
 
     exit_status = 2
+
+
+def joined(given: Sequence[str] | None) -> str | None:
+    """What an option that may be given several times says in all: as if its values stood in one, with commas between."""
+    return ",".join(given) if given else None
 
 
 def per_format(option: str, text: str | None) -> str | dict[str, str] | None:

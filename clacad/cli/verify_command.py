@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.announce_cost import forecast
+from clacad.cli.announce_cost import forecast, tell_compiling
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import parse_angle, parse_cells
+from clacad.cli.option_values import parse_angle, parse_cells, per_format
 from clacad.storage.atomic import require_folder
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def verify_design(
         if request.out is not None:
             require_folder(request.out)
         with _announced(rays, delivery, request, progress, quiet=quiet):
-            report = _judged(design, delivery, rays, request, progress)
+            report = _judged(design, delivery, rays, request, progress, quiet=quiet)
             if request.out is not None:
                 report = report.with_evidence(progress)
                 written = _write(report, request.out, request, progress)
@@ -66,7 +66,7 @@ def _asked(design: Design, request: VerifyRequest) -> tuple[Delivery | None, int
     """What there is to judge, and by how many rays."""
     from clacad.verification.files.find_files import declared_roles, list_files
 
-    roles = declared_roles(parse_roles(request.role))
+    roles = declared_roles(per_format("--role", request.role))
     delivery = None if request.files is None else list_files(request.files, roles)
     if request.target is None:
         return delivery, request.rays
@@ -88,16 +88,26 @@ def _announced(
 
 
 def _judged(
-    design: Design, delivery: Delivery | None, rays: int, request: VerifyRequest, progress: Progress
+    design: Design,
+    delivery: Delivery | None,
+    rays: int,
+    request: VerifyRequest,
+    progress: Progress,
+    *,
+    quiet: bool,
 ) -> Report:
     """The report: checks and verdicts, by the target where one is given; of the design alone it is said at once."""
     from clacad.verification.error_target import judged_by
+    from clacad.verification.kernels_ahead import OF_REPORT, compiling_seconds
+    from clacad.verification.kernels_ahead import TASK as COMPILING
     from clacad.verification.run import verified
 
     steps = verified(design, delivery, parse_cells(request.cells), rays, progress)
     report = next(steps)
     if delivery is not None:
         progress.say(f"the design itself {report.verdict()}; now its files")
+    if request.out is not None:
+        tell_compiling(COMPILING, compiling_seconds(report.window, OF_REPORT), quiet=quiet)
     for whole in steps:
         report = whole
     return report if request.target is None else judged_by(report, parse_angle("--target", request.target))
@@ -124,26 +134,6 @@ def _tell(report: Report, name: str, *, json: bool, quiet: bool) -> None:
         if report.verdicts:
             show_text(verdicts_text(report.verdicts), quiet=quiet)
         show_text(report.verdict(), quiet=quiet)
-
-
-def parse_roles(text: str | None) -> str | dict[str, str] | None:
-    """Read one word for all files, or FORMAT=WORD,… (a file's name stands for a format, too).
-
-    Raises
-    ------
-    UnknownRole
-    """
-    from clacad.exporting.request import assignments
-    from clacad.verification.files.find_files import UnknownRole
-
-    if text is None or "=" not in text:
-        return text
-    named = assignments(text)
-    if named is None:
-        raise UnknownRole(
-            f"--role {text}: it is one word, or FORMAT=WORD,FORMAT=WORD with master, preview or scan"
-        )
-    return dict(named)
 
 
 def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:

@@ -198,7 +198,8 @@ MISTAKES: dict[str, Text] = {
     "CL139": (
         "Something was asked of a sheet whose cells differ that works on equal cells only.",
         "Sheets of equal cells are one cell, repeated; what repeats, merges or averages that cell has no meaning where each differs. "
-        "STEP, STL, 3MF, PLY, GLB, height maps, points, tables and masks hold each cell; POV, GDSII and prescriptions hold one.",
+        "Solids, meshes, height maps, points, tables, masks, GDSII, POV-Ray scenes, frames and engraved parts hold each cell; a drawing shows "
+        "three. The grid of sag and the prescriptions hold one cell, a coupon a few that stand for all.",
         "", "What the message says works instead; or aim by a slope, lattice.aperture = [x, y].",
     ),
     "CL138": (

@@ -57,6 +57,10 @@ def solid_seconds(size: int) -> float:
     return 1.5 + 2.0e-6 * size
 
 
+OWN_GDS = 9.6e-8
+"""Seconds a byte of GDSII cells that differ: boxes of every one, written, read back and compared."""
+
+
 def pov_reading_seconds(cells: int, own: int) -> float:
     """What POV-Ray takes to read the lenses of a scene, all arrays together, of which `own` are made anew in their cells."""
     return 7.6e-6 * cells + 2.4e-5 * own

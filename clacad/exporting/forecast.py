@@ -281,7 +281,8 @@ def _of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
 def _step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
-        memory = (400_000_000, 900_000_000 + 250_000 * columns)
+        each = 250_000 if window.uniform else 50_000  # cells that differ are described one after another
+        memory = (400_000_000, 900_000_000 + each * columns)
     else:
         memory = (300_000_000, 700_000_000 + 20_000 * columns)
     seconds = costs.step_seconds(size, mode) + (0.0 if window.uniform else costs.OWN_CELL * columns)
@@ -315,8 +316,13 @@ def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
     drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1, "gds": faces * 64 * 64}.get(
         name, 100 * cells * faces
     )
-    seconds, note = costs.map_seconds(name, drawn, faces), pov_note(window) if name == "pov" else ""
-    return Forecast(name, size, False, None, None, seconds, (100_000_000, 400_000_000), note=note)
+    seconds, memory, note = costs.map_seconds(name, drawn, faces), 400_000_000, ""
+    if name == "pov":
+        note = pov_note(window)
+    elif name == "gds" and not window.uniform:  # written as a stream, read back as a whole
+        seconds, memory = seconds + costs.OWN_GDS * size, memory + int(3.5 * size)
+        note = own_cells_note(window)
+    return Forecast(name, size, False, None, None, seconds, (100_000_000, memory), note=note)
 
 
 def outlook(window: Window) -> list[dict[str, Any]]:

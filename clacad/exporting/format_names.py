@@ -30,6 +30,9 @@ WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
 REPEATING = ("3mf", "glb")
 """Formats that hold one cell and where it stands, where the sheet is nothing but equal cells."""
 
+FUSABLE = ("step", *REPEATING)
+"""Formats that `fused` decides about."""
+
 MARKED_MESHES = ("marked-stl", "marked-3mf")
 """Meshes with their name and an arrow engraved in the border."""
 
@@ -40,8 +43,11 @@ SOLIDS = ("baffle", "frame", "pins", "coupon", "brep", "marked")
 """Parts modelled solid by solid; the baffle is a mesh of walls."""
 
 
-OF_ANY_CELLS = ("step", "stl", "stl-parts", "3mf", "ply", "glb", "tiff", "png", "xyz", "table", "mask", "pov")
-"""Formats that hold sheets whose cells differ; the others repeat, merge or sample one cell."""
+OF_ANY_CELLS = (
+    "step", "brep", "stl", "stl-parts", "3mf", "ply", "glb", "tiff", "png", "xyz", "table", "mask", "gds", "pov",
+    "frame", "marked", "marked-stl", "marked-3mf", "drawing",
+)  # fmt: skip
+"""Formats that hold sheets whose cells differ; the others hold one cell, or a few of its equals."""
 
 
 def refuse_other_cells(window: Window, format: str) -> None:

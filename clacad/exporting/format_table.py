@@ -267,7 +267,8 @@ def _png(job: Job) -> list[FileRecord]:
 
 def _gds(job: Job) -> list[FileRecord]:
     """One GDSII file a structured face, and one calibration file for them all."""
-    from clacad.formats.maps.gds import check_gds, grey_cell, write_gds
+    from clacad.formats.maps.gds import grey_cell, write_gds
+    from clacad.formats.maps.gds_reading import check_gds
     from clacad.formats.maps.sag import structured_faces
 
     records, calibration = [], {}
@@ -278,7 +279,7 @@ def _gds(job: Job) -> list[FileRecord]:
         job.progress(f"write {path.name}", 0.0)
         placed = write_gds(cell, path, job.scale)
         check_gds(cell, path, placed)
-        facts = {"mode": "instanced", "grey_levels": cell.levels, "lenslets": placed}
+        facts = {"mode": "fused" if cell.own else "instanced", "grey_levels": cell.levels, "lenslets": placed}
         records.append(job.record(path, "gds", unit="um", bodies=[body.name], facts=facts))
     path = job.stage.path(f"{job.stem}.gds.json")
     text = canonical_json({"format": 1, "unit": "mm", "faces": calibration})

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Generic, Literal, TypeVar
 
 from clacad.base.text import did_you_mean, near
-from clacad.exporting.format_names import FORMATS, MESHES
+from clacad.exporting.format_names import FORMATS, FUSABLE, MESHES
 from clacad.exporting.roles import WORDS, Role, role_of
 from clacad.storage.errors import BadRequest, LimitRefused
 
@@ -168,8 +168,12 @@ class Request:
         Raises
         ------
         BadRequest
-            Fused and instanced are asked for at once.
+            Fused and instanced are asked for at once, or fused of formats that it says nothing of.
         """
+        if self.fused and set(self.formats) <= set(FORMATS) - set(FUSABLE):
+            raise BadRequest(
+                f"fused: it is said of {', '.join(FUSABLE)}, and the formats asked for are {', '.join(self.formats)}; leave it out"
+            )
         if self.fused and self.step == "instanced":
             raise BadRequest(
                 "fused and step = instanced: STEP is either one or the other; leave one of them out"

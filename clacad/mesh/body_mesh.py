@@ -151,7 +151,7 @@ class BodyMesh:
     saddles: int = 0
     bevel_volume: float = 0.0
     cells: Ints | None = None
-    _tallied: list[Tally] = field(default_factory=list, repr=False)
+    _tallied: list[Tally] = field(default_factory=list, init=False, repr=False)
 
     @property
     def own(self) -> bool:

@@ -75,7 +75,7 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
     lowest = window.lattice.extent()[2]
     for face in (body.front, body.back):
         if face.array is not None:
-            lowest = min(lowest, window.lattice.extent()[2] + window.shifts[face.array][1] - centre[1])
+            lowest = min(lowest, window.placements[face.array].extent(window.lattice)[2] - centre[1])
     if isinstance(window.outline, Circle):
         radius = 0.5 * window.outline.diameter
         room = radius + lowest

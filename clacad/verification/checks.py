@@ -132,6 +132,10 @@ def judge(
     return Check(id, state, sentence, value, limit, relation=relation, **rest)
 
 
+RAYS_NEEDED = "rays_needed"
+"""Under this name the detail of a check that did not run says how many rays it takes, where fewer of them were the reason."""
+
+
 def not_run(id: str, why: str, **rest: Any) -> Check:
     """Give a check whose input is missing."""
     return Check(id, "not run", why, **rest)

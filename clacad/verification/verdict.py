@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from clacad.exporting.roles import Role
-from clacad.verification.checks import Check, wrong
+from clacad.verification.checks import RAYS_NEEDED, Check, wrong
 from clacad.verification.files.law_through_file import IDS
 
 Word = Literal["passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged"]
@@ -32,7 +32,7 @@ class FileVerdict:
     declared : bool
         Whether somebody declared the role.
     word : Word
-        "not judged" for a file that carries no light of the law.
+        "not judged" for a file that carries no light of the law, or where fewer rays were asked for than a verdict takes.
     rms, limit : float or None, radians
         Direction error to the law of light through the file, and what the design allows; None where no light was sent.
     sentence : str
@@ -70,7 +70,7 @@ def file_verdict(
     faithful = mesh and any(c.id == "faithful_rms" and c.state != "not run" for c in checks)
     light = [c for c in checks if c.id in IDS and c.state in ("fail", "warn")]
     word: Word
-    if any(c.id == "delivery" for c in bad):
+    if any(c.id == "delivery" for c in bad) or (bad and all(RAYS_NEEDED in c.detail for c in bad)):
         word = "not judged"
     elif role is Role.OTHER:
         word = "failed" if bad else "not judged"
@@ -141,6 +141,8 @@ def word_of(judged: Sequence[FileVerdict], checks: Sequence[Check]) -> Word:
     if wrong(c for c in checks if c.id == "delivery"):
         return "not judged"
     optical = [one for one in judged if one.role is not Role.OTHER]
+    if any(one.word == "not judged" for one in optical):
+        return "not judged"
     if any(one.word == "shape only" and not settled(one) for one in optical):
         return "shape only"
     if any(one.word == "passed as optical master" for one in optical):

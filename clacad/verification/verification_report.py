@@ -15,7 +15,7 @@ from clacad.exporting.roles import Role
 from clacad.sheet.feasibility import Feasibility, describe
 from clacad.sheet.window import Window
 from clacad.verification import checks as judging
-from clacad.verification.checks import Check, wrong
+from clacad.verification.checks import RAYS_NEEDED, Check, wrong
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.mesh_light import MeshEvidence
 from clacad.verification.light.direction_curves import Meridian
@@ -166,7 +166,7 @@ class Report:
         if self.word == "shape only":
             return f"shape only: {told[0].name} {told[0].sentence}{self._remedy(told[0])}"
         if self.word == "not judged":
-            lacking = wrong(c for c in self.checks if c.id == "delivery")
+            lacking = wrong(c for c in self.checks if c.id == "delivery" or RAYS_NEEDED in c.detail)
             return "not judged: " + (
                 lacking[0].sentence if lacking else "none of the files carries light of the law"
             )

@@ -1,8 +1,10 @@
 """The exact kernel, and `trace`, against the same arithmetic in C: python tests/benchmarks/c_kernel.py [rounds].
 
-`ellipsoids.c`, compiled here by gcc -O3 -march=native in several ways (WAYS), of which the fastest counts. Turn by turn on one
-thread: a busy machine slows both, and the ratio is the median of the rounds. "into arrays" rows write into arrays that exist, "fresh"
-ones ask for new arrays at each call, as `trace` does. Directions must agree to 1e-14 or nothing is printed.
+`ellipsoids.c`, compiled here by gcc -O3 -march=native in several ways (WAYS), of which the fastest counts: every operation rounded as
+written, as ours are, so that the same rays give the same bits on any machine; and, apart, with multiplies and adds fused (FUSING),
+which is another result. Turn by turn on one thread: a busy machine slows all, and ratios are medians of the rounds. "into arrays"
+rows write into arrays that exist, "fresh" ones ask for new arrays at each call, as `trace` does. Directions must agree to 1e-14 or
+nothing is printed.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,17 +25,22 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from oracle.windows import biconvex
 from peer_jobs import beam
-from trace_speed import kernel
 
 import clacad
 from clacad.optics.rays import Rays
 from clacad.sheet.window import Window
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.chunk import trace_chunk
 from clacad.tracing.compiled.packing import pack
+from clacad.tracing.compiled.surfaces import piece
+from clacad.tracing.compiled.threads import CHUNK, in_arrays
 from clacad.tracing.layout import lay_out
+from clacad.tracing.ledger import Ledger
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
-WAYS = (FLAGS, (*FLAGS, "-mprefer-vector-width=512"), (*FLAGS, "-ffp-contract=off"))
+WIDE = "-mprefer-vector-width=512"
+WAYS = tuple((*FLAGS, "-ffp-contract=off", *width) for width in ((), (WIDE,)))
+FUSING = tuple((*FLAGS, "-ffp-contract=fast", *width) for width in ((), (WIDE,)))
 
 COLUMNS = (
     (3, np.float64),
@@ -65,7 +73,7 @@ def numbers(window: Window) -> tuple[np.ndarray, np.ndarray]:
 
 def compiled(folder: str, flags: tuple[str, ...]) -> Callable[..., None]:
     """`trace` of the C file."""
-    place = str(Path(folder) / f"{len(''.join(flags))}.so")
+    place = str(Path(folder) / f"{abs(hash(flags))}.so")
     subprocess.run(
         ["gcc", *flags, "-o", place, str(Path(__file__).with_name("ellipsoids.c")), "-lm"], check=True
     )
@@ -91,6 +99,13 @@ def call(
     return run
 
 
+def into_arrays(window: Window, rays: Rays) -> Run:
+    """Our kernel alone, into arrays that exist already, in pieces as `trace` has them."""
+    sheet, whole = pack(lay_out(window)), in_arrays(rays, Ledger.blank(len(rays), 0))
+    pieces = [piece(range(k, min(k + CHUNK, len(rays))), *whole) for k in range(0, len(rays), CHUNK)]
+    return lambda: [trace_chunk(None, sheet, rows, *columns) for rows, columns in pieces]
+
+
 def agree(ours: clacad.TraceResult, theirs: list[np.ndarray]) -> None:
     """Refuse to compare what is not the same job."""
     alive = ours.fate == 0
@@ -113,35 +128,39 @@ def seconds(run: Run, times: int) -> float:
 def main(rounds: int = 15) -> None:
     """Print the table."""
     window = biconvex(eta=(-0.5, -0.5), count=(200, 200))
-    print("| rays | what | ns a ray | C: ns a ray | of C |\n|---|---|---|---|---|")
+    print(
+        "| rays | what | ns a ray | C: ns a ray | of C | C, fused: ns a ray | of it |\n|---|---|---|---|---|---|---|"
+    )
     with tempfile.TemporaryDirectory() as folder:
-        ways = [compiled(folder, flags) for flags in WAYS]
+        ways = [[compiled(folder, flags) for flags in each] for each in (WAYS, FUSING)]
         for count in (10_000, 500_000):
             rays = beam(window, count, 0.005, 0.4)
-            inner = [call(way, window, rays) for way in ways]
-            kept, own = columns(count), kernel(window, rays)
-            tracer = clacad.Tracer(window, path="numba", threads=1)
-            for one in inner:
+            kept, tracer = columns(count), clacad.Tracer(window, path="numba", threads=1)
+            inner = [[call(way, window, rays) for way in each] for each in ways]
+            for one in (*inner[0], *inner[1]):
                 agree(tracer(rays), one(kept))
-            jobs: dict[str, tuple[Run, list[Run]]] = {
-                "kernel, into arrays": (own, [lambda one=one, kept=kept: one(kept) for one in inner]),
-                "trace, fresh arrays": (
-                    lambda rays=rays: clacad.trace(window, rays, path="numba", threads=1),
-                    [lambda one=one, count=count: one(columns(count)) for one in inner],
-                ),
-                "Tracer, fresh arrays": (
-                    lambda rays=rays, tracer=tracer: tracer(rays),
-                    [lambda one=one, count=count: one(columns(count)) for one in inner],
-                ),
-            }  # fmt: skip
-            times = max(1, 500_000 // count)
-            for name, (ours, theirs) in jobs.items():
-                turns = [
-                    (seconds(ours, times), min(seconds(one, times) for one in theirs)) for _ in range(rounds)
-                ]
-                best = [1e9 * min(turn[k] for turn in turns) / count for k in (0, 1)]
-                ratio = statistics.median(other / mine for mine, other in turns)
-                print(f"| {count:,} | {name} | {best[0]:.1f} | {best[1]:.1f} | {ratio:.2f} |", flush=True)
+            theirs = [[partial(one, kept) for one in each] for each in inner]
+            fresh = [[partial(_fresh, one, count) for one in each] for each in inner]
+            jobs: dict[str, tuple[Run, list[list[Run]]]] = {
+                "kernel, into arrays": (into_arrays(window, rays), theirs),
+                "trace, fresh arrays": (partial(clacad.trace, window, rays, path="numba", threads=1), fresh),
+                "Tracer, fresh arrays": (partial(tracer, rays), fresh),
+            }
+            for name, (ours, each) in jobs.items():
+                turns = [_turn(ours, each, max(1, 500_000 // count)) for _ in range(rounds)]
+                best = [1e9 * min(turn[k] for turn in turns) / count for k in range(3)]
+                plain, fused = (statistics.median(turn[k] / turn[0] for turn in turns) for k in (1, 2))
+                row = f"{best[0]:.1f} | {best[1]:.1f} | {plain:.2f} | {best[2]:.1f} | {fused:.2f}"
+                print(f"| {count:,} | {name} | {row} |", flush=True)
+
+
+def _fresh(one: Callable[[list[np.ndarray]], object], count: int) -> object:
+    return one(columns(count))
+
+
+def _turn(ours: Run, theirs: list[list[Run]], times: int) -> list[float]:
+    """Seconds of our call, and of the fastest of each kind of theirs."""
+    return [seconds(ours, times), *(min(seconds(one, times) for one in each) for each in theirs)]
 
 
 if __name__ == "__main__":

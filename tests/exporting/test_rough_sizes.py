@@ -73,3 +73,24 @@ def test_a_check_loads_no_mesher_no_solids_and_no_writer() -> None:
     assert not [
         name for name in loaded if name in heavy or name.startswith(tuple(f"{one}." for one in heavy))
     ]
+
+
+@pytest.mark.parametrize(
+    "aperture",
+    [[0.01, 0.004], pytest.param({"point": [3, -2, -150]}, marks=pytest.mark.slow)],
+    ids=["steered", "aimed"],
+)
+def test_the_step_file_of_a_round_slab_with_displaced_arrays_is_forecast(aperture) -> None:
+    from clacad.exporting.file_sizes import step_bytes
+    from clacad.formats.step.step_files import step_text_length
+
+    design = clacad.load(ROOT / "designs" / "window-100mm.toml").replace(
+        {
+            "lattice.outline": {"circle": 7},
+            "lattice.count": [16, 16],
+            "lattice.aperture": aperture,
+            "check.process": "none",
+        }
+    )
+    window = prescribe(design)
+    assert off(step_bytes(window, "fused"), step_text_length(window, "fused")) < 1.3

@@ -111,7 +111,7 @@ def test_a_number_of_levels_no_reader_takes_is_refused(tmp_path, levels):
 
 def test_a_cut_gdsii_stream_is_unreadable(tmp_path):
     pytest.importorskip("gdstk", reason="the extra gds is not installed")
-    from clacad.formats.maps.gds import layer_counts
+    from clacad.formats.maps.gds_reading import layer_counts
     from clacad.storage.errors import UnreadableFile
 
     export(clacad.load(DESIGNS / "slab.toml").with_cells((2, 2)), tmp_path / "x", ("gds",))

@@ -66,6 +66,13 @@ def rotated(angle, ratio=1.0, **more):
 
 
 WIDE = {"lattice.count": FAR}
+VAST = {"lattice.count": [30_001, 30_001]}
+PLANO = {"pair.form": "plano", "pair.thickness": 0.6}
+BICONVEX = {"pair.form": "biconvex", "pair.thickness": 0.6}
+BESIDE = {"lattice.aperture": {"point": [31.7, -12.9, -400]}}
+TURNED = {"law.euler": [30, 0, 0], "law.eta": [-1, -0.8]}
+TILTED = {**BICONVEX, "pair.thickness": 1.0, "law.euler": [20, 5, 0], "law.eta": [-1, -0.8]}
+STEEP = {"lattice.aperture": {"point": [-53.2, 0, -400]}, "pair.offset": "traced", "lattice.count": [5, 5]}
 GLENS = {"law.varying": {"gradient": [[1e-12, 0.0], [0.0, 1e-12]]}}
 BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
 TABLED = {"law.varying": {"f_image": 200}, "pair.offset": "traced", "lattice.count": [41, 41]}
@@ -83,6 +90,28 @@ CASES = [
     case("a viewer at ten separations", "the nearest that is built: g = 1.1", aimed(-100.0), (20, 0)),
     case("a viewer an ulp beyond ten separations", "g = 1.1 to the last bit", aimed(-100.00000000000001), (0, 20)),
     case("hexagonal, aimed", "skewed axes, and each array its own", aimed(-400, **{"lattice.kind": "hexagonal"}), (12, 17)),
+    case("cell (10^4, 10^4), g = 1 + 1/8000", "2.5 m out both ways, neither the middle nor a corner", aimed(-8e4, **VAST), (10_000, 10_000)),
+    case("cell (10^4, 10^4), g = 1 - 1/9000, a point beside the axis", "array 2 is narrower, and moved by .075",
+         {"lattice.aperture": {"point": [600, -90, 9e4]}, **VAST}, (10_000, 10_000)),
+    case("a point at ten separations behind the sheet", "the nearest that is built there: g = .9", aimed(100.0), (20, 0)),
+    case("a point an ulp beyond ten separations behind", "g = .9 to the last bit", aimed(100.00000000000001), (0, 20)),
+    case("a few last bits above a border of the aimed array", "g = 1.1: the border belongs to the cell above it", aimed(-100.0), (15, 10),
+         off="border", slope=(0.02, 0.0)),
+    case("a few last bits below a border of the aimed array", "the other side of it", aimed(-100.0), (15, 10), off="below", slope=(0.02, 0.0)),
+    case("a few last bits above a border of an array aimed behind", "g = .9", aimed(100.0), (5, 10), off="border", slope=(0.02, 0.0)),
+    case("a few last bits below a border of an array aimed and moved", "a shift beside the scale", BESIDE, (4, 16), off="below",
+         slope=(0.02, 0.0)),
+    case("a few last bits above a border of two bodies' array 2", "faces of a body of its own", {**aimed(-400.0), **BICONVEX}, (15, 10),
+         off="border", slope=(0.02, 0.0)),
+    case("plano, aimed", "a plane face before lens 2", {**BESIDE, **PLANO}, (20, 3)),
+    case("plano, curved inside, aimed", "plane faces outside", {**BESIDE, **PLANO, "pair.curved": "inside"}, (0, 17)),
+    case("biconvex, aimed", "both faces of lens 2 stand aside", {**BESIDE, **BICONVEX}, (20, 3)),
+    case("turned, aimed", "lens axes across the borders, two focal ratios", {**BESIDE, **TURNED}, (20, 3)),
+    case("turned, aimed, a ghost", "lens 2 of the next cell", {**BESIDE, **TURNED}, (9, 14), slope=(0.05, -0.02)),
+    case("tilted, aimed", "lenses lean, their cells do not", {**BESIDE, **TILTED}, (3, 18)),
+    case("tilted, aimed, a corner cell", "the farthest partner", {**BESIDE, **TILTED}, (20, 0)),
+    case("a traced vertex near its bracket", ".298 of the pitch, of .3, from where paraxial light has it", STEEP, (4, 2)),
+    case("a traced vertex near its bracket, a ghost", "the next lens stands elsewhere", STEEP, (2, 1), slope=(0.03, 0.0)),
     case("pitch_2 = pitch (1 + 1e-12)", "last cell: partners 1e-11 apart", pitched(1.0 + 1e-12), (20, 20)),
     case("pitch_2 = pitch (1 - 1e-12)", "the other way", pitched(1.0 - 1e-12), (0, 20)),
     case("pitch_2 = pitch (1 + 1e-12), 10^4 cells out", "the difference is 5e-9", pitched(1.0 + 1e-12, **WIDE), (20_000, 0)),

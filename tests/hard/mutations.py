@@ -64,12 +64,15 @@ SCALAR, LAUNCH, TRACE = (
     "clacad/optics/sequence.py",
 )
 
-PLACES, LIKE, OWN, MIRROR = (
+PLACES, LIKE, OWN, BLOCKS, MIRROR = (
     "clacad/sheet/cell_places.py",
     "clacad/sheet/like_cell.py",
-    "clacad/tracing/compiled/own_cells.py",
+    "clacad/tracing/compiled/array_cells.py",
+    "clacad/tracing/compiled/own_straight.py",
     "clacad/effects/engine/mirrored_window.py",
 )
+AIMED, MADE = "clacad/prescription/aimed_cells.py", "tests/prescription/test_aimed_cells.py"
+MESH, TRIANGLES = "clacad/tracing/triangles/own_sheet.py", "tests/tracing/test_own_mesh.py"
 DIFFERING = "tests/hard/test_hard_differing.py"
 FAR_OUT, ROWS = (
     f"{DIFFERING} -m '' -k '({chosen}) and numpy'" for chosen in ("2e4 and 8000", "kappa or curl")
@@ -97,14 +100,28 @@ MUTATIONS = [
     Mutation("like a cell: never wider", LIKE, "if factor <= 1.0:", "if True:", ALIKE),
     Mutation("like a cell: always wider", LIKE, "if widest else 1.0", "if True else 1.0", ALIKE),
     Mutation("like a cell: one direction", LIKE, "(2.0 * np.pi / SIDES)", "0.0", ALIKE),
-    Mutation("kernel: gradient transposed", OWN, "change[f, XX] * x + change[f, XY] * y, change[f, YX] * x + change[f, YY] * y", "change[f, XX] * x + change[f, YX] * y, change[f, XY] * x + change[f, YY] * y", ITS_KERNEL),
-    Mutation("kernel: rows of hexagons as of squares", OWN, "place = int(i) + int(j) // 2 if lat[slot.HEXAGONAL] != 0.0 else int(i)", "place = int(i)", ITS_KERNEL),
-    Mutation("kernel: the table forgotten", OWN, "if which >= 0 and kept", "if which > 99 and kept", ITS_KERNEL),
-    Mutation("kernel: hexagons' centres by columns of squares", OWN, "x, y = lat[slot.X0] + (i + 0.5 * j) * lat[slot.PITCH]", "x, y = lat[slot.X0] + i * lat[slot.PITCH]", ITS_KERNEL),
-    Mutation("kernel: another pitch as if it were the same", OWN, "if here[slot.PITCH] == there[slot.PITCH] and here[slot.ROW] == there[slot.ROW]:", "if True:", ITS_KERNEL),
-    Mutation("kernel: cells of lens 1 in every array", OWN, "i, j, x, y = locate(there, xh, xl, yh, yl)", "_, _, x, y = locate(there, xh, xl, yh, yl)", ITS_KERNEL),
+    Mutation("kernel: gradient transposed", OWN, "return xx * x + xy * y, yx * x + yy * y", "return xx * x + yx * y, xy * x + yy * y", ITS_KERNEL),
+    Mutation("kernel: rows of hexagons as of squares", BLOCKS, "place = a + b // 2 if hexagonal else a", "place = a", ITS_KERNEL),
+    Mutation("kernel: the table forgotten", BLOCKS, "if which >= 0:", "if which > 99:", ITS_KERNEL),
+    Mutation("kernel: hexagons' centres by columns of squares", OWN, "return (i - grid.across) + grid.skew * j, j", "return i - grid.across, j", ITS_KERNEL),
+    Mutation("kernel: another pitch as if it were the same", BLOCKS, "two_sum(one.pitch, -two.pitch)", "(0.0, 0.0)", ITS_KERNEL),
+    Mutation("kernel: cells of lens 1 in every array", BLOCKS, "cell[i] += a", "cell[i] += 0.0 * a", ITS_KERNEL),
     Mutation("vertex: given up where the first step is too long", "clacad/prescription/traced_vertices.py",
              "step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)", "step = np.where(beyond, np.nan, step)", f"{DIFFERING} -k bracket"),
+    # -- what aimed sheets are made of, and their triangles
+    Mutation("aimed: scaled the other way", AIMED, "scale = 1.0 - k / z", "scale = 1.0 + k / z", f"{MADE} -k vertices_and_shares"),
+    Mutation("aimed: as if in air", AIMED, "k = float((np.array(landing((float(a[0]), float(a[1])))) - still) @ a / (a @ a))",
+             "k = float(np.array(landing((1e-3, 0.0)))[0] * 1e3)", f"{MADE} -k decentred_slab"),
+    Mutation("aimed: a point beside the axis forgotten", AIMED, "shift = still + k * np.array([x, y]) / z", "shift = still", f"{MADE} -k vertices_and_shares"),
+    Mutation("aimed: lenses stay in the middle of their cells", AIMED, "((1.0 - gx, 0.0), (0.0, 1.0 - gy))", "((0.0, 0.0), (0.0, 0.0))",
+             f"{MADE} -k vertices_and_shares"),
+    Mutation("mesh: what passes array 2 beside it is land", MESH, "missed[rows[~over]] = True", "missed[rows[~over]] = False", f"{TRIANGLES} -k has_missed"),
+    Mutation("mesh: cells of array 1 in every array", MESH, "_cells(window, face.array, at", "_cells(window, 0, at", f"{TRIANGLES} -k scaled_array"),
+    Mutation("mesh: places less their array's rounded", MESH, "two_sum(at[:, 0], -dx), two_sum(at[:, 1], -dy)", "(at[:, 0] - dx, 0.0), (at[:, 1] - dy, 0.0)",
+             f"{TRIANGLES} -k scaled_array"),
+    Mutation("mesh: the end at a wall is a face met", MESH, "(hits[f] != end).any(axis=1)", "True", f"{TRIANGLES} -m '' -k 'kernels_count'"),
+    Mutation("mesh: a body is risen past at its foot", MESH, "body.level + body.high", "body.level + body.low", f"{TRIANGLES} -m '' -k 'kernels_count'"),
+    Mutation("mesh: a ghost within array 1 forgotten", MESH, "order_of(walkers)", "walkers.last - walkers.first", f"{TRIANGLES} -m '' -k 'kernels_count'"),
     # -- sag and normal
     Mutation("sag: R - sqrt(R² - r²)", SHAPE, "surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y))",
              "surface.side * (1.0 - slope_root(surface, x, y)) * lateral_square(surface, x, y) / (1.0 - slope_root(surface, x, y) ** 2)"),

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from povpictures import needs_povray, povray
+from povpictures import before_stripes, needs_povray, povray
 from viewscenes import ROOT
 
 import clacad
@@ -15,7 +15,6 @@ from clacad.cli.entry_point import main
 from clacad.formats.pov.pov_scene import NotForPov, pov_lines
 from clacad.rendering import view_through
 from clacad.rendering.screen_measure import sheet_points
-from clacad.scene import Scene
 
 AIM = {"lattice.aperture": {"point": [3, -2, -150]}}
 CONIC = {"pair.surface": "biconic", "pair.conic": [-0.7, -0.7]}
@@ -65,19 +64,11 @@ def scene_of(kind, pixels=120):
     design, changes = DESIGNS[kind]
     point = changes.get("lattice.aperture", {"point": [3, -2, -150]})["point"]
     target, frame = ([11, 0, 0], 3.0) if kind == "aimed steeply" else ([0, 0, 0], 7.0)
-    return Scene.from_dict(
-        {
-            "format": 1, "name": "differing", "unit": "mm",
-            "sheet": {"design": f"designs/{design}.toml", "rung": "surfaces", "set": changes},
-            "camera": {"position": point, "target": target, "frame": frame, "pixels": [pixels, pixels], "samples": 1},
-            "light": {"ambient": 1.0, "key": 0.0},
-            "background": {"sky": ["#99ffcc", "#99ffcc"], "ground": "#333333"},
-            "effects": {"mode": "list", "list": ["ghosts"]},
-            "object": [{"kind": "screen", "id": "s", "at": [0, 0, 120], "size": [400, 400], "pattern": "stripes",
-                        "period": 7.0, "colours": ["#cc4422", "#2244cc"]}],
-        },
-        folder=str(ROOT),
-    )  # fmt: skip
+    return before_stripes(
+        "differing",
+        {"design": f"designs/{design}.toml", "set": changes},
+        {"position": point, "target": target, "frame": frame, "pixels": [pixels, pixels]},
+    )
 
 
 FEW = pytest.mark.slow

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from povpictures import needs_povray, povray
+from povpictures import before_stripes, needs_povray, povray
 from viewscenes import CASES, ROOT, view_data, view_scene
 
 from clacad.formats.pov.pov_scene import NotForPov, pov_lines
@@ -120,19 +120,11 @@ FORMS = {
 @pytest.mark.parametrize("design", FORMS)
 def test_every_form_of_sheet_shows_the_rays_that_povray_finds(design, tmp_path):
     """Land, opaque land, hexagons, a round outline, displaced arrays of one body, a honeycomb."""
-    scene = Scene.from_dict(
-        {
-            "format": 1, "name": design, "unit": "mm",
-            "sheet": {"design": f"designs/{design}.toml", "rung": "surfaces", "set": FORMS[design]},
-            "camera": {"position": [0, 0, -300], "frame": 9.0, "pixels": [150, 150], "samples": 1},
-            "light": {"ambient": 1.0, "key": 0.0},
-            "background": {"sky": ["#99ffcc", "#99ffcc"], "ground": "#333333"},
-            "effects": {"mode": "list", "list": ["ghosts"]},
-            "object": [{"kind": "screen", "id": "s", "at": [0, 0, 120], "size": [400, 400], "pattern": "stripes",
-                        "period": 7.0, "colours": ["#cc4422", "#2244cc"]}],
-        },
-        folder=str(ROOT),
-    )  # fmt: skip
+    scene = before_stripes(
+        design,
+        {"design": f"designs/{design}.toml", "set": FORMS[design]},
+        {"position": [0, 0, -300], "frame": 9.0, "pixels": [150, 150]},
+    )
     off = np.abs(view_through(scene).light - povray(scene, tmp_path)).max(axis=-1)
     window = prescribe(scene.design())
     at, inside = sheet_points(scene, window, off.shape)

@@ -1,6 +1,7 @@
 """Rung "mesh" of sheets of two bodies whose cells differ: fates, cells and effects are those of the faces within what facets turn."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from clacad.formats.mesh.stl import write_stl
 from clacad.mesh import tessellate
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.cell_places import CellPlacement, VertexChange
+from clacad.tracing.triangles.own_sheet import told
 from clacad.tracing.triangles.triangle_soup import read_soup
 
 AIMED = {
@@ -156,6 +158,42 @@ def test_equal_cells_told_by_what_was_met_are_those_that_the_kernels_count(name,
         assert (getattr(one, column) == getattr(two, column)).all(), column
     for column in ("position", "direction", "optical_path", "hits", "directions"):
         assert np.abs(getattr(one, column) - getattr(two, column)).max() < 1e-9, column
+
+
+def border_places(window, seen):
+    """Points as near borders of array 2's cells as half of the last bit of half a pitch leaves room, and their cells by
+    rational numbers.
+    """
+    place, near = window.placements[1], Fraction(1, 2**55)
+    where, cells = seen.hits[2:].copy(), np.zeros((len(seen), 2), dtype=int)
+    for axis in (0, 1):
+        pitch, shift = Fraction(place.pitch[axis]), Fraction(place.shift[axis])
+        n = window.lattice.count[axis]
+        for k in range(len(seen)):
+            border = shift + pitch * (Fraction(1 + k % (n - 1)) - Fraction(n, 2))
+            aside = (-1) ** (k // n) * near * Fraction(6, 5)
+            x = float(border + aside)
+            while abs(Fraction(x) - border) <= near:
+                x = float(np.nextafter(x, np.copysign(np.inf, float(aside))))
+            where[:, k, axis] = x
+            cells[k, axis] = ((Fraction(x) - shift) / pitch + Fraction(n, 2)).__floor__()
+    return where, cells
+
+
+def test_light_on_a_border_of_a_scaled_array_is_in_the_cell_that_rational_numbers_say():
+    window, rays = sheet(), light(400)
+    tracer = clacad.Tracer(window, rung="mesh", mesh=4)
+    seen = tracer(rays, record=True)
+    through = seen.fate <= Fate.GHOST
+    assert through.sum() > 100
+    where, cells = border_places(window, seen)
+    found = told(
+        window, tracer.facets, rays, replace(seen, hits=np.concatenate([seen.hits[:2], where])), True
+    )
+    assert ((found.cell + found.order)[through] == cells[through]).all()
+    assert (found.cell == seen.cell)[through].all()
+    ghost = (cells != found.cell).any(axis=1)
+    assert (found.fate == np.where(ghost, Fate.GHOST, Fate.ALIVE))[through].all()
 
 
 SETTING = Setting(extinction=1e-5, roughness=2e-9, slope_rms=1e-4)

@@ -180,6 +180,7 @@ def test_sheets_of_equal_cells_trace_bit_for_bit_as_before(name, rung):
     assert hashlib.sha256(bits).hexdigest()[:16] == GOLDEN[name, rung]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["window-100mm", "plano", "hexagonal", "paper-a-covered", "slab"])
 def test_the_compiled_twin_finds_what_numpy_finds(name):
     scale = 1.0005 if name == "paper-a-covered" else SCALE
@@ -199,6 +200,50 @@ def test_the_compiled_twin_finds_what_numpy_finds(name):
     size = max(x1, y1)
     assert np.abs(one.position - two.position).max() < 1e-14 * size
     assert np.abs(one.optical_path - two.optical_path).max() < 1e-13 * size
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["window-100mm", "plano", "hexagonal", "tilted", "tilted-seam", "paper-a-covered", "slab"]
+)
+def test_rays_from_everywhere_meet_the_same_walls_and_neighbours_compiled_as_in_numpy(name):
+    """Half of them start on the sheet's level and go anywhere: what does not pass straight is walked, and recorded."""
+    window = stretched(name, 1.001, (0.0, 0.0) if name == "paper-a-covered" else (0.013, -0.007))
+    rng = np.random.default_rng(8)
+    x0, x1, y0, y1 = window.lattice.extent()
+    n, pitch = 3001, window.lattice.pitch[0]
+    at = np.column_stack(
+        [rng.uniform(x0, x1, n), rng.uniform(y0, y1, n), np.full(n, window.z_range[0] - pitch)]
+    )
+    at[::2] *= 0.02
+    way = rng.normal(size=(n, 3))
+    way[:, 2] = np.abs(way[:, 2]) + np.where(np.arange(n) % 2, 0.0, 3.0)
+    rays = clacad.Rays(at, way)
+    one, two = (clacad.trace(window, rays, path=path, threads=1, record=True) for path in ("numpy", "numba"))
+    for column in ("fate", "cell", "order", "surface"):
+        np.testing.assert_array_equal(getattr(one, column), getattr(two, column), column)
+    assert len(np.unique(one.fate)) >= 4
+    size = max(x1, y1)
+    # a ray near the critical angle amplifies rounding by as much as 1e4
+    for column, unit in (("position", size), ("direction", 1.0), ("optical_path", size), ("hits", size)):
+        np.testing.assert_allclose(getattr(one, column), getattr(two, column), rtol=0, atol=1e-11 * unit)
+
+
+@pytest.mark.slow
+def test_rays_come_out_the_same_however_many_are_traced_with_them():
+    """Blocks, eights and what is left over of both; ranges of rays and rows in an array."""
+    rng = np.random.default_rng(2)
+    for window in (stretched(), clacad.prescribe(clacad.load("designs/window-100mm.toml"))):
+        at = np.column_stack([rng.uniform(-40.0, 40.0, (700, 2)), np.full(700, window.z_range[0])])
+        way = np.column_stack(
+            [at[:, :2] * (SCALE - 1.0) / 10.0 + rng.normal(0.0, 0.02, (700, 2)), np.ones(700)]
+        )
+        whole = clacad.trace(window, clacad.Rays(at, way), path="numba", record=True)
+        for first, count in ((0, 1), (3, 7), (11, 8), (19, 9), (200, 255), (30, 257), (5, 263)):
+            part = slice(first, first + count)
+            some = clacad.trace(window, clacad.Rays(at[part], way[part]), path="numba")
+            for column in ("position", "direction", "fate", "cell", "order", "surface", "optical_path"):
+                np.testing.assert_array_equal(getattr(whole, column)[part], getattr(some, column), column)
 
 
 def test_sheets_of_equal_cells_load_nothing_of_those_that_differ():

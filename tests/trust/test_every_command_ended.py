@@ -41,7 +41,7 @@ LINES = {
     "trace": Line(("trace", "{}/t.toml", "{}/rays.npz", "-o", "out/traced.npz"), ("traced.npz",)),
     "check": Line(("check", "{}/t.toml", "--set", "check.law_rms=1 mrad", "--fix", "-o", "out/better.toml"), ("better.toml",)),
     "verify": Line(("verify", "{}/t.toml", "--rays", "256", "-o", "out"), ("report.html", "report.json")),
-    "accuracy": Line(("accuracy", "{}/t.toml", "--rays", "400", "-o", "out/plot.svg")),
+    "accuracy": Line(("accuracy", "{}/t.toml", "--rays", "400", "-o", "out/plot.svg"), ("plot.svg",)),
     "tolerance": Line(("tolerance", "{}/t.toml", "--samples", "6", "--rays", "64", "-o", "out"),
                       ("tolerances.json", "tolerances.csv", "tolerances.png"), ("tolerances.checkpoint",)),
     "sweep": Line(("sweep", "{}/t.toml", "--vary", "lattice.pitch=0.4:0.6:4", "--rays", "64", "-o", "out"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import clacad
+from clacad.exporting.tessellations import Tessellation
 from clacad.formats.mesh.readers import read_mesh
 from clacad.formats.mesh.stl import write_stl
 from clacad.formats.step.step_files import write_step
@@ -76,7 +77,7 @@ def test_light_finds_out_a_sheet_that_was_made_otherwise(spoil, tmp_path):
 
 def test_formats_of_equal_cells_are_refused_by_one_code_before_any_work(tmp_path):
     with pytest.raises(CellsDiffer, match="CL139.*step"):
-        clacad.export(DESIGN, tmp_path / "out", formats=("gds",))
+        clacad.export(DESIGN, tmp_path / "out", formats=("coupon",))
     assert not (tmp_path / "out").exists()
 
 
@@ -99,29 +100,110 @@ LIGHT = {
 }  # fmt: skip
 """What 16 facets a side do not make fail: the law's rms is theirs, 4 mrad."""
 
+FORMS = {
+    "slab": DESIGN,
+    "plano": DESIGN.replace(
+        {"pair.form": "plano", "pair.thickness": 0.6, "pair.conic": [-0.6, -0.6], "lattice.aperture": {"point": [-12, 5, -400]}}
+    ),
+    "biconvex": DESIGN.replace(
+        {
+            "pair.form": "biconvex", "pair.thickness": 0.3, "pair.conic": [0, 0],
+            "lattice.aperture": {"point": [-12, 5, -600]}, "check.law_rms": "2 mrad", "check.law_bias": "2 mrad",
+        }
+    ),
+}  # fmt: skip
+"""Of one body, and of two."""
 
-def judged(spoil, path):
-    """Checks of an STL file of the spoilt sheet, held against the design."""
-    made = spoil(clacad.prescribe(DESIGN))
-    write_stl(tessellate(made, quads=QUADS).bodies, path, 1.0, "mutant")
-    asked = Inspection(DESIGN, path.name, 2048)
-    checks, _ = judge_mesh(asked, clacad.prescribe(DESIGN), read_mesh(path), 1.0)
+
+def one_lens_moved(window, by=(0.01, 0.0)):
+    """Lens 2 of cell (2, 0) stands a fiftieth of the pitch from its place, both of its faces."""
+
+    def moved(face):
+        if face.array != 1:
+            return face
+        table = (
+            np.zeros((*window.lattice.count, 2)) if face.change.table is None else face.change.table.copy()
+        )
+        table[2, 0] += by
+        return replace(face, change=replace(face.change, table=table))
+
+    bodies = tuple(replace(b, front=moved(b.front), back=moved(b.back)) for b in window.bodies)
+    return replace(window, bodies=bodies)
+
+
+def another_viewer(form):
+    """The sheet of a viewer 6 mm beside."""
+    x, y, z = FORMS[form].lattice.aperture.point
+    return clacad.prescribe(FORMS[form].replace("lattice.aperture", {"point": [x - 6, y, z]}))
+
+
+SPOILT = {
+    "one vertex moved": lambda form: one_lens_moved(clacad.prescribe(FORMS[form])),
+    "array 2 at the wrong pitch": lambda form: wrong_pitch(clacad.prescribe(FORMS[form])),
+    "aimed elsewhere": another_viewer,
+}
+
+
+def written(window, form, path):
+    """A mesh file of the sheet, as its suffix says."""
+    from clacad.formats.mesh.glb import write_glb
+    from clacad.formats.mesh.ply import write_ply
+    from clacad.formats.mesh.threemf import write_threemf
+
+    if path.suffix == ".stl":
+        write_stl(tessellate(window, quads=QUADS).bodies, path, 1.0, form)
+        return
+    write = {".3mf": write_threemf, ".glb": write_glb, ".ply": write_ply}[path.suffix]
+    write(Tessellation(window, QUADS).pieces(False, normals=path.suffix != ".3mf"), path, 1.0, form)
+
+
+def judged(made, form, path):
+    """Checks of a mesh file of a sheet, held against the design."""
+    written(made, form, path)
+    mesh, window = read_mesh(path), clacad.prescribe(FORMS[form])
+    factor = 1.0 if mesh.unit is None else mesh.unit / window.unit
+    checks, _ = judge_mesh(Inspection(FORMS[form], path.name, 2048), window, mesh, factor)
     return {check.id: check for check in checks}
 
 
-@pytest.mark.slow
-def test_light_through_the_triangles_of_cells_that_differ_is_that_of_the_design(tmp_path):
-    found = judged(lambda window: window, tmp_path / "sheet.stl")
+def weighed(form, kind, *more):
+    """A case: every form by STL and one form by every format before long; the others by hand."""
+    light = kind == "stl" or (form == "plano" and more in ((), ("one vertex moved",)))
+    return pytest.param(form, kind, *more, marks=pytest.mark.slow if light else pytest.mark.long)
+
+
+KINDS = ("stl", "3mf", "glb", "ply")
+EVERY = [(form, kind) for form in FORMS for kind in KINDS]
+
+
+@pytest.mark.parametrize(("form", "kind"), [weighed(*case) for case in EVERY])
+def test_light_through_the_triangles_of_cells_that_differ_is_that_of_the_design(form, kind, tmp_path):
+    found = judged(clacad.prescribe(FORMS[form]), form, tmp_path / f"sheet.{kind}")
     for name in (*LIGHT, "closed", "pieces", "volume", "shape", "scale", "file_throughput"):
         assert found[name].state == "pass", found[name].sentence
     assert len(found["faithful_rms"].detail["cells"]) == 9
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("spoil", [one_vertex_moved, wrong_pitch, aimed_elsewhere])
-def test_light_through_triangles_finds_out_a_sheet_that_was_made_otherwise(spoil, tmp_path):
-    found = judged(spoil, tmp_path / "mutant.stl")
+@pytest.mark.parametrize(
+    ("form", "kind", "spoil"), [weighed(*case, spoil) for case in EVERY for spoil in SPOILT]
+)
+def test_light_through_triangles_finds_out_a_sheet_that_was_made_otherwise(form, kind, spoil, tmp_path):
+    found = judged(SPOILT[spoil](form), form, tmp_path / f"mutant.{kind}")
     assert [name for name in LIGHT if found[name].state == "fail"], {k: c.state for k, c in found.items()}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("form", ["plano", "biconvex"])
+def test_mesh_files_of_two_bodies_aimed_at_a_viewer_are_masters(form, tmp_path):
+    design = FORMS[form].replace("check.law_rms", "4 mrad")
+    clacad.export(design, tmp_path / "out", formats=KINDS, quads="auto")
+    report = clacad.verify(design, files=tmp_path / "out", rays=4096)
+    assert report.word.startswith("passed as optical master"), [
+        c.sentence for c in report.checks if c.state == "fail"
+    ]
+    light = [c for c in report.checks if c.id == "file_law_rms"]
+    assert sorted(c.subject.rsplit(".", 1)[1] for c in light) == sorted(KINDS)
+    assert all(len(c.detail["cells"]) == 9 for c in light)
 
 
 # -- the same verdict by a reader and a tracer of the test's own ---------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height
 
@@ -14,11 +14,11 @@ def heights(window: Window, body: Body, x: Floats, y: float) -> tuple[Floats, Fl
     """Front and back height (n,) of a body over sheet points (x, y); NaN where it has no material."""
     found = []
     for k, face in enumerate((body.front, body.back)):
-        local, inside = _place(window, body, face, x, y)
+        index, local, inside = _place(window, body, face, x, y)
         if body.columnar:
-            z = column(window, body, local[0], local[1])[k]
+            z = column(window, body, local[0], local[1], index)[k]
         else:
-            z = face_height(window, face, local[0], local[1])
+            z = face_height(window, face, local[0], local[1], index)
         beyond = np.nan if face.land is None else face.land
         found.append(np.where(inside, z, face.vertex[2] if face.array is None else beyond))
     front, back = found
@@ -30,13 +30,12 @@ def heights(window: Window, body: Body, x: Floats, y: float) -> tuple[Floats, Fl
 
 def _place(
     window: Window, body: Body, face: Face, x: Floats, y: float
-) -> tuple[tuple[Floats, Floats], NDArray[np.bool_]]:
-    """Points in the cells of the face's own array, and which of them lie over kept cells."""
+) -> tuple[Ints, tuple[Floats, Floats], NDArray[np.bool_]]:
+    """Cells of the face's own array, points in them, and which lie over kept cells."""
     other = body.back if face is body.front else body.front
     array = face.array if face.array is not None else other.array
-    shift = window.shifts[0 if array is None else array]
-    index, lx, ly = window.lattice.locate(x - shift[0], np.full_like(x, y - shift[1]))
-    return (lx, ly), np.asarray(window.lattice.contains(index))
+    index, lx, ly = window.locate(0 if array is None else array, x, np.full_like(x, y))
+    return index, (lx, ly), np.asarray(window.lattice.contains(index))
 
 
 def outlines(x: Floats, front: Floats, back: Floats) -> list[Floats]:
@@ -58,7 +57,6 @@ def across_cell(window: Window, array: int, samples: int = 161) -> tuple[Floats,
     """Points x (n,) over the cell of an array nearest the middle, along x, and its y; sheet frame."""
     from clacad.sheet.bundle import central_cell
 
-    centre = window.lattice.centres(np.array([central_cell(window)], dtype=np.int64))[0]
-    middle = centre + np.asarray(window.shifts[array])
-    half = 0.5 * window.lattice.pitch[0] * (1.0 - 1e-9)
+    middle = window.centres(array, np.array(central_cell(window), dtype=np.int64))
+    half = 0.5 * window.lattice_of(array).pitch[0] * (1.0 - 1e-9)
     return middle[0] + np.linspace(-half, half, samples), float(middle[1])

@@ -19,6 +19,7 @@ from clacad.formats.drawing.views import mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.formats.maps.sag import structured_faces
 from clacad.optics.surface import EvenPolynomial, conic_constants, principal_radii, sag
+from clacad.sheet.cell_places import extreme_cells
 from clacad.sheet.edge_columns import RADIUS, SENSE, X0, Y0
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
@@ -79,6 +80,8 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
             radii = [_radius(face.side * r, mm, half) for r in principal_radii(face.surface)]
             conics = ["-" if k is None else f"{k:.5g}" for k in conic_constants(face.surface)]
             place = ", ".join(mm_text(v * mm) for v in face.vertex)
+            if face.change is not None:  # each its own: see the table of cells
+                place = f"by cell, by cell, {mm_text(face.vertex[2] * mm)}"
             turned = ", ".join(f"{v:.5g}" for v in euler_degrees(face)) if face.array is not None else "-"
             flat = face.array is None
             rows.append([f"{body.name} {side}", *radii, *(["-", "-"] if flat else conics), place, turned])
@@ -108,10 +111,10 @@ def _terms(face: Face, order: str, mm: float) -> str:
 
 
 def sag_table(window: Window) -> Canvas:
-    """Heights of each lens over its apex along its own axes x and y, out to the corner distance of its cell."""
+    """Heights of each lens over its apex along its own axes x and y, out to the corner of the cell that uses it farthest."""
     mm = millimetres(window.unit)
     curved = structured_faces(window)
-    reach = window.lattice.circumradius
+    reach = _reach(window)
     head = ["distance", *(f"{label} {axis}" for _, _, label in curved for axis in "xy")]
     rows = []
     for k in range(1, SAG_STEPS + 1):
@@ -120,6 +123,17 @@ def sag_table(window: Window) -> Canvas:
             [mm_text(at * mm), *(_sag(face, at, axis, mm) for _, face, _ in curved for axis in (0, 1))]
         )
     return table("sag table (mm along lens x and y, height over the apex towards +z)", head, rows)
+
+
+def _reach(window: Window) -> float:
+    """How far from its apex a lens may be used (length): the corner distance of a cell, and how far off lenses stand."""
+    moved = [
+        np.hypot(*window.vertices(face, extreme_cells(face.change, window.lattice))[:, :2].T).max()
+        for face in window.faces
+        if face.change is not None
+    ]
+    corner = max(window.lattice_of(array).circumradius for array in range(len(window.placements)))
+    return corner + float(max(moved, default=0.0))
 
 
 def _sag(face: Face, at: float, axis: int, mm: float) -> str:
@@ -274,8 +288,10 @@ def _material(material: Any, index: float) -> str:
     return f"n = {index:.6g}" if material is None else f"{material.name}, n = {index:.6g}"
 
 
-def notes(window: Window, allowed: Allowances, slope_rms: float, width: float) -> Canvas:
-    """Datums, finish, tolerances, how the part is held; lines broken at `width` px."""
+def notes(
+    window: Window, allowed: Allowances, slope_rms: float, width: float, more: Sequence[str] = ()
+) -> Canvas:
+    """Datums, finish, tolerances, how the part is held, what more there is to say; lines broken at `width` px."""
     mm = millimetres(window.unit)
     rough = (
         f"Rq at most {1e6 * allowed.roughness:.3g} nm"
@@ -293,6 +309,7 @@ def notes(window: Window, allowed: Allowances, slope_rms: float, width: float) -
         f"Surface finish of lens faces: {rough}{slope}. Sides and land: as cut, opaque where the design says so.",
         "± is an error that the design allows. Dimensions without ± are theoretically exact; agree on the workshop's own class.",
         *orientation(window),
+        *more,
     ]
     most = int((width - 24.0) / CHARACTER)
     lines = [(line, k) for text in said for k, line in enumerate(_broken(text, most))]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clacad.formats.drawing import drawing_tables, views
+from clacad.formats.drawing import differing_cells, drawing_tables, views
 from clacad.formats.drawing.allowances import allowances
 from clacad.formats.drawing.canvas import Canvas
 
@@ -76,8 +76,11 @@ def sheets(design: Design, window: Window, facts: Feasibility, paper: str, study
         views.assembly(window), views.plan(window), views.telescopelet(window, facts, None, allowed),
         *(views.lens_detail(window, facts, array, allowed) for array in range(len(facts.lenses))),
         drawing_tables.faces_table(window, allowed), drawing_tables.sag_table(window),
+        *([] if window.uniform else [differing_cells.cells_table(window)]),
         *drawing_tables.plate_tables(design, window), drawing_tables.errors_table(design, window, allowed, study),
-        drawing_tables.notes(window, allowed, design.body.slope_rms, views.WIDTH),
+        drawing_tables.notes(
+            window, allowed, design.body.slope_rms, views.WIDTH, differing_cells.differing_notes(design, window)
+        ),
     ]  # fmt: skip
     heading = drawing_tables.Heading(design.sha256[:12], __version__, paper)
     title = drawing_tables.title_block(window, heading, 9, 9)

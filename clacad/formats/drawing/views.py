@@ -303,7 +303,7 @@ def lens_detail(
     mm = millimetres(window.unit)
     x, y = across_cell(window, array)
     front, back = heights(window, body, x, y)
-    pitch = window.lattice.pitch[0] * mm
+    pitch = window.lattice_of(array).pitch[0] * mm
     left = 84.0
     curved = _curved_side(body, array)
     deep = front if curved is None else (front if curved == 0 else back)

@@ -133,6 +133,14 @@ def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int
     FileDisagrees
         The face is undercut: its graph ends inside the optical zone and there is no land below.
     """
+    plain = plain_map(window, body, face, label, per_cell)
+    alike = body.front.change is None and body.back.change is None
+    low, high = range_of_cell(window, body, face, per_cell) if alike else _range_of_pixels(plain)
+    return replace(plain, low=low, high=high) if high >= low else _empty(plain)
+
+
+def plain_map(window: Window, body: Body, face: Face, label: str, per_cell: int) -> HeightMap:
+    """Lay out the map of a face, its range of heights not yet known (0 to 0)."""
     assert face.array is not None
     dx, dy = window.shifts[face.array]
     x0, x1, y0, y1 = replace(window.placements[face.array], shift=(0.0, 0.0)).extent(window.lattice)
@@ -140,21 +148,14 @@ def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int
     width, height = ceil((x1 - x0) / pixel * (1 - 1e-12)), ceil((y1 - y0) / pixel * (1 - 1e-12))
     # A map that is not a whole number of pixels wide is centred on the cells.
     origin = (dx + 0.5 * (x0 + x1 - width * pixel), dy + 0.5 * (y0 + y1 - height * pixel))
-    plain = HeightMap(window, body, face, label, pixel, width, height, origin, face.vertex[2], 0.0, 0.0)
-    alike = body.front.change is None and body.back.change is None
-    low, high = _range(window, body, face, per_cell) if alike else _range_of_pixels(plain)
-    return (
-        HeightMap(window, body, face, label, pixel, width, height, origin, face.vertex[2], low, high)
-        if (high >= low)
-        else _empty(plain)
-    )
+    return HeightMap(window, body, face, label, pixel, width, height, origin, face.vertex[2], 0.0, 0.0)
 
 
 def _empty(map_: HeightMap) -> HeightMap:
     raise FileDisagrees(f"{map_.label}: the face has no height anywhere; there is nothing to draw")
 
 
-def _range(window: Window, body: Body, face: Face, per_cell: int) -> tuple[float, float]:
+def range_of_cell(window: Window, body: Body, face: Face, per_cell: int) -> tuple[float, float]:
     """Range of heights over one cell, twice as fine as the map, borders and corners included."""
     assert face.array is not None
     tile = window.lattice_of(face.array).tile()

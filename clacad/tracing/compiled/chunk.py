@@ -6,7 +6,7 @@ from math import exp, isfinite, nan
 
 import numpy as np
 
-from clacad.base.compiled import exact, making, owning
+from clacad.base.compiled import exact, least, making, owning
 from clacad.base.compiled_vectors import EIGHT, eight_apart, eight_together
 from clacad.base.types import Cells, Floats, Rows, Singles
 from clacad.optics.rays import NO_CELL, Fate
@@ -49,6 +49,8 @@ ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSE
 
 WAITING = 32
 """Rays that wait before they are walked: enough to keep the walk's code near, few enough to keep theirs near."""
+
+MOST = 2.0**31 - 1.0
 
 LAUNCHED = (X, Y, Z, DX, DY, DZ, PATH, GOOD, CI, CJ)
 ARRIVED = (*LAUNCHED, CI0, CJ0)
@@ -101,11 +103,8 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
         good[k] = 1.0 if (good[k] > 0.0) & (dz[k] > 0.0) else 0.0
         z[k] += top
     for k in range(m):
-        i0, j0, holds = ci0[k], cj0[k], good[k] > 0.0
-        ci[k] = ci[k] - i0 if holds else 0.0
-        cj[k] = cj[k] - j0 if holds else 0.0
-        ci0[k] = i0 if holds else 0.0
-        cj0[k] = j0 if holds else 0.0
+        ci[k], cj[k] = _in_range(ci[k] - ci0[k]), _in_range(cj[k] - cj0[k])
+        ci0[k], cj0[k] = _in_range(ci0[k]), _in_range(cj0[k])
     if _together(chosen):
         _store_together(s, chosen[0], m, last, out)
         return
@@ -117,6 +116,13 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
         out.cell[row, 0], out.cell[row, 1] = np.int32(ci0[k]), np.int32(cj0[k])
         out.order[row, 0], out.order[row, 1] = np.int32(ci[k]), np.int32(cj[k])
         out.fate[row] = ALIVE if ci[k] == 0.0 and cj[k] == 0.0 else GHOST
+
+
+@exact
+def _in_range(number: float) -> float:
+    """Give a number that an int32 has: the same where it is one, whatever it is of a ray that came to nothing."""
+    number = least(MOST, number)
+    return -MOST if number < -MOST else number
 
 
 @exact

@@ -52,9 +52,7 @@ def trace_compiled(
     rounded = in_single(sheet) if single else sheet
 
     def one(rows: Rows | range) -> None:
-        chosen, (position, direction, out) = (
-            _piece(rows, *whole) if isinstance(rows, range) else (rows, whole)
-        )
+        chosen, (position, direction, out) = piece(rows, *whole) if isinstance(rows, range) else (rows, whole)
         if isinstance(facets, Triangles):
             trace_chunk_of_triangles(facets.trees, facets.grid, sheet, chosen, position, direction, out)
             return
@@ -68,10 +66,10 @@ def trace_compiled(
     over_threads(one, rows, threads)
 
 
-def _piece(
+def piece(
     rows: range, position: Floats, direction: Floats, out: Outcome
 ) -> tuple[Rows, tuple[Floats, Floats, Outcome]]:
     """Rows that follow one another as a job of its own: their places in columns of their own, and these."""
     part = slice(rows.start, rows.stop)
-    columns = [column if column.ndim == 3 else column[part] for column in out]
-    return FIRST[: len(rows)], (position[part], direction[part], Outcome(*columns))
+    columns = Outcome._make(column if column.ndim == 3 else column[part] for column in out)
+    return FIRST[: len(rows)], (position[part], direction[part], columns)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.pairs import two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.cell_places import CellPlacement
@@ -95,7 +96,8 @@ def told(window: Window, facets: Facets, rays: Rays, result: TraceResult, record
     walkers, missed = _unmet(len(rays)), np.zeros(len(rays), dtype=bool)
     for b, plan in enumerate(lay_out(window).bodies):
         rows = np.flatnonzero(way.dry[b] & ~missed)
-        over = in_footprint(plan, way.tops[b][rows, :2], _over_kept(window, plan, way.tops[b][rows]))
+        top = way.tops[b][rows]
+        over = in_footprint(plan, top[:, :2], window.lattice.contains(_cells(window, plan.arrays[0], top)))
         missed[rows[~over]] = True
         for side, face in enumerate((plan.front, plan.back)):
             if face.array is None:
@@ -167,9 +169,11 @@ def _unmet(n: int) -> Walkers:
     return Walkers(beam, zero, np.zeros((n, 3)), none, none, none, no, no, no, none[:, 0])
 
 
-def _over_kept(window: Window, plan: BodyPlan, at: Floats) -> Bools:
-    """Which points (m, 3) lie over a kept cell of a body's array."""
-    return np.asarray(window.lattice.contains(window.locate(plan.arrays[0], at[:, 0], at[:, 1])[0]))
+def _cells(window: Window, array: int, at: Floats) -> Ints:
+    """Cells (m, 2) of an array that hold points (m, 3), kept or not, told by differences that are rounded once."""
+    dx, dy = window.placements[array].shift
+    (x, x_low), (y, y_low) = two_sum(at[:, 0], -dx), two_sum(at[:, 1], -dy)
+    return window.lattice_of(array).locate(x, y, x_low, y_low)[0]
 
 
 def _noted(
@@ -178,7 +182,7 @@ def _noted(
     """Enter the cells of those rays (n,) that met a face at points (n, 3) in their record."""
     assert face.array is not None
     rows = np.flatnonzero(met)
-    cell = window.locate(face.array, at[rows, 0], at[rows, 1])[0]
+    cell = _cells(window, face.array, at[rows])
     some = walkers.take(rows)
     some = note_cell(lay_out(window), replace(some, beam=replace(some.beam, cell=cell)), face, on_lens[rows])
     noted = {name: getattr(walkers, name).copy() for name in ("first", "last", "odd", "second", "ghost")}

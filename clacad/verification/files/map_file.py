@@ -18,7 +18,8 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.formats.maps.gds import GRID, grey_cell, layer_counts
+from clacad.formats.maps.gds import GRID, grey_cell
+from clacad.formats.maps.gds_reading import layer_counts
 from clacad.formats.maps.mask import mask_misfit
 from clacad.formats.maps.pose_table import pose_lines, surface_table
 from clacad.formats.maps.raster import Pixels, read_png, read_tiff
@@ -63,7 +64,7 @@ DAMAGED = (
 )
 """What the readers of numbers make of bytes that are no such file."""
 
-GDS_MISFIT = "clacad.formats.maps.gds:gds_misfit"
+GDS_MISFIT = "clacad.formats.maps.gds_reading:gds_misfit"
 
 Misfit = tuple[float, float, str]
 """Greatest deviation in millimetres (or relative, for tables), what may be left by writing it, and what was compared."""

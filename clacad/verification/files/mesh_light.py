@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil, floor, log10
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
 from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
-from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.checks import RAYS_NEEDED, Check, judge, not_run
 from clacad.verification.files.cell_triangles import CellFacets, chosen_cells, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
 from clacad.verification.files.inspection import Inspection
@@ -107,7 +108,7 @@ def checks_of_light(
         min(asked.rays, POINT_RAYS), gathered.cells[0] if window.uniform else None, one.send,
     )  # fmt: skip
     rms, to_law, lost = np.array(list(_by_cell(asked, window, gathered, light, present))).T
-    law, exact = _fits(asked, window, gathered, held, present)
+    law, exact, passed = _fits(asked, window, gathered, held, present)
     forecasts = np.array([forecast_rms(window, d) for d in off])
     evidence = MeshEvidence(
         found, gathered.cells, rms, light.rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost.tolist()}, gathered
@@ -115,7 +116,14 @@ def checks_of_light(
     noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
     checks = light_checks(asked, light, rms=to_law.tolist(), cells=gathered.cells, noise=noise)
     checks.append(_faithful_rms(asked, evidence, str(light.rays), clean))
-    return checks + _faithful_fit(asked, evidence), evidence
+    return checks + _faithful_fit(asked, evidence, passed), evidence
+
+
+def rays_for(passed: int, share: float) -> int:
+    """Rays of which so many pass where such a share does, to two figures and a tenth more than that."""
+    least = 1.1 * passed / share
+    step = 10 ** max(0, floor(log10(least)) - 1)
+    return ceil(least / step) * step
 
 
 def _by_cell(
@@ -236,8 +244,9 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
 
 def _fits(
     asked: Inspection, window: Window, gathered: CellFacets, held: tuple[FacetBody, ...], present: Sequence[str] | None
-) -> tuple[Law | None, Law | None]:  # fmt: skip
-    """Fit the law through the triangles, and through the design cut into the same triangles, with the same rays.
+) -> tuple[Law | None, Law | None, int]:  # fmt: skip
+    """Fit the law through the triangles, and through the design cut into the same triangles, with the same rays; how many
+    of them pass both.
 
     Facets alone bias a fit by about the inverse square of their number a side; both sides share that.
     """
@@ -248,15 +257,23 @@ def _fits(
     seen = trace_facets(held, lit.rays)
     ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
     both = (ideal.fate == Fate.ALIVE) & (seen.fate == Fate.ALIVE)
-    return fitted_laws(one.like.law, lit.rays, seen, ideal, both, LEAST_FITTED) or (None, None)
+    laws = fitted_laws(one.like.law, lit.rays, seen, ideal, both, LEAST_FITTED) or (None, None)
+    return *laws, int(both.sum())
 
 
-def _faithful_fit(asked: Inspection, evidence: MeshEvidence) -> list[Check]:
-    """η and δ fitted through the file's triangles against those through the design cut as it is."""
+def _faithful_fit(asked: Inspection, evidence: MeshEvidence, passed: int) -> list[Check]:
+    """η and δ fitted through the file's triangles against those through the design cut as it is, by so many rays that passed."""
     law, exact, spec = evidence.law, evidence.law_design, asked.design.check
     names = ("faithful_eta", "faithful_delta")
+    if 0 < passed < LEAST_FITTED:
+        needed = rays_for(LEAST_FITTED, passed / asked.rays)
+        why = (
+            f"not enough rays: of {asked.rays} {passed} get through the file's triangles, and a fit of the law takes "
+            f"{LEAST_FITTED}; --rays {needed} would do"
+        )
+        return [not_run(name, why, detail={RAYS_NEEDED: needed}, **asked.common) for name in names]
     if law is None or exact is None:
-        why = "too few rays get through the file's triangles to fit a law: more of them (--rays) may do"
+        why = "no law can be fitted to the light that gets through the file's triangles"
         return [not_run(name, why, **asked.common) for name in names]
     text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
     checks = fit_checks(names, (law, exact), (spec.eta, spec.delta), text, **asked.common)

@@ -1,0 +1,99 @@
+"""What a drawing says of a sheet whose cells differ: by which key, and how three of its cells look, the worst among them.
+
+The views show the cell in the middle; every cell stands in the STEP file and in the table of faces.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Ints
+from clacad.base.units import millimetres
+from clacad.design.sections import AimedAt
+from clacad.formats.drawing.canvas import Canvas
+from clacad.formats.drawing.drawing_tables import table
+from clacad.formats.drawing.views import mm_text
+from clacad.sheet.bundle import central_cell
+from clacad.sheet.own_steps import greatest_steps
+from clacad.sheet.window import Face, Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+def differing_key(design: Design) -> str:
+    """The key of a design by which its cells differ; "" where they are alike."""
+    asked = {
+        "lattice.aperture.point": isinstance(design.lattice.aperture, AimedAt),
+        "law.varying": design.law_spec.varying is not None,
+        "lattice.pitch_2": design.lattice.pitch_2 is not None,
+        "pair.focus": design.pair.focus is not None,
+    }
+    return next((key for key, present in asked.items() if present), "")
+
+
+def differing_notes(design: Design, window: Window) -> tuple[str, ...]:
+    """That cells differ, by which key, and where all of them stand; nothing of equal cells."""
+    if window.uniform:
+        return ()
+    return (
+        f"The cells differ ({differing_key(design)}): the views show the one nearest the middle, the table the first, that "
+        f"one and the worst of {window.lattice.cell_count:,}. None can stand for another: cut by the STEP file, or by the table "
+        "of faces (--format table), which hold every cell.",
+    )
+
+
+def cells_table(window: Window) -> Canvas:
+    """The first, the middle and the worst cell: where they and their lenses stand, how high their steps are; mm."""
+    mm = millimetres(window.unit)
+    faces = _one_face_an_array(window)
+    cells = {
+        "first": window.lattice.cells()[0],
+        "middle": np.array(central_cell(window)),
+        "worst": worst_cell(window),
+    }
+    head = ["cell", "i, j"]
+    for face in faces:
+        head += [f"centre {_lens(face)} x, y", f"apex {_lens(face)} from it x, y", f"step {_lens(face)}"]
+    rows = []
+    for name, index in cells.items():
+        row = [name, f"{index[0]}, {index[1]}"]
+        for face in faces:
+            assert face.array is not None
+            step = float(greatest_steps(window, face, index[None])[0])
+            apex = window.vertices(face, index)[:2]
+            row += [
+                ", ".join(mm_text(v * mm + 0.0) for v in at)
+                for at in (window.centres(face.array, index), apex)
+            ]
+            row.append(mm_text(step * mm))
+        rows.append(row)
+    title = "cells that differ (mm; step: the highest to a neighbour; worst: the lens farthest from the middle of its cell)"
+    return table(title, head, rows)
+
+
+def worst_cell(window: Window) -> Ints:
+    """The kept cell (2,) whose lens stands farthest from the middle of its cell; where all stand alike, whose partner
+    is displaced the most.
+    """
+    cells = window.lattice.cells()
+    moved = [face for face in window.faces if face.change is not None]
+    apart = [np.hypot(*window.vertices(face, cells)[:, :2].T) for face in moved]
+    if not moved:
+        apart = [np.hypot(*(window.centres(1, cells) - window.centres(0, cells)).T)]
+    return np.asarray(cells[int(np.argmax(np.max(apart, axis=0)))])
+
+
+def _one_face_an_array(window: Window) -> list[Face]:
+    """A face of each array, one whose lenses move where any does."""
+    found: dict[int, Face] = {}
+    for face in window.faces:
+        if face.array is not None and (face.array not in found or found[face.array].change is None):
+            found[face.array] = face
+    return [found[array] for array in sorted(found)]
+
+
+def _lens(face: Face) -> str:
+    return f"lens {(face.array or 0) + 1}"

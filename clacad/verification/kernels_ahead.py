@@ -1,0 +1,58 @@
+"""What is compiled on the way where no kernels are kept: it takes longer than the work itself, so it is said before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from clacad.sheet.window import Window
+
+Kernel = Literal["surfaces", "mesh", "float32", "law", "thin"]
+
+SECONDS: dict[Kernel, float] = {"surfaces": 40.0, "mesh": 41.0, "float32": 20.0, "law": 7.0, "thin": 9.0}
+"""Processor seconds of compiling each (`tests/benchmarks/kernel_compile.py`)."""
+
+OF_REPORT: tuple[Kernel, ...] = ("mesh",)
+"""Kernels that a report's ladder of accuracy runs: its few rays are numpy's on the other rungs."""
+
+OF_TABLE: tuple[Kernel, ...] = ("surfaces", "mesh", "float32", "law", "thin")
+"""Kernels of a table of accuracy."""
+
+TASK = "compiling what traces"
+"""Name under which a machine's rate is looked up."""
+
+
+def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
+    """Processor seconds that those of some kernels take to compile which are not kept on this machine; 0 where all are.
+
+    window : whose kind of layout decides which code there is; one of equal cells
+    """
+    if not window.uniform:
+        return 0.0
+    return sum(SECONDS[name] for name in kernels if not _kept(window, name))
+
+
+def _kept(window: Window, kernel: Kernel) -> bool:
+    """Whether the code of one kernel is on disk; types of arguments alone decide."""
+    from clacad.base.kernel_cache import is_kept
+    from clacad.optics.rays import Rays
+    from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk
+    from clacad.tracing.compiled.kept_kernels import rung_is_kept
+    from clacad.tracing.compiled.packing import in_single, pack
+    from clacad.tracing.compiled.threads import in_arrays
+    from clacad.tracing.layout import lay_out
+    from clacad.tracing.ledger import Ledger
+    from clacad.tracing.triangles.ready_facets import facets_of
+
+    layout = lay_out(window)
+    if kernel not in ("mesh", "float32"):
+        return (kernel == "thin" and bool(window.thin.field)) or rung_is_kept(kernel, layout)
+    rows, one = np.arange(1), Rays(np.zeros((1, 3)), np.ones((1, 3)))
+    traced = (rows, *in_arrays(one, Ledger.blank(1, 0)))
+    if kernel == "mesh":
+        facets = facets_of(window.with_cells((1, 1)), 2, "facet")
+        return is_kept(trace_chunk, (facets.found_in, pack(facets.layout), *traced))
+    sheet = pack(layout)
+    return is_kept(straight_chunk_single, (sheet, in_single(sheet), *traced, np.empty_like(rows)))
