@@ -102,8 +102,8 @@ def _base(request: ShapeRequest, overrides: list[str]) -> Design:
     return design.replace(changes) if changes else design
 
 
-PROBE = "law.varying={gradient=[[1e-9, 0.0], [0.0, 1e-9]]}"
-"""A law that varies, to ask of what the sheet cannot have beside one, by the name of its own file."""
+PROBE = "law.varying={f_image=1e9}"
+"""A law that varies and has a plane as a shaped sheet has, to ask of what cannot stand beside it, by the name of its own file."""
 
 
 def _beside(request: ShapeRequest, out: Path) -> tuple[Path, Path]:

@@ -82,7 +82,7 @@ def lit_widths(
     steps = np.array([partner_step(cells, (1, 0)), partner_step(cells, (0, 1))])
     beside = np.where(known[:, None], order, 0).astype(np.float64) @ steps
     slopes = cells.slopes(direction)
-    if cell is None or cells.pair.pitch is None:
+    if cell is None or not cells.pair.second.own:
         shift = arrivals(cells, slopes) - (cells.centre + beside)
     else:
         index = np.where(known[:, None], cell, 0).astype(np.int64)

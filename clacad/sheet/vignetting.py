@@ -137,7 +137,7 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
         Incident directions, sheet frame, any length.
     """
     cells = thin_cells(window)
-    if window.thin.pitch is None:
+    if not window.thin.second.own:
         return share(cells, directions)
     arrival = off_partner(cells, index, cells.slopes(directions))
     whole = polygon_area(cells.image)

@@ -9,7 +9,7 @@ import pytest
 
 import clacad
 from clacad.effects import Setting, light_reaching_camera, plan_effects
-from clacad.effects.engine.homogeneous_light import orders
+from clacad.effects.engine.homogeneous_light import FAINT, orders
 from clacad.effects.engine.measured_change import measure
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.probe_rays import situation_of_design
@@ -129,7 +129,8 @@ def test_shares_of_all_orders_are_what_thin_lenses_let_through(kind):
     rays = rays_into(window, np.array([30, 12]), 3000, 0.03, seed=4)
     light, _ = light_reaching_camera(window, rays, "law", ("ghosts",))
     flux = np.bincount(light.parent, light.flux, minlength=len(rays))
-    assert np.abs(flux - 1.0).max() < 1e-9  # cells without seams: every ray meets some lens 2
+    # cells without seams: every ray meets some lens 2; corners of turned cells reach slivers of neighbours, which are not listed
+    assert np.abs(flux - 1.0).max() < (2 * FAINT if kind == "turned" else 1e-9)
     traced = trace(window, rays, rung="thin", path="numpy")
     own, _ = light_reaching_camera(window, rays, "law", ())
     # in the mean over slopes the share is that of rays over one cell, but these start in the middle of it

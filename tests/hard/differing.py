@@ -76,7 +76,7 @@ STEEP = {"lattice.aperture": {"point": [-53.2, 0, -400]}, "pair.offset": "traced
 GLENS = {"law.varying": {"gradient": [[1e-12, 0.0], [0.0, 1e-12]]}}
 BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
 TABLED = {"law.varying": {"f_image": 200}, "pair.offset": "traced", "lattice.count": [41, 41]}
-TILTED = {"law.euler": [30, 3, 10], "law.varying": {"gradient": [[-5e-3, 0.0], [0.0, -5e-3]]}}
+LEANING = {"law.euler": [30, 3, 10], "law.varying": {"gradient": [[-5e-3, 0.0], [0.0, -5e-3]]}}
 CURL = ((1e-3, -7e-3), (5e-3, 2e-3))
 CASES = [
     case("cell (10^4, 10^4) of an aimed sheet", "the middle, where every place is 0", aimed(-8e4, **WIDE), (10_000, 10_000)),
@@ -138,9 +138,9 @@ CASES = [
     case("kappa = 5e-3, vertices traced, a ghost", "the lens of the next cell stands elsewhere", TABLED, (30, 12), slope=(0.04, 0.0)),
     case("a gradient with curl beside a table", "lenses 2 turn about the middle", {**TABLED, "gradient": CURL}, (31, 9)),
     case("a gradient with curl beside another pitch", "the same in an array of its own pitch", pitched(1.02, gradient=CURL), (3, 16)),
-    case("kappa = 5e-3, tilted by 3 degrees", "lenses 2 stand at heights of their own", TILTED, (20, 3), off=(0.05, -0.06)),
-    case("kappa = 5e-3, tilted by 3 degrees, vertices traced", "heights follow a table", {**TILTED, "pair.offset": "traced"}, (2, 18),
+    case("kappa = 5e-3, tilted by 3 degrees", "lenses 2 stand at heights of their own", LEANING, (20, 3), off=(0.05, -0.06)),
+    case("kappa = 5e-3, tilted by 3 degrees, vertices traced", "heights follow a table", {**LEANING, "pair.offset": "traced"}, (2, 18),
          off=(-0.04, 0.07)),
-    case("kappa = 1e-12, tilted", "heights differ by 1e-12", {**TILTED, **GLENS}, (20, 20), off=(0.01, 0.02)),
+    case("kappa = 1e-12, tilted", "heights differ by 1e-12", {**LEANING, **GLENS}, (20, 20), off=(0.01, 0.02)),
     case("kappa = 5e-3, vertices traced, middle", "where the table has 0", TABLED, (20, 20)),
 ]  # fmt: skip

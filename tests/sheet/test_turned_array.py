@@ -14,6 +14,7 @@ from clacad.sheet.cell_places import CellPlacement, centre_pairs
 from clacad.sheet.feasibility.imaging_rows import zone_of
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.turn import MOST_TURN, cosine_and_sine, held_when_turned
+from clacad.sheet.vignetting import partner_share
 
 BASE = {
     "format": 1, "name": "turned", "unit": "mm", "law": {"eta": [-1.0, -0.5], "delta": [0.01, -0.02], "euler": [20, 0, 0]},
@@ -69,6 +70,18 @@ def test_every_cell_obeys_the_law_of_where_its_partner_was_turned_to():
     for row in np.flatnonzero(seen.fate == Fate.ALIVE):
         assert np.abs(seen.direction[row] - window.law_at(seen.cell[row]).refract([0, 0, 1.0])).max() < 1e-14
     assert (seen.fate == Fate.ALIVE).sum() > 200
+
+
+def test_the_share_that_meets_the_partner_is_that_of_rays_over_the_cell():
+    window = clacad.prescribe(design(law__euler=[0, 0, 0], law__delta=[0, 0], lattice__rotation_2="2 deg"))
+    rng = np.random.default_rng(5)
+    for cell in ((15, 15), (19, 11), (22, 18)):
+        index = np.array(cell)
+        at = window.centres(0, index) + rng.uniform(-0.25, 0.25, (40_000, 2))
+        start = np.column_stack([at, np.full(len(at), -1.0)])
+        seen = clacad.trace(window, clacad.Rays(start, (0.0, 0.0, 1.0)), rung="thin")
+        alive = (seen.fate == Fate.ALIVE).mean()
+        assert partner_share(window, index[None], [[0.0, 0.0, 1.0]])[0] == pytest.approx(alive, abs=0.012)
 
 
 @pytest.mark.parametrize("angle", [0.5, 4.0])
