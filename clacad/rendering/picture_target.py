@@ -16,6 +16,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.scene import Scene
 from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy.choose_setting import facets_for
 from clacad.verification.accuracy.error_and_seconds import MOST_DISAGREEMENT, TargetOutOfReach
 
@@ -68,8 +69,8 @@ def within_target(scene: Scene, target: float) -> Scene:
 
 
 def _quads_within(design: Design, window: Window, target: float) -> int:
-    """Coarsest quads a cell side whose facets keep directions within the target (radians)."""
-    facets = facets_for(design, window, target, ("3mf",))
+    """Coarsest quads a cell side whose facets keep directions within the target (radians), in the worst cell where they differ."""
+    facets = facets_for(design, worst_cell(window, design.check.field).buildable, target, ("3mf",))
     assert facets is not None
     if facets.quads > MOST_QUADS:
         raise TargetOutOfReach(

@@ -159,3 +159,31 @@ def test_an_entry_of_the_atlas_beyond_the_paper_measures_what_thin_lenses_say(fi
     found = list(figure.check(lambda stem: load_scene(ROOT / "designs" / "scenes" / f"{stem}.toml")))
     assert found
     assert not [one for one in found if not one.passed]
+
+
+@pytest.mark.slow
+def test_a_target_chooses_the_facets_of_the_worst_cell(tmp_path):
+    """The coarser the target the coarser the facets; the first power of their size, as slopes of facets err."""
+    from clacad.rendering.picture_target import within_target
+
+    scene = scene_of(tmp_path, "aimed", "mesh")
+    quads = [within_target(scene, error).sheet.quads for error in (8e-3, 2e-3)]
+    assert 3.0 < quads[1] / quads[0] < 5.5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["aimed", "turned"])
+def test_a_picture_by_facets_shows_what_rays_through_them_meet(kind, tmp_path):
+    scene, z = scene_of(tmp_path, kind, "mesh"), 60.0
+    window, sent = clacad.prescribe(scene.design()), camera_rays(scene)
+    result = clacad.trace(window, sent, rung="mesh")
+    lit = np.isin(result.fate, (clacad.Fate.ALIVE, clacad.Fate.LAND))
+    expected = result.position + (z - result.position[:, 2:]) / result.direction[:, 2:] * result.direction
+    seen = screen_points(scene, z)
+    on_sheet = result.fate != clacad.Fate.MISSED
+    assert lit.sum() > 0.4 * on_sheet.sum() > 300
+    assert (np.isfinite(seen[:, 0]) == lit)[on_sheet].all()
+    assert np.abs(seen - expected[:, :2])[lit].max() < 1e-9
+    exact = clacad.trace(window, sent, path="numpy")
+    assert (exact.fate == result.fate).mean() > 0.9
+    assert (exact.cell == result.cell).all(axis=1)[on_sheet].mean() > 0.95
