@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -40,7 +41,7 @@ class Spending:
         self.budget = BUDGETS[reader]
         self.items = 0
         self._size = 0
-        self._began = time.thread_time()
+        self._began, self._worked = time.thread_time(), 0.0
         self.unpacked(os.stat(path).st_size if size is None else size)
 
     def unpacked(self, size: int, of: str = "") -> None:
@@ -73,8 +74,24 @@ class Spending:
         ------
         OverBudget
         """
+        self._hold(time.thread_time() - self._began, at)
+
+    @contextmanager
+    def working(self, at: str = "") -> Iterator[None]:
+        """Hold the processor seconds of all such blocks against the budget: of a reader that works when it is asked.
+
+        Raises
+        ------
+        OverBudget
+        """
+        began = time.thread_time()
+        yield
+        self._worked += time.thread_time() - began
+        self._hold(self._worked, at)
+
+    def _hold(self, seconds: float, at: str) -> None:
         most = self.budget.seconds_for(self._size)
-        if time.thread_time() - self._began > most:
+        if seconds > most:
             raise self._refusal(
                 f"reading its {self._size / MEGABYTE:.3g} MB took more than {most:.3g} s of processor time"
                 f"{at and ', ' + at}"

@@ -204,13 +204,15 @@ def test_kernels_are_asked_for_by_the_types_that_they_are_called_with(rung, scen
     from clacad.rendering.compiled import pixels
     from clacad.rendering.pixel_input import kernels_are_kept
     from clacad.scene import load_scene
+    from clacad.tracing.compiled import kept_kernels
 
     scene = load_scene(scene_file, (f"sheet.rung={rung}",))
     viewing = set_up(scene, prescribe(scene.design()), True)
     asked, called = [], []
-    monkeypatch.setattr(
-        kernel_cache, "is_kept", lambda kernel, arguments: asked.append((kernel, arguments)) or True
-    )
+    for module in (kernel_cache, kept_kernels):
+        monkeypatch.setattr(
+            module, "is_kept", lambda kernel, arguments: asked.append((kernel, arguments)) or True
+        )
     assert kernels_are_kept(viewing, aim(scene.camera))
     kernel, types = asked[0][0], [kernel_cache.numba.typeof(one) for one in asked[0][1]]
     if viewing.pane is None:

@@ -158,7 +158,7 @@ def _read_binary(path: Path, head: bytes, count: int, heard: Overheard | None) -
     spent.count(count)
     if heard is not None:
         heard.hear(0, head)
-    return FileMesh("stl-binary", (Part("", soup=BinaryStl(path, count, heard)),), unit, name)
+    return FileMesh("stl-binary", (Part("", soup=BinaryStl(path, count, spent, heard)),), unit, name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +170,7 @@ class BinaryStl:
 
     path: Path
     count: int
+    spent: Spending = field(repr=False, compare=False)
     heard: Overheard | None = field(default=None, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -183,8 +184,14 @@ class BinaryStl:
         ------
         UnreadableFile
             One of them is not a number, or the file has become shorter.
+        OverBudget
+            What was read of the file until now took more seconds than that is given.
         """
         start, stop, step = which.indices(self.count)
+        with self.spent.working(f"at facet {start:,}"):
+            return self._read(start, stop, step)
+
+    def _read(self, start: int, stop: int, step: int) -> NDArray[np.float32]:
         records = read_facets(self.path, start, stop, self.heard)
         if len(records) != max(0, stop - start):
             raise UnreadableFile(
