@@ -109,11 +109,13 @@ FEATURES: Final = (
 )  # fmt: skip
 
 
+POINT: Final = "lattice.aperture"
 VARYING: Final = "law.varying"
 PITCH_2: Final = "lattice.pitch_2"
 ROTATION_2: Final = "lattice.rotation_2"
 FOCUS: Final = "pair.focus"
 SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
+    POINT: lambda a: has_point(a(POINT)),
     VARYING: lambda a: a(VARYING) is not None,
     PITCH_2: lambda a: a(PITCH_2) is not None,
     ROTATION_2: lambda a: bool(a(ROTATION_2)),
@@ -121,6 +123,11 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
 }
 """Kinds of sheet whose cells differ, by the key that asks for them."""
 
+_ONE_WAY: Final = "lenses 2 are traced for light of one direction over the sheet"
+_NODAL: Final = "its cells look at the nodal point"
+_CHIEF: Final = "its cells look along its chief rays"
+_ALONG: Final = "its radii are for light along the axis alone"
+_FIELD: Final = "field lenses would stand in every cell at a place of their own"
 _HEIGHTS: Final = "its lenses 2 stand in the middle of their cells in one plane, and tilted pairs would need them to rise with their places"
 _PATTERN: Final = "which cells a plate keeps is asked of one pattern, and array 2's is another"
 _CHANNELS: Final = "the channels of a baffle are alike, and here each would lean its own way"
@@ -130,28 +137,39 @@ _FOLLOWS: Final = "the pitch of array 2 follows from the two planes"
 _OWN_ARRAY: Final[Mapping[str, str]] = {
     "tilt": _HEIGHTS,
     "tilt where planes are imaged": _HEIGHTS,
-    "aimed at a point": "its cells look at the nodal point",
-    "steered": "its cells look at the nodal point",
+    "aimed at a point": _NODAL,
+    "steered": _NODAL,
     "traced vertices": "its lenses stand in the middle of their own cells",
     "law that varies": "where its lenses stand is its law",
     "sharp pairs": _FOLLOWS,
-    "confocal best": "its radii are for light along the axis alone",
+    "confocal best": _ALONG,
     "plate with holes, corners or pins": _PATTERN,
-    "field lens": "field lenses would stand in every cell at a place of their own",
+    "field lens": _FIELD,
     "baffle": _CHANNELS,
 }
 """What a sheet whose array 2 is of another pitch, or turned, does not have."""
 
 _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
+    POINT: {
+        "tilt where planes are imaged": _ONE_WAY,
+        "law that varies": _ONE_WAY,
+        "other pitch": _NODAL,
+        "turned array": _NODAL,
+        "sharp pairs": _CHIEF,
+        "confocal best": _ALONG,
+        "plate with holes, corners or pins": _PATTERN,
+        "field lens": _FIELD,
+        "baffle": _CHANNELS,
+    },
     VARYING: {
         "tilt where planes are imaged": "cells of a sheet that leans against its lenses stand at many distances from a plane across them",
-        "aimed at a point": "lenses 2 are traced for light of one direction over the sheet",
+        "aimed at a point": _ONE_WAY,
         "other pitch": "its cells stand over their partners",
         "turned array": "its cells stand over their partners",
         "sharp pairs": _APART,
-        "confocal best": "its radii are for light along the axis alone",
+        "confocal best": _ALONG,
         "plate with holes, corners or pins": _PATTERN,
-        "field lens": "field lenses would stand in every cell at a place of their own",
+        "field lens": _FIELD,
         "baffle": _CHANNELS,
     },
     PITCH_2: _OWN_ARRAY,
@@ -161,12 +179,12 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
         "tilt where planes are imaged": _HEIGHTS,
         "given faces": "its faces follow from the two planes",
         "tolerances": "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
-        "aimed at a point": "its cells look along its chief rays",
-        "steered": "its cells look along its chief rays",
+        "aimed at a point": _CHIEF,
+        "steered": _CHIEF,
         "traced vertices": "its lenses stand in the middle of their own cells",
         "law that varies": _APART,
         "other pitch": _FOLLOWS,
-        "turned array": "its cells look along its chief rays",
+        "turned array": _CHIEF,
         "thin recipe": "it leaves out the thickness that sharp lenses are solved for",
         "confocal best": "its radii are for parallel light along the axis",
         "plate with holes, corners or pins": _PATTERN,

@@ -11,7 +11,7 @@ from clacad.base.digits import rounded_up
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
-from clacad.design.combinations import FEATURES, built_sheets, has_plate, has_point, why_not
+from clacad.design.combinations import FEATURES, built_sheets, has_plate, why_not
 from clacad.design.given_faces import faces_read
 from clacad.design.plate_keys import box_about_origin
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta, varying_read
@@ -263,9 +263,6 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
     if has_plate(a):
         yield Mistake("CL127", "a field lens in a plate of holes, corners, pins or a polygon is not made", "pair.field_lens",
                       allowed="false, or plain edges", hint="a circle or a rectangle is made")  # fmt: skip
-    if has_point(a("lattice.aperture")):
-        yield Mistake("CL127", "cells aimed at a point beside a field lens are not made: its cells are all alike",
-                      "lattice.aperture", allowed="a slope, or pair.field_lens = false")  # fmt: skip
     if "gap" in dict(a("pair.field") or ()) and form != "slab":
         yield Mistake("CL114", f"pair.field.gap does not belong to a {form} pair", "pair.field",
                       allowed='only with pair.form = "slab"', hint="leave it out")  # fmt: skip

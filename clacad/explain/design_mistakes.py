@@ -120,11 +120,9 @@ MISTAKES: dict[str, Text] = {
         "Take a smaller pitch, a larger separation, a thinner lens or a higher index; the message says which and how much.",
     ),
     "CL121": (
-        "A sheet aimed at a point (lattice.aperture = {point = ...}) is asked for something that sheets whose cells differ cannot have.",
-        "Aimed: slab, plano and biconvex; square, rectangular and hexagonal; outlines, seams, borders, offset delta, given faces, both "
-        "offsets. Not: a baffle (its channels would have to widen), confocal = \"best\" (it knows light along the axis alone), a table of "
-        "more than a million vertices.",
-        "", "Do what the message says, or aim by a slope: lattice.aperture = [x, y] stands all cells alike.",
+        "A sheet aimed at a point (lattice.aperture = {point = ...}) with traced vertices has more than a million cells.",
+        "The vertex of every cell is found by rays and kept; `clacad explain combinations` says what else can stand beside aimed cells.",
+        "", "Take pair.offset = \"paraxial\", whose vertices follow a formula, or fewer cells.",
     ),
     "CL122": (
         "The viewer that a sheet is aimed at is nearer than ten separations, or in it.",

@@ -33,18 +33,18 @@ def _combinations() -> Entry:
     head, *rows = matrix()
     told = []
     for column, sheet in enumerate(head[1:], 1):
+        refused: dict[str, list[str]] = {}
+        for row in rows:
+            if row[column] not in (BUILT, ITSELF):
+                refused.setdefault(row[column], []).append(row[0])
         built = [row[0] for row in rows if row[column] == BUILT]
         told.append(f"{sheet} is built with: {', '.join(built)}.")
-        told += [
-            f"{sheet} with {row[0]}: refused, {row[column]}."
-            for row in rows
-            if row[column] not in (BUILT, ITSELF)
-        ]
+        told += [f"  not with {', '.join(those)}: {reason}." for reason, those in refused.items()]
     return Entry(
         "",
         "combinations",
         "sheets whose cells differ, and what stands beside them",
-        " ".join(told),
+        "\n  ".join(told),
         "",
         "",
         "see CL125",

@@ -73,10 +73,10 @@ def aimed(window: Window, design: Design) -> Window:
     Raises
     ------
     NoSuchLens
-        CL121: what an aimed sheet cannot have; CL122: the viewer is too near; CL123: lens 2 would be too steep.
+        CL121: too many vertices to be traced; CL122: the viewer is too near; CL123: lens 2 would be too steep.
     """
     aim = AimPoint(design.lattice.aperture.point)  # type: ignore[union-attr]
-    _refuse_combinations(design)
+    _refuse_table(design)
     _refuse_near(aim, window)
     cells = row_ends(window.lattice)
     landing = _landing(window)
@@ -174,31 +174,14 @@ def _table(aim: AimPoint, window: Window) -> Floats:
 # -- what is refused ---------------------------------------------------------------------------
 
 
-def _refuse_combinations(design: Design) -> None:
-    """What an aimed sheet cannot have; CL121."""
-    outline = design.lattice.outline
-    reasons = {
-        "body.baffle": (design.body.baffle, "a baffle, whose channels would have to widen", "no baffle"),
-        "body.holes": (
-            design.body.shaped or (outline is not None and outline.shape == "polygon"),
-            "holes, corners, pins or a polygon",
-            "plain edges",
-        ),
-        "pair.field_lens": (design.pair.field_lens, "a field lens: its cells would have to be aimed, too", "field_lens = false"),
-        "pair.confocal": (
-            design.pair.confocal == "best" and not design.pair.given,
-            'confocal = "best", which knows light along the axis alone',
-            'confocal = "exact"; `clacad optimise` finds faces for the aimed field',
-        ),
-        "lattice.count": (
-            design.pair.offset != "paraxial" and design.lattice.count[0] * design.lattice.count[1] > MOST_TRACED,
-            f"a table of more than {MOST_TRACED} vertices",
-            'pair.offset = "paraxial", or fewer cells',
-        ),
-    }  # fmt: skip
-    for key, (asked, what, hint) in reasons.items():
-        if asked:
-            raise NoSuchLens(f"a sheet aimed at a point cannot have {what}", key=key, code="CL121", hint=hint)
+def _refuse_table(design: Design) -> None:
+    """More vertices than a table holds; CL121."""
+    cells = design.lattice.count[0] * design.lattice.count[1]
+    if design.pair.offset != "paraxial" and cells > MOST_TRACED:
+        raise NoSuchLens(
+            f"a sheet aimed at a point cannot have a table of more than {MOST_TRACED} vertices", key="lattice.count",
+            code="CL121", hint='pair.offset = "paraxial", or fewer cells',
+        )  # fmt: skip
 
 
 def _refuse_near(aim: AimPoint, window: Window) -> None:
