@@ -71,7 +71,7 @@ PLANO = {"pair.form": "plano", "pair.thickness": 0.6}
 BICONVEX = {"pair.form": "biconvex", "pair.thickness": 0.6}
 BESIDE = {"lattice.aperture": {"point": [31.7, -12.9, -400]}}
 TURNED = {"law.euler": [30, 0, 0], "law.eta": [-1, -0.8]}
-LEANING = {**BICONVEX, "pair.thickness": 1.0, "law.euler": [20, 5, 0], "law.eta": [-1, -0.8]}
+TILTED = {**BICONVEX, "pair.thickness": 1.0, "law.euler": [20, 5, 0], "law.eta": [-1, -0.8]}
 STEEP = {"lattice.aperture": {"point": [-53.2, 0, -400]}, "pair.offset": "traced", "lattice.count": [5, 5]}
 GLENS = {"law.varying": {"gradient": [[1e-12, 0.0], [0.0, 1e-12]]}}
 BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
@@ -108,8 +108,8 @@ CASES = [
     case("biconvex, aimed", "both faces of lens 2 stand aside", {**BESIDE, **BICONVEX}, (20, 3)),
     case("turned, aimed", "lens axes across the borders, two focal ratios", {**BESIDE, **TURNED}, (20, 3)),
     case("turned, aimed, a ghost", "lens 2 of the next cell", {**BESIDE, **TURNED}, (9, 14), slope=(0.05, -0.02)),
-    case("tilted, aimed", "lenses lean, their cells do not", {**BESIDE, **LEANING}, (3, 18)),
-    case("tilted, aimed, a corner cell", "the farthest partner", {**BESIDE, **LEANING}, (20, 0)),
+    case("tilted, aimed", "lenses lean, their cells do not", {**BESIDE, **TILTED}, (3, 18)),
+    case("tilted, aimed, a corner cell", "the farthest partner", {**BESIDE, **TILTED}, (20, 0)),
     case("a traced vertex near its bracket", ".298 of the pitch, of .3, from where paraxial light has it", STEEP, (4, 2)),
     case("a traced vertex near its bracket, a ghost", "the next lens stands elsewhere", STEEP, (2, 1), slope=(0.03, 0.0)),
     case("pitch_2 = pitch (1 + 1e-12)", "last cell: partners 1e-11 apart", pitched(1.0 + 1e-12), (20, 20)),
