@@ -12,7 +12,6 @@ from oracle import trace as oracle
 import clacad
 from clacad import Design, DesignError, Fate, Rays, load, prescribe, trace
 from clacad.advice import judge
-from clacad.design.rules import Asked, field_lens_is_made
 from clacad.effects.diffraction import lit_widths
 from clacad.effects.engine.homogeneous_light import orders, shares
 from clacad.formats.drawing.orientation_notes import orientation
@@ -327,16 +326,3 @@ def test_a_field_lens_that_cannot_be_is_refused_by_one_code(name, changes, code,
         prescribe(load(DESIGNS / f"{name}.toml").replace(FIELD | changes))
     assert says in str(caught.value)
     assert {mistake.code for mistake in caught.value.mistakes} == {code}
-
-
-def test_cells_aimed_at_a_point_are_refused_beside_a_field_lens():
-    asked = {
-        "pair.field_lens": True,
-        "pair.form": "slab",
-        "law.eta": (-1.0, -1.0),
-        "law.euler": (0.0, 0.0, 0.0),
-    }
-    aimed = asked | {"lattice.aperture": (("point", (0.0, 0.0, -400.0)),)}
-    assert [m.code for m in field_lens_is_made(Asked(aimed, {}, None))] == ["CL127"]
-    assert not list(field_lens_is_made(Asked(asked | {"lattice.aperture": (0.1, 0.0)}, {}, None)))
-    assert not list(field_lens_is_made(Asked(asked | {"lattice.aperture": "aligned"}, {}, None)))
