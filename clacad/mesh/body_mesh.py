@@ -162,7 +162,7 @@ class BodyMesh:
         """The triangles of some kept cells (n, 2) and of the plain land, open where others would follow: enough for light that
         meets no others.
         """
-        return replace(self, cells=cells, _tallied=[])
+        return replace(self, cells=cells)
 
     @cached_property
     def _errors(self) -> tuple[float, float]:
