@@ -231,3 +231,21 @@ def test_what_an_aimed_sheet_reflects_by_its_triangles_tends_to_what_its_faces_d
         alive = (seen.fate == Fate.ALIVE) & (exact.fate == Fate.ALIVE)
         off.append(np.sqrt(((seen.flux - exact.flux)[alive] ** 2).mean()))
     assert 0 < off[1] < 0.35 * off[0]
+
+
+def test_a_part_of_a_mesh_sends_light_through_its_cells_as_the_whole_does():
+    window = sheet()
+    whole = tessellate(window, quads=4)
+    cells = np.array([[2, 2], [3, 2], [2, 3]])
+    part = whole.part(cells)
+    counts = [sum(len(rows) for rows in body.rows()) for body in part.bodies]
+    again = [sum(len(rows) for rows in body.rows()) for body in part.bodies]
+    assert counts == again == [body.facets_about for body in part.bodies]
+    assert all(few < body.facet_count for few, body in zip(counts, whole.bodies, strict=True))
+    at = np.column_stack([window.lattice.centres(cells), np.zeros(len(cells))])
+    way = at - [-40.0, 10.0, -400.0]
+    rays = clacad.Rays(at - way / way[:, 2:], way / np.linalg.norm(way, axis=1)[:, None])
+    one, other = (clacad.trace(window, rays, rung="mesh", mesh=mesh) for mesh in (whole, part))
+    assert (one.fate == Fate.ALIVE).all()
+    assert np.array_equal(one.cell, other.cell)
+    assert np.array_equal(one.direction, other.direction)
