@@ -61,13 +61,14 @@ def beside_border(case, window):
     return sent(case, window, (low - 4e-15 if case.off == "below" else high + 4e-15, 0.03))
 
 
+EVERYDAY = ("above a border of the aimed array", "below a border of the wider array")
+
+
 def marks(case):
-    """Sheets of 4·10⁸ cells take seconds to make."""
-    return (
-        [pytest.mark.slow]
-        if dict(case.changes).get("lattice.count", FAR)[0] >= FAR[0] and "lattice.count" in dict(case.changes)
-        else []
-    )
+    """Sheets of 4·10⁸ cells take seconds to make, borders of arrays fifty rays in sixty digits to find."""
+    large = dict(case.changes).get("lattice.count", (0, 0))[0] >= FAR[0]
+    border = "a few last bits" in case.name and not case.name.endswith(EVERYDAY)
+    return [pytest.mark.slow] if large or border else []
 
 
 @pytest.mark.parametrize("path", ["numpy", pytest.param("numba", marks=pytest.mark.slow)])
