@@ -122,10 +122,13 @@ PATIENCE = 1200.0
 DEAR = ("verify", "accuracy")
 """Half a minute each; how they are told to end, and kills of `verify`, are tested elsewhere, too."""
 
+BY_HAND = ("atlas", "new for", "stack", "tolerance", "sweep")
+"""A third of a minute and more; kills of `tolerance` and `sweep` are tested elsewhere, too."""
+
 CASES = [
     *(
         pytest.param(
-            name, 2, marks=pytest.mark.long if name == "atlas" else pytest.mark.slow, id=f"{name}, a few"
+            name, 2, marks=pytest.mark.long if name in BY_HAND else pytest.mark.slow, id=f"{name}, a few"
         )
         for name in LINES
         if name not in DEAR
