@@ -33,7 +33,7 @@ class HeightRange:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Substance:
     """What a solid is made of: its surface, and what is in it ("" for nothing that light goes through)."""
 
     texture: str
@@ -196,7 +196,13 @@ CALLED = "()"
 
 
 def in_every_cell(
-    window: Window, array: int, name: str, parts: Sequence[str], units: float, span: HeightRange, look: Look
+    window: Window,
+    array: int,
+    name: str,
+    parts: Sequence[str],
+    units: float,
+    span: HeightRange,
+    look: Substance,
 ) -> Iterator[str]:
     """Declare a solid of parts and put it into every cell of an array; a macro where a part asks for its cell (`moved`)."""
     kind = "merge" if len(parts) > 1 else "intersection"

@@ -16,7 +16,7 @@ import numpy as np
 
 from clacad.formats.pov.pov_cells import (
     HeightRange,
-    Look,
+    Substance,
     all_cells,
     all_rows,
     hair,
@@ -39,7 +39,7 @@ SAMPLES = 33
 """Points along a side of a cell, and from its middle to its border, on which heights are sampled."""
 
 GLASS = "texture { pigment { rgbt <1, 1, 1, 1> } finish { ambient 0 diffuse 0 emission 0 specular 0 reflection 0 } }"
-BLACK = Look("texture { pigment { rgb 0 } finish { ambient 0 diffuse 0 emission 0 } }")
+BLACK = Substance("texture { pigment { rgb 0 } finish { ambient 0 diffuse 0 emission 0 } }")
 
 
 def quadric_of(face: Face) -> Quadric | None:
@@ -178,8 +178,8 @@ def _nearest(window: Window, face: Face) -> Face:
     return window.in_cell(face, cells[int(np.argmin(apart))])
 
 
-def _glass(body: Body) -> Look:
-    return Look(GLASS, f"interior {{ ior {number(body.index)} }}")
+def _glass(body: Body) -> Substance:
+    return Substance(GLASS, f"interior {{ ior {number(body.index)} }}")
 
 
 def _depth(window: Window, body: Body) -> HeightRange:
@@ -257,7 +257,7 @@ def _plate(plate: Plate, units: float, low: str, high: str) -> str:
     return f"difference {{ {body}{holes} }}" if holes else body
 
 
-def _beside(window: Window, array: int, units: float, span: HeightRange, look: Look) -> Iterator[str]:
+def _beside(window: Window, array: int, units: float, span: HeightRange, look: Substance) -> Iterator[str]:
     """Land between the cells and the outline: the outline less every cell."""
     if window.outline is None:
         return

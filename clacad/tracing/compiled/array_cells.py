@@ -18,7 +18,7 @@ from clacad.tracing.compiled.packing import OwnCells, Packed
 Place = tuple[float, float, float, float]
 
 
-class Grid(NamedTuple):
+class CellRule(NamedTuple):
     """Where a lattice's cells are: cell (i, j) is i − across + skew j pitches from x0, and j − along rows from y0."""
 
     skew: float
@@ -79,22 +79,22 @@ def times_gradient(gradient: Place, place: tuple[float, float]) -> tuple[float, 
 
 
 @inlined
-def grid_of(lat: Floats) -> Grid:
+def grid_of(lat: Floats) -> CellRule:
     """Give the numbers that say where a lattice's cells are."""
     if lat[slot.HEXAGONAL] != 0.0:
-        return Grid(0.5, 0.0, 0.0, lat[slot.PITCH], lat[slot.ROW], lat[slot.X0], lat[slot.Y0])
+        return CellRule(0.5, 0.0, 0.0, lat[slot.PITCH], lat[slot.ROW], lat[slot.X0], lat[slot.Y0])
     across, along = 0.5 * (lat[slot.N1] - 1.0), 0.5 * (lat[slot.N2] - 1.0)
-    return Grid(0.0, across, along, lat[slot.PITCH], lat[slot.ROW], 0.0, 0.0)
+    return CellRule(0.0, across, along, lat[slot.PITCH], lat[slot.ROW], 0.0, 0.0)
 
 
 @inlined
-def steps_to(grid: Grid, i: float, j: float) -> tuple[float, float]:
+def steps_to(grid: CellRule, i: float, j: float) -> tuple[float, float]:
     """How many pitches and rows a cell is from where these are counted: exact."""
     return (i - grid.across) + grid.skew * j, j - grid.along
 
 
 @inlined
-def centre_of(grid: Grid, i: float, j: float) -> tuple[float, float]:
+def centre_of(grid: CellRule, i: float, j: float) -> tuple[float, float]:
     """Give the centre of a cell, rounded."""
     across, along = steps_to(grid, i, j)
     return grid.x0 + across * grid.pitch, grid.y0 + along * grid.row
