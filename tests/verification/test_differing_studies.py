@@ -62,9 +62,8 @@ def test_the_worst_cell_is_that_whose_light_leaves_farthest_from_its_law_by_plai
     assert errors[tuple(seen.cell.tolist())] >= 0.97 * max(errors.values())  # chosen by an eighth of the rays
 
 
-@pytest.mark.parametrize(
-    "kind", ["aimed", *(pytest.param(k, marks=pytest.mark.slow) for k in KINDS if k != "aimed")]
-)
+@pytest.mark.slow  # it compiles the kernels of cells that differ; numpy is held to sixty digits every day
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_tracer_is_exact_in_fifty_digits_where_cells_differ(kind):
     design = KINDS[kind]
     window = clacad.prescribe(design)
