@@ -50,6 +50,10 @@ OF_ANY_CELLS = (
 """Formats that hold sheets whose cells differ; the others hold one cell, or a few of its equals."""
 
 
+OF_STRAIGHT_ARRAYS = ("gds", "pov")
+"""Of these the formats that do not hold an array which is turned."""
+
+
 def refuse_other_cells(window: Window, format: str) -> None:
     """Refuse a format that holds equal cells only, for a window whose cells differ.
 
@@ -59,8 +63,10 @@ def refuse_other_cells(window: Window, format: str) -> None:
     """
     from clacad.sheet.need_window import need_equal_cells
 
-    if format not in OF_ANY_CELLS:
-        need_equal_cells(window, f"format {format}", f"such sheets are held by: {', '.join(OF_ANY_CELLS)}")
+    turned = any(place.turn for place in window.placements)
+    held = [name for name in OF_ANY_CELLS if not turned or name not in OF_STRAIGHT_ARRAYS]
+    if format not in held:
+        need_equal_cells(window, f"format {format}", f"such sheets are held by: {', '.join(held)}")
 
 
 def known_formats(asked: Sequence[str]) -> tuple[str, ...]:

@@ -324,6 +324,12 @@ class Window:
         return tuple(place.shift for place in self.placements)
 
     @property
+    def level_and_straight(self) -> bool:
+        """Whether every array lies along the sheet's axes and the lenses of each face stand at one height."""
+        rising = any(face.change is not None and any(face.change.slope) for face in self.faces)
+        return not rising and not any(place.turn for place in self.placements)
+
+    @property
     def uniform(self) -> bool:
         """Whether all cells of each array are the same piece, partners displaced alike: one cell tells of all."""
         own = any(place.own for place in self.placements)

@@ -44,7 +44,7 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
     """
     if (rung == "thin" and layout.window.thin.field) or (rung != "surfaces" and not layout.window.uniform):
         return False
-    if _beyond_kernels(layout):
+    if not layout.window.level_and_straight:  # no kernel knows such cells
         return False
     if path is not None:
         return path == "numba" or (path == "size" and worth_compiled(rays, faces))
@@ -58,13 +58,6 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
 def kernels_of(rung: Rung, layout: Layout) -> str:
     """What the kernels that trace a rung are called here: sheets whose cells differ have their own."""
     return rung if layout.window.uniform else f"{rung} of cells that differ"
-
-
-def _beyond_kernels(layout: Layout) -> bool:
-    """Whether cells differ in ways that no kernel knows: turned arrays, lenses at heights of their own."""
-    window = layout.window
-    rising = any(face.change is not None and any(face.change.slope) for face in window.faces)
-    return rising or any(place.turn for place in window.placements)
 
 
 def _worth(rung: Rung, layout: Layout) -> int:

@@ -160,6 +160,32 @@ def test_a_conic_of_revolution_is_a_quadric_and_others_are_refused_in_words():
         list(pov_lines(clacad.prescribe(design.replace("pair.conic", [-0.7, -0.6])), None))
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"lattice.rotation_2": "1 deg"},
+        {"law.euler": [0, 3, 0], "law.varying": {"gradient": [[-4e-3, 0.0], [0.0, -4e-3]]}},
+    ],
+)
+def test_turned_arrays_and_lenses_at_heights_of_their_own_are_refused_in_words(changes):
+    design = clacad.load(ROOT / "designs" / "window-100mm.toml")
+    window = clacad.prescribe(design.replace({"lattice.count": [5, 5], "check.process": "none", **changes}))
+    with pytest.raises(
+        NotForPov, match="arrays that are turned, or lenses that stand at heights of their own"
+    ):
+        list(pov_lines(window, None))
+
+
+@pytest.mark.parametrize("format", ["gds", "pov"])
+def test_a_turned_array_is_refused_by_formats_that_do_not_hold_it(format, tmp_path):
+    design = clacad.load(ROOT / "designs" / "window-100mm.toml")
+    turned = design.replace({"lattice.count": [5, 5], "lattice.rotation_2": "1 deg"})
+    with pytest.raises(ValueError, match=r"CL139.*held by: step") as refused:
+        clacad.export(turned, tmp_path / "out", formats=(format,))
+    assert f", {format}" not in str(refused.value)
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_price_is_said_before_work_to_the_byte(tmp_path, capsys):
     design, changes = DESIGNS["aimed"]
     asked = [
