@@ -181,15 +181,17 @@ def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
 
     window, rays, rows = ladder.window, ladder.rays, []
     normals: tuple[Normals, ...] = ("facet", "vertex")
+    began = time.process_time()
+    whole = tessellate(window, quads=quads)
+    mesh = whole.part(_cells_about(window, ladder.truth))
+    cut = time.process_time() - began
+    file_bytes = stl_bytes(sum(body.facets_about for body in whole.bodies))
     for normal in normals:
         began = time.process_time()
-        whole = tessellate(window, quads=quads)
-        mesh = whole.part(_cells_about(window, ladder.truth))
         soup = own_soup(mesh, normal)
-        prepare = time.process_time() - began
+        prepare = cut + time.process_time() - began
         run = partial(trace, window, rays, rung="mesh", mesh=soup, normals=normal)
         measured = row(ladder, "mesh", f"cells that differ, {quads} quads, {normal} normals", run, prepare)
-        file_bytes = stl_bytes(sum(body.facets_about for body in whole.bodies))
         rows.append(
             replace(
                 measured, quads=quads, normals=normal, float="f64", triangles=len(soup.corners), own_cells=True,
