@@ -291,7 +291,7 @@ def test_mapped_items_and_turned_parts_are_placed(tmp_path):
 
     lenses = patch_points(scan)
     ours = np.concatenate([
-        applied(one.placements, lenses.of_part(k).place[None]).reshape(-1, 3) for k, one in enumerate(scan.parts)
+        applied(one.placements.all(), lenses.of_part(k).place[None]).reshape(-1, 3) for k, one in enumerate(scan.parts)
     ])  # fmt: skip
     assert len(ours) == 3 * 8 * 9
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeVertex
