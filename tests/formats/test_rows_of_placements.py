@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from brepwindows import biconvex
 
-from clacad.formats.step import placements as places
+from clacad.formats import placements as places
+from clacad.formats.placements import UNPLACED, Placements, composed
 from clacad.formats.step.lenses_on_cells import lens_facts
-from clacad.formats.step.placements import UNPLACED, Placements, composed
 from clacad.formats.step.sheet_of_many import SheetPlace
 from clacad.formats.step.step_files import write_step
 from clacad.formats.step.text_health import patch_points, scan_step

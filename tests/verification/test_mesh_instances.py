@@ -19,7 +19,7 @@ from clacad.exporting.export_design import export
 from clacad.exporting.tessellations import Meshes
 from clacad.formats.mesh import stl as stl_format
 from clacad.formats.mesh.closed_stream import welded
-from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, put
 from clacad.formats.mesh.glb import write_glb
 from clacad.formats.mesh.ply import write_ply
 from clacad.formats.mesh.readers import read_mesh
@@ -330,7 +330,7 @@ def test_a_survey_of_40_000_cells_has_their_box_and_the_corners_of_their_hull_ho
     mesh = read_mesh(large)
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
     turned = FileMesh("3mf", tuple(
-        replace(p, placements=np.concatenate([p.placements[:, :3] @ turn, p.placements[:, 3:] @ turn], axis=1))
+        replace(p, places=put(np.concatenate([p.placements[:, :3] @ turn, p.placements[:, 3:] @ turn], axis=1)))
         for p in mesh.parts
     ), mesh.unit)  # fmt: skip
     for file, back in ((mesh, np.eye(3)), (turned, turn.T)):

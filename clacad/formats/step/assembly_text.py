@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.formats.step.placements import UNPLACED, Placements, composed, inverse, product
+from clacad.formats.placements import UNPLACED, Placements, composed, inverse, product
 
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[Ee][-+]?\d+)?")
 _PLAIN = re.compile(r"#(\d+)|(\$)")

@@ -13,7 +13,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
-from clacad.formats.step.placements import applied
+from clacad.formats.placements import applied
 from clacad.sheet.window import WALL, Window, lens_height_and_normal
 
 

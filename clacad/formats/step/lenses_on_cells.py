@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
+from clacad.formats.placements import Placements, applied, by_turn, fill, inverse, product
 from clacad.formats.step.lens_placements import LensPoints, Measured, measured
-from clacad.formats.step.placements import Placements, applied, by_turn, inverse, product
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.window import Window
 
 SAMPLE = 20_000
@@ -137,14 +136,12 @@ class _Copies:
         What a copy is off is what its row is off and what its place in a row is off, added.
         """
         lattice, outer, inner = self.window.lattice, self.placements.outer, self.placements.inner
-        if not self.placements.unturned or lattice.outline is not None:
-            return None
-        if (len(inner), len(outer)) != lattice.count:
+        if not self.placements.in_rows or (len(inner), len(outer)) != lattice.count:
             return None
         row, column = divmod(self.number, len(inner))
         down, down_off = self.off(self.placements.at(np.arange(len(outer)) * len(inner) + column))
         along, along_off = self.off(self.placements.at(row * len(inner) + np.arange(len(inner))))
-        if not _each_once(lattice, down, along - np.array(self.cell)):
+        if not fill(lattice, down, along - np.array(self.cell)):
             return None
         scale = millimetres(self.window.unit)
         away = _lengths(down_off) * scale, _lengths(along_off - along_off[column]) * scale
@@ -163,14 +160,6 @@ class _Copies:
 def _lengths(off: Floats) -> Floats:
     x, y, z = off.T
     return np.asarray(np.sqrt(x * x + y * y + z**2))
-
-
-def _each_once(lattice: Lattice, first: Ints, steps: Ints) -> bool:
-    """Whether the cells first (m, 2) + steps (n, 2) are all of a lattice without an outline, each once."""
-    columns, rows = np.sort(steps[:, 0]), np.sort(first[:, 1])
-    if steps[:, 1].any() or (np.diff(columns) != 1).any() or (np.diff(rows) != 1).any():
-        return False
-    return bool(all(lattice.contains(first + [columns[end], 0]).all() for end in (0, -1)))
 
 
 @dataclass(frozen=True, eq=False)

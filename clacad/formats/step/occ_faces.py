@@ -8,8 +8,8 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.formats.placements import applied
 from clacad.formats.step.lens_placements import LensPoints, on_lenses
-from clacad.formats.step.placements import applied
 from clacad.formats.step.shape_parts import ShapePart, boxes_of, moved
 from clacad.sheet.window import WALL, Window
 

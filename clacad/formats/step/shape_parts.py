@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.formats.step.placements import UNPLACED, Placements, composed, product, unturned
+from clacad.formats.placements import UNPLACED, Placements, composed, product, unturned
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.formats.placements import Placements, applied, turns
 from clacad.formats.step.lens_placements import LensPoints
-from clacad.formats.step.placements import Placements, applied, turns
 from clacad.formats.step.shape_parts import ShapePart, box, moved
 
 

@@ -1,8 +1,8 @@
 """Where the parts of an assembly stand: placements composed level by level, arrays of them at a time.
 
-A placement is the upper three rows of a homogeneous matrix, (3, 4): x ↦ A x + b, lengths in mm. Rows of a sheet and the
-cells of a row are kept apart as the file has them: a sheet of a million cells is two thousand placements, and is written
-out only where somebody must see each of its cells.
+A placement is the upper three rows of a homogeneous matrix, (3, 4): x ↦ A x + b. Rows of a sheet and the cells of a row
+are kept apart as the file has them: a sheet of a million cells is two thousand placements, and is written out only where
+somebody must see each of its cells.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from clacad.base.types import Floats, Ints
+from clacad.sheet.lattice import Lattice
 from clacad.storage.errors import UnreadableFile
 
 Node = TypeVar("Node", bound=Hashable)
@@ -51,6 +52,11 @@ class Placements:
     def unturned(self) -> bool:
         """Whether all of them only move, exactly."""
         return unturned(self.outer) and unturned(self.inner)
+
+    @property
+    def in_rows(self) -> bool:
+        """Whether they are rows and cells in them, none turned."""
+        return len(self.inner) > 1 and len(self.outer) > 1 and self.unturned
 
     def at(self, numbers: Ints) -> Floats:
         """Some of them, (k, 3, 4).
@@ -127,6 +133,25 @@ class Placements:
 def _between(values: Floats, low: Floats, high: Floats) -> Ints:
     """Rows of values (k, 2) between low and high (2,)."""
     return np.flatnonzero(((values >= low) & (values <= high)).all(axis=1))
+
+
+def fill(lattice: Lattice, first: Ints, steps: Ints) -> bool:
+    """Whether rows of cells fill a lattice, each cell once; False, too, where an outline cuts it or rows run up and down.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    first : (m, 2)
+        A cell of each row.
+    steps : (n, 2)
+        From there to the cells of the row.
+    """
+    if lattice.outline is not None or (len(steps), len(first)) != lattice.count or steps[:, 1].any():
+        return False
+    columns, rows = np.sort(steps[:, 0]), np.sort(first[:, 1])
+    if (np.diff(columns) != 1).any() or (np.diff(rows) != 1).any():
+        return False
+    return all(bool(lattice.contains(first + [columns[end], 0]).all()) for end in (0, -1))
 
 
 def turns(placements: Floats) -> Iterator[tuple[Floats, Floats]]:
@@ -210,7 +235,7 @@ def composed(
     found: dict[Node, Placements] = {}
     while ready:
         node = ready.pop()
-        found[node] = here = _joined(placed.pop(node))
+        found[node] = here = joined(placed.pop(node))
         for child, own in held.get(node, ()):
             placed.setdefault(child, []).append(here.within(own))
             waiting[child] -= 1
@@ -221,8 +246,14 @@ def composed(
     return found
 
 
-def _joined(several: Sequence[Placements]) -> Placements:
-    """Placements one after another."""
+def joined(several: Sequence[Placements]) -> Placements:
+    """Placements one after another.
+
+    Raises
+    ------
+    UnreadableFile
+        More than `MOST` must be written out.
+    """
     if len(several) == 1:
         return several[0]
     _few(sum(len(one) for one in several))
