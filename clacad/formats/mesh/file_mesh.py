@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.formats.mesh.closed_stream import welded, welded_points
 from clacad.formats.placements import ALONE, Placements
 from clacad.storage.errors import UnreadableFile
 
@@ -124,6 +125,17 @@ class Part:
             mine = run == k
             found[mine] = self.corners(int(k) * CHUNK, (int(k) + 1) * CHUNK)[facets[mine] - k * CHUNK]
         return found
+
+    def welded(self) -> tuple[Floats, Ints]:
+        """Vertices (v, 3) of its facets before placing, those that agree in all bits once, and facets (t, 3) of their numbers."""
+        if self.soup is not None:
+            return welded(self.corners(0, self.facet_count))
+        assert self.vertices is not None
+        assert self.triangles is not None
+        used = np.zeros(len(self.vertices), dtype=np.bool_)
+        used[self.triangles] = True
+        vertices, index = welded_points(np.asarray(self.vertices[used], dtype=np.float64))
+        return vertices, index[(np.cumsum(used) - 1)[self.triangles]]
 
     def own_box(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner of its facets before placing, (3,) each."""
