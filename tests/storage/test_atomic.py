@@ -187,8 +187,13 @@ def test_killed_while_it_looks_whether_a_folder_can_be_written_it_leaves_what_th
         "import os, signal, sys; from pathlib import Path; from clacad.storage.atomic import require_folder\n"
         "Path.rmdir = lambda self: os.kill(os.getpid(), signal.SIGKILL)\nrequire_folder(sys.argv[1])"
     )
-    for look_again in (lambda: require_folder(tmp_path / "out"), lambda: Stage(tmp_path).__enter__().__exit__()):
-        assert subprocess.run([sys.executable, "-c", dies, str(tmp_path / "out")]).returncode == -signal.SIGKILL
+    for look_again in (
+        lambda: require_folder(tmp_path / "out"),
+        lambda: Stage(tmp_path).__enter__().__exit__(),
+    ):
+        assert (
+            subprocess.run([sys.executable, "-c", dies, str(tmp_path / "out")]).returncode == -signal.SIGKILL
+        )
         assert len(leftovers(tmp_path)) == 1
         look_again()
         assert not leftovers(tmp_path)
