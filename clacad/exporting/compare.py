@@ -145,11 +145,11 @@ def _sampled(mesh: FileMesh, scale: float) -> Floats:
     chosen = np.unique(np.random.default_rng(0).integers(0, count, size=min(SAMPLES, 2 * count)))
     found, first = [], 0
     for part in mesh.parts:
-        every = part.facet_count * len(part.placements)
+        every = part.facet_count * len(part.places)
         place, facet = np.divmod(
             chosen[(chosen >= first) & (chosen < first + every)] - first, max(1, part.facet_count)
         )
-        spots = part.placements[place]
+        spots = part.placed_at(place)
         found.append(np.einsum("kcx,kxy->kcy", part.picked(facet), spots[:, :3]) + spots[:, None, 3])
         first += every
     return np.concatenate(found) * scale
