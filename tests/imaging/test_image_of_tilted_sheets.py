@@ -28,7 +28,9 @@ def test_light_along_z_that_all_strays_is_told_of_light_along_the_tilted_axes(ti
     # the axes of lenses that are tilted about x lean by as much
     assert found.instead.source[:2] == pytest.approx([0.0, -math.tan(math.radians(tilt))], abs=1e-12)
     rng = np.random.default_rng(2)
-    at = rng.uniform(-0.25, 0.25, (4000, 2)) * window.lattice.pitch
+    cells = window.lattice.cells()
+    middle = window.lattice.centres(cells[len(cells) // 2 + window.lattice.count[0] // 2][None])
+    at = middle + rng.uniform(-0.45, 0.45, (4000, 2)) * window.lattice.pitch
     way = np.array([*found.instead.source[:2], 1.0])
     start = np.column_stack([at, np.zeros(4000)]) - 5.0 * way
     lit = clacad.trace(window, clacad.Rays(start, np.broadcast_to(way, start.shape)), path="numpy")
