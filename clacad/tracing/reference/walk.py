@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes, sheet_position
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import (
@@ -207,11 +207,13 @@ def _cross_face(
     """Beams on the face, distances gone and directions behind it, for lens and land alike."""
     array = here.body.arrays[0] if face.array is None else face.array
     start = event.starts[array]
-    apex = apexes(here.layout, face, event.cells[array])
-    hit = cross(face, start, beam.z, beam.direction, n1, n2, apex)
+    places = lenses(here.layout, face, event.cells[array])
+    hit = cross(face, start, beam.z, beam.direction, n1, n2, places)
     other = on_lens & ~(np.abs(hit.distance - event.distance) <= SAME * here.layout.halves.max())
     if other.any():
-        hit = _where(other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2, apex), hit)
+        hit = _where(
+            other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2, places), hit
+        )
     land = start + event.distance[:, None] * beam.direction[:, :2]
     level = face.land if np.isfinite(face.land) else 0.0
     flat = cross_land(beam.direction, n1, n2)
