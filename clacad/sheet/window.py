@@ -201,6 +201,12 @@ class ThinPair:
         """Distance s between the lens planes along the lens axis (length), equal to f1 + f2."""
         return float(self.rotation[:, 2] @ np.asarray(self.offset))
 
+    def lenses(self, array: int, lattice: Lattice, index: Ints) -> LensPlaces:
+        """Where lens `array` (0, 1) of the cells `index` (..., 2) stands, from where the middle cell has it, and how large it is."""
+        change = (self.change_1, self.change)[array]
+        middle = (0.0, 0.0, 0.0)
+        return LensPlaces(middle) if change is None else change.places(middle, lattice, index)
+
     def field_centre(self, lens: FieldLens) -> Floats:
         """Vertex (3,) of a field lens, sheet frame, from lens 1's centre: on the line from the middle of cell 1 to that of
         cell 2, so that the light in the middle of the field goes through undeviated.

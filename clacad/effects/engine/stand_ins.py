@@ -100,8 +100,11 @@ def _tried(window: Window, cells: Ints) -> list[int]:
     angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     ways = np.stack([np.cos(angle), np.sin(angle)])
     far = [window.centres(1, cells[rows]) - window.centres(0, cells[rows])]
-    far += [face.change.at(window.lattice, cells[rows]) for face in window.faces if face.change is not None]
-    outer = np.unique(np.concatenate([rows[np.argmax(moved @ ways, axis=0)] for moved in far]))
+    places = [window.lenses(face, cells[rows]) for face in window.faces]
+    far += [one.moved for one in places if one.moved is not None]
+    sizes = [sign * one.size for one in places if one.size is not None for sign in (1.0, -1.0)]
+    extreme = [rows[np.argmax(moved @ ways, axis=0)] for moved in far] + [rows[[np.argmax(k)]] for k in sizes]
+    outer = np.unique(np.concatenate(extreme))
     return [int(row) for row in dict.fromkeys([*outer, *rows[:SAMPLED]])]
 
 

@@ -80,6 +80,8 @@ class VaryingLaw:
         return refract_each(self.law, self.deltas(places), d)
 
 
-def refract_each(law: Law, deltas: Floats, d: ArrayLike) -> Floats:
-    """Directions (n, 3) behind a sheet that turns each of (n, 3) with an offset (n, 2) of its own; else `Law.refract`."""
-    return refracted((law.eta_x, law.eta_y), deltas, law.rotation, d)
+def refract_each(law: Law, deltas: Floats, d: ArrayLike, etas: Floats | None = None) -> Floats:
+    """Directions (n, 3) behind a sheet that turns each of (n, 3) with an offset (n, 2), and perhaps an η (n, 2), of its own;
+    else `Law.refract`.
+    """
+    return refracted((law.eta_x, law.eta_y) if etas is None else etas, deltas, law.rotation, d)
