@@ -50,7 +50,7 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
     thin_lenses = [pair.lenses(array, window.lattice, index) for array in (0, 1)]
     lens_2 += [float(v) for v in thin_lenses[1].apex]
     x, y, z = (float(v) for v in lens_2)
-    first, second = (
+    focal_1, focal_2 = (
         focal if one.size is None else (focal[0] * float(one.size), focal[1] * float(one.size))
         for focal, one in zip(pair.focal_length, thin_lenses, strict=True)
     )
@@ -63,7 +63,7 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
         lattice=_wider(window.lattice, wider),
         outline=None if window.outline is None else _larger(window.outline, wider),
         thin=replace(
-            pair, focal_length=(first, second), offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0,
+            pair, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0,
             change=None, change_1=None,
         ),
     )  # fmt: skip

@@ -341,6 +341,11 @@ class Window:
         )
 
     @property
+    def many_sizes(self) -> bool:
+        """Whether lenses of one face are of many sizes, each for an η of its own."""
+        return any(face.change is not None and face.change.size is not None for face in self.faces)
+
+    @property
     def uniform(self) -> bool:
         """Whether all cells of each array are the same piece, partners displaced alike: one cell tells of all."""
         own = any(place.own for place in self.placements)

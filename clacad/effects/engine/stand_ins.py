@@ -52,6 +52,10 @@ def worst_bound(situation: Situation, name: str, bound: Callable[[Situation], Bo
     i, j = situation.stand_ins[worst][0]
     counted = situation.share(COUNTED[name]) if name in COUNTED else 0.0
     radiance = max(one.radiance for one in every)
+    if (
+        name == "walls" and situation.window.many_sizes
+    ):  # steps between lenses of unlike sizes: equal cells have none
+        radiance = max(radiance, situation.most(counted))
     return Bound(
         max(one.angle for one in every),
         max(radiance, situation.most(counted)) if counted > 0.0 else radiance,
