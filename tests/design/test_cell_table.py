@@ -13,7 +13,6 @@ import pytest
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.design import number_rows
 from clacad.design.cell_table import TableSpec, digest, read_table, table_path
-from clacad.design.cell_table_rows import TableFile
 from clacad.sheet.lattice import Circle, Lattice
 
 HEADER = "i,j,delta_x,delta_y\n"
@@ -197,7 +196,9 @@ def test_a_column_or_an_array_of_eta_is_taken_beside_delta(tmp_path):
 
 def test_cells_that_an_outline_leaves_out_have_the_eta_of_the_law(tmp_path):
     round_one = Lattice("square", (1.0, 1.0), (6, 6), Circle(6.0))
-    text = HEADER.replace("\n", ",eta\n") + "".join(f"{i},{j},0,0,-2\n" for i, j in round_one.cells().tolist())
+    text = HEADER.replace("\n", ",eta\n") + "".join(
+        f"{i},{j},0,0,-2\n" for i, j in round_one.cells().tolist()
+    )
     etas = table_of(tmp_path, text, round_one, eta=-0.5).etas
     assert (etas == -2.0).sum() == round_one.cell_count
     assert (etas == -0.5).sum() == 36 - round_one.cell_count
@@ -213,7 +214,9 @@ def test_cells_that_an_outline_leaves_out_have_the_eta_of_the_law(tmp_path):
         ("2", 0.5, "between 0 and 1"), ("1", 2.0, "between 1 and 1e+06"), ("0.5", 2.0, "between 1 and 1e+06"),
     ],
 )  # fmt: skip
-def test_an_eta_of_no_lens_or_of_lenses_bent_the_other_way_is_refused_at_its_place(tmp_path, eta, law, allowed):
+def test_an_eta_of_no_lens_or_of_lenses_bent_the_other_way_is_refused_at_its_place(
+    tmp_path, eta, law, allowed
+):
     good = with_etas(lambda i, j: law)
     text = good.replace(f"1,2,0.01,-0.04,{law!r}", f"1,2,0.01,-0.04,{eta}")
     mistake = refused(tmp_path, text, eta=law)
