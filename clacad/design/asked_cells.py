@@ -53,7 +53,7 @@ def cell_laws(design: Design) -> CellLaws:
         found = read_table(design.path, spec.table, lattice_of(design), law.eta_x)
         if found.etas is not None:
             refuse_beside_etas(design)
-        return CellLaws(law, table=found.deltas, etas=found.etas)
+        return CellLaws(law, table=found.deltas, ratios=found.etas)
     rows = np.array(gradient_of(spec, design.law_spec.eta, design.pair.separation or 0.0))
     if spec.gradient is None:  # planes are given along the lens axes
         rows = rows @ law.rotation[:2, :2].T

@@ -60,7 +60,7 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
         A lens ends inside its cell or is too thick; biconvex neighbours differ by more than `STEP`. The message names the cell.
     """
     cells = window.lattice.cells()
-    etas = laws.etas_of(window.lattice, cells)[:, 0]
+    etas = laws.ratios_of(window.lattice, cells)[:, 0]
     thin = thin_sizes(etas, window.law.eta_x)
     if design.pair.form == "biconvex":
         _refuse_steps(window, laws, cells, etas)
@@ -90,7 +90,7 @@ def _thick(window: Window, cells: Ints, etas: Floats) -> tuple[Floats, Floats]:
         except NoSuchLens as error:
             i, j = cells[first[k]].tolist()
             message = f"cell ({i}, {j}), eta = {eta:g}: {error.message}"
-            raise NoSuchLens(message, KEY, error.hint, code="CL123") from error
+            raise NoSuchLens(message, KEY, error.hint) from error
         found[:, k] = (
             pair.radius[0][0] / base_1,
             pair.radius[1][0] / base_2,
@@ -104,7 +104,7 @@ def _refuse_steps(window: Window, laws: CellLaws, cells: Ints, etas: Floats) -> 
     lattice = window.lattice
     for step in lattice.steps[: len(lattice.steps) // 2]:
         beside = cells + np.array(step)
-        there = np.where(lattice.contains(beside), laws.etas_of(lattice, beside)[:, 0], etas)
+        there = np.where(lattice.contains(beside), laws.ratios_of(lattice, beside)[:, 0], etas)
         apart = np.abs(there - etas)
         worst = int(np.argmax(apart))
         if apart[worst] > STEP * (1.0 + ROUNDED) + ROUNDED:
@@ -112,7 +112,7 @@ def _refuse_steps(window: Window, laws: CellLaws, cells: Ints, etas: Floats) -> 
             raise NoSuchLens(
                 f"biconvex cells ({i}, {j}) and ({k}, {m}) with eta = {etas[worst]:g} and {there[worst]:g}: columns of lenses so "
                 f"unlike do not meet in their border; neighbours may differ by {STEP:g}",
-                KEY, "eta that changes more slowly, or pair.form = \"slab\" or \"plano\"", "CL123",
+                KEY, "eta that changes more slowly, or pair.form = \"slab\" or \"plano\"", "CL125",
             )  # fmt: skip
 
 
@@ -128,5 +128,5 @@ def _refuse_small(window: Window, cells: Ints, etas: Floats, sizes: Floats) -> N
             raise NoSuchLens(
                 f"lens {array + 1} of cell ({i}, {j}), eta = {etas[worst]:g}, would have the radius {radius[worst]:.6g}, less than "
                 f"half the diagonal of its cell ({reach:.6g}): the surface ends inside the cell",
-                KEY, f"pitch < {max(window.lattice.pitch) * radius[worst] / reach:.6g}, or an eta nearer to the others", "CL123",
+                KEY, f"pitch < {max(window.lattice.pitch) * radius[worst] / reach:.6g}, or an eta nearer to the others",
             )  # fmt: skip

@@ -262,7 +262,7 @@ def _size_at(interface: Interface, owner: int | None, light: CellLight, n: int) 
     return np.repeat(light.own.sizes[owner], n)[:, None]
 
 
-def _cell_points(window: Window, own: OwnLenses | None) -> Floats:
+def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
     """Points (256, 2), or (m, 256, 2) of cells of their own, where the light of a cell that lens 2 can take crosses z = 0, from
     the cell's centre, lengths.
     """

@@ -53,7 +53,7 @@ def with_varying_law(window: Window, design: Design) -> Window:
                          f"{MOST_TRACED:,} that it may have", key="lattice.count", code="CL125", hint="fewer cells")  # fmt: skip
     cells = window.lattice.cells()
     deltas = laws.deltas(window.lattice, cells)
-    sizes = None if laws.etas is None else sizes_of(window, design, laws)
+    sizes = None if laws.ratios is None else sizes_of(window, design, laws)
     turn = next(face.rotation for face in window.faces if face.array == 1)
     first = _by_rule(
         window, deltas, np.array(window.recipe["f"][0]), turn, None if sizes is None else sizes.focal
@@ -103,7 +103,7 @@ def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2, sizes: 
         asked = refract_each(window.law, deltas, light)
         return moves_of(window, CellLight(slopes, asked, first, deltas, KEY, climb))
     assert window.cell_laws is not None
-    etas = window.cell_laws.etas_of(window.lattice, window.lattice.cells())
+    etas = window.cell_laws.ratios_of(window.lattice, window.lattice.cells())
     asked = refract_each(window.law, deltas, light, etas)
     own = OwnLenses(sizes.built, np.minimum(1.0, 1.0 / np.abs(etas[:, 0])))
     return moves_of(

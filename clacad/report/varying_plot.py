@@ -52,7 +52,7 @@ def varying(report: Report, window: Window) -> str:
         shown = axes[2].imshow(high, cmap="viridis", vmin=0.0, vmax=top, **_placed(box))
         axes[2].set_title("greatest step to the next cell (\N{MICRO SIGN}m)", fontsize=8.5)
         figure.colorbar(shown, ax=axes[2], fraction=0.05, pad=0.03)
-        own_eta = laws.etas is not None
+        own_eta = laws.ratios is not None
         if own_eta:
             shown = axes[3].imshow(maps[3], cmap="viridis", **_placed(box))
             axes[3].set_title("eta", fontsize=8.5)
@@ -72,7 +72,7 @@ def varying(report: Report, window: Window) -> str:
         7.6,
         6.0,
         "delta of each cell, steps between cells, and "
-        + ("the light of the asked point through focus" if laws.etas is None else "eta of each cell"),
+        + ("the light of the asked point through focus" if laws.ratios is None else "eta of each cell"),
         draw,
     )
 
@@ -98,7 +98,7 @@ def _maps(window: Window) -> Floats:
     found[:2, kept] = window.cell_laws.deltas(window.lattice, cells[kept]).T
     steps = [greatest_steps(window, face, cells[kept]) for face in window.faces if face.array is not None]
     found[2, kept] = np.max(steps, axis=0)
-    found[3, kept] = window.cell_laws.etas_of(window.lattice, cells[kept])[:, 0]
+    found[3, kept] = window.cell_laws.ratios_of(window.lattice, cells[kept])[:, 0]
     return found[:, which.ravel()].reshape(4, height, width)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.law import Law
-from clacad.optics.law.varying import Gradient, VaryingLaw, refract_each
+from clacad.optics.law.varying import Gradient, VaryingLaw, ratios_of, refract_each, with_ratios
 from clacad.sheet.cell_places import VertexChange, of_middle, tabled
 from clacad.sheet.lattice import Lattice
 
@@ -26,14 +26,14 @@ class CellLaws:
         Rows: lens axes; columns: sheet axes.
     table : (n1, n2, 2) array or None
         δ cell by cell, indexed as the table of `clacad.sheet.cell_places.VertexChange`.
-    etas : (n1, n2) array or None
-        η cell by cell, of both lens axes, beside such a table; None: all have the law's.
+    ratios : (n1, n2) array or None
+        η, the ratio −f2/f1, cell by cell, of both lens axes, beside such a table; None: all have the law's.
     """
 
     law: Law
     gradient: Gradient = ((0.0, 0.0), (0.0, 0.0))
     table: Floats | None = None
-    etas: Floats | None = None
+    ratios: Floats | None = None
 
     @property
     def smooth(self) -> VaryingLaw | None:
@@ -47,11 +47,11 @@ class CellLaws:
             return VertexChange(table=self.table).at(lattice, index)
         return smooth.deltas(lattice.centres(index))
 
-    def etas_of(self, lattice: Lattice, index: Ints) -> Floats:
+    def ratios_of(self, lattice: Lattice, index: Ints) -> Floats:
         """η (..., 2) of the cells `index` (..., 2), along the lens axes; the law's of cells that are not kept."""
-        if self.etas is None:
-            return np.broadcast_to((self.law.eta_x, self.law.eta_y), (*index.shape[:-1], 2))
-        return np.repeat(tabled(self.etas, lattice, index, self.law.eta_x)[..., None], 2, axis=-1)
+        if self.ratios is None:
+            return np.broadcast_to(ratios_of(self.law), (*index.shape[:-1], 2))
+        return np.repeat(tabled(self.ratios, lattice, index, ratios_of(self.law)[0])[..., None], 2, axis=-1)
 
     def law_at(self, lattice: Lattice, index: ArrayLike) -> Law:
         """Law of the cell `index` (2,).
@@ -66,19 +66,18 @@ class CellLaws:
             raise IndexError(f"the sheet has no cell {np.asarray(index).tolist()}")
         delta_x, delta_y = self.deltas(lattice, cell).tolist()
         law = replace(self.law, delta_x=delta_x, delta_y=delta_y)
-        if self.etas is None:
+        if self.ratios is None:
             return law
-        eta_x, eta_y = self.etas_of(lattice, cell).tolist()
-        return replace(law, eta_x=eta_x, eta_y=eta_y)
+        return with_ratios(law, self.ratios_of(lattice, cell))
 
     def refract(self, lattice: Lattice, index: Ints, d: Floats) -> Floats:
         """Directions (n, 3) behind the cells `index` (n, 2) that light (n, 3) meets."""
-        etas = None if self.etas is None else self.etas_of(lattice, index)
-        return refract_each(self.law, self.deltas(lattice, index), d, etas)
+        own = None if self.ratios is None else self.ratios_of(lattice, index)
+        return refract_each(self.law, self.deltas(lattice, index), d, own)
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> CellLaws:
         """The same laws on `count` cells in the middle of the lattice they are for."""
-        table, etas = (
-            None if whole is None else of_middle(whole, count, lattice) for whole in (self.table, self.etas)
+        table, ratios = (
+            None if whole is None else of_middle(whole, count, lattice) for whole in (self.table, self.ratios)
         )
-        return replace(self, table=table, etas=etas)
+        return replace(self, table=table, ratios=ratios)

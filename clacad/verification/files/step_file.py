@@ -93,8 +93,8 @@ def gain(window: Window) -> float:
     total = 0.0
     smallest = min(abs(m) for m in focal_ratio(window.thin))
     laws = window.cell_laws
-    if laws is not None and laws.etas is not None:
-        smallest = float(np.abs(laws.etas_of(window.lattice, window.lattice.cells())).min())
+    if laws is not None and laws.ratios is not None:
+        smallest = float(np.abs(laws.ratios_of(window.lattice, window.lattice.cells())).min())
     for body in window.bodies:
         for face in (body.front, body.back):
             if face.array in (

@@ -43,7 +43,7 @@ def _named(seen: SeenCell, check: Check) -> Check:
     if check.id in ("eta", "delta", "tilt"):
         words = f"over the light of {seen.tried} cells"
         laws = seen.window.cell_laws
-        words += ", each taken by its own eta" if laws is not None and laws.etas is not None else ""
+        words += ", each taken by its own eta" if laws is not None and laws.ratios is not None else ""
     words += f": {check.sentence}"
     return replace(check, sentence=words, detail={**check.detail, "cell": [i, j], "tried": seen.tried})
 
@@ -74,7 +74,7 @@ def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
         [[one.like.law.delta_x - law.delta_x, one.like.law.delta_y - law.delta_y] for one in tried]
     )
     lens, each = direction @ law.rotation, len(direction) // len(tried)
-    if tried[0].window.cell_laws.etas is None:
+    if tried[0].window.cell_laws.ratios is None:
         lens[:, :2] -= np.repeat(over, each, axis=0) * lens[:, 2:]
     else:
         ratio = np.array([[law.eta_x / one.like.law.eta_x, law.eta_y / one.like.law.eta_y] for one in tried])
