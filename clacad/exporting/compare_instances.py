@@ -1,14 +1,16 @@
 """Parts that stand many times: measured once, and every place compared with the lattice; nothing is expanded.
 
 A sheet of 40,000 cells of 130,000 facets is 5e9 facets to a reader that writes every cell out, and 130,000 facets and
-40,000 places to one that does not.
+40,000 places to one that does not; in a file that holds rows of cells, and one of them, 400 places. Rows that fill the
+lattice are compared as rows; of those that do not every place is looked at.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import fsum
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,8 @@ from numpy.typing import NDArray
 from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.closed_stream import Measure, measure
-from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds, kinds_and_ends
+from clacad.formats.placements import fill
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import WALL, Body, Face, Window
@@ -30,6 +33,10 @@ SPILT = 1e-6
 MOST_KINDS = 16
 """Different turns and scales of one part that are measured one by one; a sheet needs one."""
 
+SURE = 4.0
+"""What rows are off, times this, is more than any place is off the middle of all: those are not farther from one another
+than twice as much, along each axis."""
+
 Cell = tuple[int, int]
 Side = tuple[int, int]
 """Body, and 0 for its front or 1 for its back."""
@@ -38,7 +45,9 @@ Side = tuple[int, int]
 # -- measuring -----------------------------------------------------------------------------------
 
 
-def measure_mesh(mesh: FileMesh, factor: float) -> Measure:
+def measure_mesh(
+    mesh: FileMesh, factor: float, passing: Callable[[Floats], Floats] = lambda corners: corners
+) -> Measure:
     """Measure a file in design units; a part that stands many times once for each way it is turned.
 
     Parameters
@@ -46,10 +55,12 @@ def measure_mesh(mesh: FileMesh, factor: float) -> Measure:
     mesh : FileMesh
     factor : float
         Design units per file unit.
+    passing : callable
+        Given, and giving on, the corners (k, 3, 3) of the parts that stand once, file unit.
     """
     single = [part for part in mesh.parts if not part.repeated]
     return joined([
-        measure((chunk * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)),
+        measure((passing(chunk) * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)),
         measure_repeated(mesh, factor),
     ])  # fmt: skip
 
@@ -77,7 +88,7 @@ def objects(mesh: FileMesh) -> list[list[Part]]:
     found: dict[int, list[Part]] = {}
     for part in mesh.parts:
         if part.repeated:
-            found.setdefault(id(part.placements), []).append(part)
+            found.setdefault(id(part.places), []).append(part)
     return list(found.values())
 
 
@@ -96,17 +107,16 @@ def joined(measures: Sequence[Measure]) -> Measure:
 
 def _measures(part: Part, factor: float) -> Iterator[Measure]:
     """Measure a part for each way it is turned, times the places where it stands so."""
-    for number, (linear, rows) in enumerate(kinds(part)):
+    for number, (linear, times, first, last) in enumerate(kinds_and_ends(part)):
         if number == MOST_KINDS:  # turned in every way there is: its places fail by themselves
             break
         turn = linear * factor
         one = measure(
             (part.corners(k, k + CHUNK) @ turn for k in range(0, part.facet_count, CHUNK)), origin=np.zeros(3)
         )
-        move = part.placements[rows, 3] * factor
         yield Measure(
-            one.facets * len(rows), one.imbalance, one.volume * len(rows), one.area * len(rows),
-            _triple(one.low + move.min(axis=0)), _triple(one.high + move.max(axis=0)),
+            one.facets * times, one.imbalance, one.volume * times, one.area * times,
+            _triple(one.low + first * factor), _triple(one.high + last * factor),
         )  # fmt: skip
 
 
@@ -148,7 +158,60 @@ class PartPlaces:
     @property
     def one_cell(self) -> bool:
         """Whether the object has facets over one cell, the same on all sides, and over no other."""
-        return not self.spills and len(np.unique(np.concatenate(list(self.cells.values())), axis=0)) == 1
+        return _only_cell(self.cells, self.spills) is not None
+
+    @property
+    def count(self) -> int:
+        """How many places they are."""
+        return len(self.off)
+
+    @property
+    def worst(self) -> tuple[float, Cell]:
+        """How far the place that is farthest off is off, design units, and the cell under it."""
+        number = int(np.argmax(self.off))
+        i, j = next(iter(self.cells.values()))[0] + self.step[number]
+        return float(self.off[number]), (int(i), int(j))
+
+
+@dataclass(frozen=True, eq=False)
+class RowPlaces:
+    """Places of one object of one cell in rows that fill the lattice, each cell once.
+
+    Parameters
+    ----------
+    parts : tuple of Part
+        Meshes that share the places.
+    sides : tuple of (body, side)
+        Where it has facets.
+    rows, columns : (m, 2), (n, 2) ints
+        Cell that the first of each row stands over, and index steps from there to the others of a row.
+    worst : (length, (i, j))
+        What the row that is farthest off, and the place in a row that is, are off together: no place is farther, but by
+        rounding; and the cell where they meet.
+    """
+
+    parts: tuple[Part, ...]
+    sides: tuple[Side, ...]
+    rows: Ints
+    columns: Ints
+    worst: tuple[float, Cell]
+
+    @property
+    def count(self) -> int:
+        """How many places they are."""
+        return len(self.rows) * len(self.columns)
+
+    def over(self, cell: Cell) -> int:
+        """Number of the place over a cell of the lattice."""
+        row = int(np.flatnonzero(self.rows[:, 1] == cell[1])[0])
+        column = int(np.flatnonzero(self.columns[:, 0] == cell[0] - self.rows[row, 0])[0])
+        return row * len(self.columns) + column
+
+
+def _only_cell(cells: dict[Side, Ints], spills: bool) -> Cell | None:
+    """The cell over which an object has facets on all sides where it has any; None if it has them over others, too."""
+    found = np.unique(np.concatenate(list(cells.values())), axis=0)
+    return (int(found[0, 0]), int(found[0, 1])) if len(found) == 1 and not spills else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +220,7 @@ class Standing:
 
     Parameters
     ----------
-    places : tuple of PartPlaces
+    places : tuple of PartPlaces or RowPlaces
     count : int
         PartPlaces that were compared.
     worst : float, design units
@@ -171,7 +234,7 @@ class Standing:
         How many of each.
     """
 
-    places: tuple[PartPlaces, ...]
+    places: tuple[PartPlaces, ...] | tuple[RowPlaces, ...]
     count: int
     worst: float
     worst_cell: Cell | None
@@ -222,15 +285,17 @@ def standing(mesh: FileMesh, window: Window, factor: float) -> Standing | None:
     factor : float
         Design units per file unit.
     """
+    limit = placing_room(window)
+    if in_rows := _in_rows(mesh, window, factor, limit):
+        off, cell = max((p.worst for p in in_rows), key=itemgetter(0))
+        return Standing(in_rows, sum(p.count for p in in_rows), off, cell, limit, [], [], [], (0, 0, 0))
     found = [p for parts in objects(mesh) if (p := _stand(parts, window, factor)) is not None]
     if not found:
         return None
-    off = [float(p.off.max()) for p in found]
-    worst = int(np.argmax(off))
+    off, cell = max((p.worst for p in found), key=itemgetter(0))
     return Standing(
-        tuple(found), sum(len(p.off) for p in found), off[worst], cell_of(found[worst]), placing_room(window),
-        *_covering(found, mesh, window, factor),
-    )  # fmt: skip
+        tuple(found), sum(p.count for p in found), off, cell, limit, *_covering(found, mesh, window, factor)
+    )
 
 
 def placing_room(window: Window) -> float:
@@ -239,10 +304,41 @@ def placing_room(window: Window) -> float:
     return 2.0**-23 * reach
 
 
-def cell_of(places: PartPlaces) -> Cell:
-    """Cell under the place that is farthest off."""
-    i, j = next(iter(places.cells.values()))[0] + places.step[int(np.argmax(places.off))]
-    return int(i), int(j)
+def _in_rows(mesh: FileMesh, window: Window, factor: float, limit: float) -> tuple[RowPlaces, ...]:
+    """The repeated parts of a file whose rows fill the lattice, each within the limit; none if any does not, or two stand
+    for the same lenses.
+    """
+    found: list[RowPlaces] = []
+    for parts in objects(mesh):
+        one = _row_places(parts, window, factor)
+        if one is None or not SURE * one.worst[0] <= limit:
+            return ()
+        found.append(one)
+    sides = [side for one in found for side in one.sides]
+    return tuple(found) if len(set(sides)) == len(sides) else ()
+
+
+def _row_places(parts: list[Part], window: Window, factor: float) -> RowPlaces | None:
+    """One repeated part in rows that fill the lattice; None if that cannot be told by its rows."""
+    places, lattice = parts[0].places, window.lattice
+    if not places.in_rows or (len(places.inner), len(places.outer)) != lattice.count:
+        return None
+    cells, spills = _covered(parts, window, parts[0].placed_at(np.zeros(1, dtype=np.int64))[0], factor)
+    cell = _only_cell(cells, spills) if cells else None
+    if cell is None:
+        return None
+    basis = np.array([lattice.a1, lattice.a2])
+    (down, down_off), (along, along_off) = (
+        _steps((moves[:, :, 3] - moves[0, :, 3]) * factor, basis, 0) for moves in (places.outer, places.inner)
+    )
+    rows = np.array(cell) + down
+    if not fill(lattice, rows, along):
+        return None
+    away = [np.linalg.norm(off, axis=1) for off in (down_off, along_off)]
+    i, j = rows[int(np.argmax(away[0]))] + along[int(np.argmax(away[1]))]
+    return RowPlaces(
+        tuple(parts), tuple(cells), rows, along, (float(away[0].max() + away[1].max()), (int(i), int(j)))
+    )
 
 
 def _stand(parts: list[Part], window: Window, factor: float) -> PartPlaces | None:

@@ -216,6 +216,7 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     held = meshes.welded(quads, name)
     instanced = meshes.repeats(name)
     places = window.lattice.cell_count * len(window.bodies) if instanced else 0
+    listed = RoughSheet.of_window(window).listed if instanced and name == "3mf" else places
     facets = held * window.lattice.cell_count if instanced else held
     # Half a vertex a facet, and more where walls and rims give corners normals of their own.
     vertices = held * (0.5 + 1.9 / max(quads, 2))
@@ -228,7 +229,7 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     else:
         nodes = threemf_place_bytes(window) if places else 0
         size = threemf_bytes(meshes, quads) + nodes
-    return replace(_welded_row(name, size, held, facets, places, quads), places=nodes)
+    return replace(_welded_row(name, size, held, facets, listed, quads), places=nodes)
 
 
 def _welded_row(name: str, size: int, held: int, facets: int, places: int, quads: int) -> Forecast:
@@ -284,7 +285,8 @@ def _step_row(window: Window, mode: Literal["fused", "instanced"], size: int) ->
         each = 250_000 if window.uniform else 50_000  # cells that differ are described one after another
         memory = (400_000_000, 900_000_000 + each * columns)
     else:
-        memory = (300_000_000, 700_000_000 + 20_000 * columns)
+        written_out = columns if window.lattice.outline is not None else 0  # else rows stay rows
+        memory = (250_000_000, 700_000_000 + 100 * size + 1000 * written_out)
     seconds = costs.step_seconds(size, mode) + (0.0 if window.uniform else costs.OWN_CELL * columns)
     return Forecast("step", size, False, None, None, seconds, memory, note=own_cells_note(window))
 
@@ -341,7 +343,7 @@ def outlook(window: Window) -> list[dict[str, Any]]:
     quads = next((q for q in QUADS if sheet.facets(q) * sheet.cells <= most), QUADS[-1])
     mode = chosen_mode(window, "auto")
     if sheet.repeats:
-        held, times, places = sheet.piece(ROUGH_GRID), sheet.cells, sheet.cells * sheet.bodies
+        held, times, places = sheet.piece(ROUGH_GRID), sheet.cells, sheet.listed
     else:
         held, times, places = sheet.facets(ROUGH_GRID) * sheet.cells, 1, 0
     rows = [

@@ -79,5 +79,5 @@ def _seconds(design: Design, request: Request, name: str, grids: dict[str, int])
     if name in STL_FORMATS:
         return costs.stl_seconds(facets * cells)
     if name in REPEATING and not request.fused:
-        return costs.welded_seconds(name, facets, cells * bodies)
+        return costs.welded_seconds(name, facets, sheet.listed if name == "3mf" else cells * bodies)
     return costs.welded_seconds("ply" if name == "ply" else "glb", facets * cells, 0)

@@ -82,6 +82,14 @@ class RoughSheet:
         lens = 2 * self.lenses * quads * quads * (3 if self.hexagonal else 1)
         return lens + (8 + flat) * quads * self.bodies
 
+    @property
+    def listed(self) -> int:
+        """Places that a 3MF file lists and whoever reads it keeps: all, or of a large sheet its rows and the cells of one."""
+        from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+
+        in_rows = self.repeats and self.cells > FLAT_LIMIT
+        return self.bodies * (sum(self.count) if in_rows else self.cells)
+
     def step_bytes(self, fused: bool) -> int:
         """Of a STEP file."""
         if not fused:

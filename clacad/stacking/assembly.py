@@ -16,7 +16,7 @@ from clacad.exporting.manifest import FileRecord
 from clacad.exporting.roles import Prospect, Role
 from clacad.exporting.step_record import SECONDS, compare_step
 from clacad.exporting.tessellations import Meshes, instanceable
-from clacad.formats.mesh.file_mesh import FileMesh
+from clacad.formats.mesh.file_mesh import FileMesh, put
 from clacad.formats.step.sheet_of_many import SheetPlace
 from clacad.formats.step.step_mode import Mode
 from clacad.sheet.stack import Stack, StackedSheet
@@ -162,7 +162,7 @@ def mesh_of_sheet(whole: FileMesh, place: SheetPlace) -> FileMesh:
         if inside.any():
             moved = part.placements[inside].copy()
             moved[:, 3, 2] -= place.z / unit
-            parts.append(replace(part, placements=moved))
+            parts.append(replace(part, places=put(moved)))
     return replace(whole, parts=tuple(parts))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.formats.step.placements import applied, by_turn, product, unturned
+from clacad.formats.placements import applied, by_turn, product, unturned
 
 
 def whole(placements: np.ndarray) -> np.ndarray:

@@ -15,11 +15,13 @@ from trust.spoiling import document_of, glb, model_changed
 
 from clacad.design import Design
 from clacad.exporting.compare import compare_mesh
+from clacad.exporting.compare_instances import standing
 from clacad.exporting.export_design import export
 from clacad.exporting.tessellations import Meshes
 from clacad.formats.mesh import stl as stl_format
+from clacad.formats.mesh import threemf
 from clacad.formats.mesh.closed_stream import welded
-from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, put
 from clacad.formats.mesh.glb import write_glb
 from clacad.formats.mesh.ply import write_ply
 from clacad.formats.mesh.readers import read_mesh
@@ -36,6 +38,7 @@ from clacad.verification.files.mesh_file import judge_mesh
 from clacad.verification.files.mesh_light import rays_for
 from clacad.verification.files.mesh_shape import clean_forecast
 from clacad.verification.files.mesh_wholeness import connected
+from clacad.verification.files.repeated_parts import placement_check
 
 DESIGN = Design.from_dict({
     "format": 1, "name": "repeated", "unit": "mm", "law": {"eta": [-0.25, -1.0]},
@@ -239,6 +242,94 @@ def test_a_hexagonal_sheet_of_repeated_cells_stands_on_its_lattice(tmp_path):
     assert judged(path, design)[0]["placement"].detail["missing"] == 1
 
 
+# -- rows of cells -------------------------------------------------------------------------------
+
+ROW = re.compile(
+    r'<object id="(\d+)" type="model" name="\S+ row">\n<components>\n((?:<component [^\n]*\n)+)</components>'
+)
+
+
+@pytest.fixture
+def in_rows(tmp_path, monkeypatch):
+    """A 3MF file of 4 × 4 cells that holds rows, and rows of cells."""
+    monkeypatch.setattr(threemf, "FLAT_LIMIT", 0)
+    return written(tmp_path, "3mf")
+
+
+def test_rows_of_cells_are_not_written_out_and_get_the_verdict_of_cells(in_rows, tmp_path, monkeypatch):
+    mesh = read_mesh(in_rows)
+    assert all((len(part.places.outer), len(part.places.inner)) == (4, 4) for part in mesh.parts)
+    every = replace(mesh, parts=tuple(replace(part, places=put(part.placements)) for part in mesh.parts))
+    assert not any(part.places.in_rows for part in every.parts)
+    (wanted, _), box, some = judged(None, mesh=every), every.box(), every.thinned(500)
+    monkeypatch.setattr(Part, "placements", property(lambda _: pytest.fail("written out")))
+    found, _ = judged(None, mesh=read_mesh(in_rows))
+    for name, check in wanted.items():
+        other = found[name]
+        if name != "placement":
+            assert (other.state, other.value, other.limit, other.sentence) == (
+                check.state,
+                check.value,
+                check.limit,
+                check.sentence,
+            ), name
+    place, other = found["placement"], wanted["placement"]
+    assert (place.state, place.limit) == (other.state, other.limit) == ("pass", other.limit)
+    assert place.sentence.split(";")[0] == other.sentence.split(";")[0]
+    assert max(place.value, other.value) <= 1e-14
+    # and what looks at some of the facets looks at the same ones
+    np.testing.assert_array_equal(read_mesh(in_rows).thinned(500), some)
+    np.testing.assert_array_equal(read_mesh(in_rows).box(), box)
+
+
+def _lines(change):
+    """Change the lines of the components of an object that holds cells (first of them), or rows of cells."""
+    return lambda text, pattern: pattern.sub(
+        lambda m: m[0].replace(m[2], "".join(change(m[2].splitlines(True)))), text, count=1
+    )
+
+
+def _aside(line, by):
+    return re.sub(r"(\S+) (\S+) (\S+)\"/>", lambda m: f'{float(m[1]) + by!r} {m[2]} {m[3]}"/>', line)
+
+
+WHOLE = re.compile(
+    r'<object id="(\d+)" type="model" name="[^" ]+">\n<components>\n((?:<component [^\n]*\n)+)</components>'
+)
+IN_ROWS = {
+    "a row shifted": (WHOLE, lambda lines: [*lines[:2], _aside(lines[2], 1e-4 * PITCH), lines[3]]),
+    "a column shifted": (ROW, lambda lines: [lines[0], _aside(lines[1], 1e-4 * PITCH), *lines[2:]]),
+    "a row missing": (WHOLE, lambda lines: lines[:-1]),
+    "a column missing": (ROW, lambda lines: [lines[0], *lines[2:]]),
+    "a row doubled": (WHOLE, lambda lines: [*lines, lines[1]]),
+    "a column doubled": (ROW, lambda lines: [*lines, lines[1]]),
+    "a row in the place of another": (WHOLE, lambda lines: [lines[0], lines[2], *lines[2:]]),
+    "a row beside the sheet": (WHOLE, lambda lines: [*lines[:3], _aside(lines[3], 4 * PITCH)]),
+}
+
+
+@pytest.mark.parametrize("what", IN_ROWS)
+def test_a_row_or_column_in_a_wrong_place_fails_as_its_cells_do(in_rows, what):
+    pattern, change = IN_ROWS[what]
+    whole = in_rows.read_bytes()
+    in_rows.write_bytes(model_changed(whole, lambda text: _lines(change)(text, pattern)))
+    assert in_rows.read_bytes() != whole
+    mesh = read_mesh(in_rows)
+    every = replace(mesh, parts=tuple(replace(part, places=put(part.placements)) for part in mesh.parts))
+    window = prescribe(DESIGN)
+    check, other = (
+        placement_check(DESIGN, standing(one, window, 1e-3 / DESIGN.unit_m), "part") for one in (mesh, every)
+    )
+    assert check.state == other.state == "fail"
+    assert (check.sentence, check.value, check.detail) == (other.sentence, other.value, other.detail)
+    if "missing" in what:
+        assert check.detail["missing"] == 4
+    if "doubled" in what:
+        assert check.detail["doubled"] == 4
+    if "shifted" in what:
+        assert check.value == pytest.approx(1e-4 * PITCH, rel=1e-3)
+
+
 # -- 40,000 cells --------------------------------------------------------------------------------
 
 LARGE = DESIGN.replace({"lattice.count": [200, 200]})
@@ -330,7 +421,7 @@ def test_a_survey_of_40_000_cells_has_their_box_and_the_corners_of_their_hull_ho
     mesh = read_mesh(large)
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
     turned = FileMesh("3mf", tuple(
-        replace(p, placements=np.concatenate([p.placements[:, :3] @ turn, p.placements[:, 3:] @ turn], axis=1))
+        replace(p, places=put(np.concatenate([p.placements[:, :3] @ turn, p.placements[:, 3:] @ turn], axis=1)))
         for p in mesh.parts
     ), mesh.unit)  # fmt: skip
     for file, back in ((mesh, np.eye(3)), (turned, turn.T)):

@@ -287,11 +287,11 @@ def test_mapped_items_and_turned_parts_are_placed(tmp_path):
     parts = compound([moved(moved(part, turn=0.3), x=5.0 * k, y=1.0, z=2.0) for k in range(3)])
     path = written_by_another(compound([moved(parts, turn=-1.1)]), tmp_path / "y.step", "INCH", True)
     scan = scan_step(path)
-    from clacad.formats.step.placements import applied
+    from clacad.formats.placements import applied
 
     lenses = patch_points(scan)
     ours = np.concatenate([
-        applied(one.placements, lenses.of_part(k).place[None]).reshape(-1, 3) for k, one in enumerate(scan.parts)
+        applied(one.placements.all(), lenses.of_part(k).place[None]).reshape(-1, 3) for k, one in enumerate(scan.parts)
     ])  # fmt: skip
     assert len(ours) == 3 * 8 * 9
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeVertex

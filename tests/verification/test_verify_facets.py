@@ -106,6 +106,18 @@ def test_the_cells_looked_at_hold_the_middle_and_all_four_corners():
     assert cells[0] in {(2, 1), (2, 2)}
 
 
+@pytest.mark.parametrize(
+    ("kind", "count"), [("square", [9, 4]), ("hexagonal", [6, 7]), ("hexagonal", [3, 12])]
+)
+def test_the_cells_looked_at_are_the_outermost_of_all(kind, count):
+    window = prescribe(PLAIN.replace({"lattice.kind": kind, "lattice.count": count}))
+    chosen = chosen_cells(window)
+    assert window.lattice.contains(np.array(chosen)).all()
+    every, own = (window.lattice.centres(cells) for cells in (window.lattice.cells(), np.array(chosen)))
+    for way in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+        assert (own @ way).max() == pytest.approx((every @ way).max(), abs=1e-12)
+
+
 def test_an_edge_cell_and_the_middle_one_send_light_the_same_way():
     window = prescribe(PLAIN)
     gatherer = Gatherer(window, [(2, 2), (0, 0)])

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.formats.placements import ALONE, Placements
 from clacad.storage.errors import UnreadableFile
 
 CHUNK = 1 << 16
@@ -24,6 +26,11 @@ SURVEYED = 200_000
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 ONE_PLACE = np.concatenate([np.eye(3), np.zeros((1, 3))])[None]
+
+
+def put(places: Floats) -> Placements:
+    """Places (m, 4, 3) in row-vector form as placements."""
+    return Placements(np.swapaxes(places, 1, 2))
 
 
 class Soup(Protocol):
@@ -51,8 +58,8 @@ class Part:
         Corners of each triangle instead of the two above (STL); usually read from the file when sliced.
     normals : (v, 3) array or None
         Unit vertex normals, where the format holds them.
-    placements : (m, 4, 3) array
-        Affine maps in row-vector form: x' = x @ place[:3] + place[3].
+    places : Placements
+        Where it is put.
     """
 
     name: str
@@ -60,7 +67,22 @@ class Part:
     triangles: Ints | None = None
     soup: Soup | None = None
     normals: Floats | None = None
-    placements: Floats = field(default_factory=lambda: ONE_PLACE)
+    places: Placements = field(default_factory=lambda: Placements(ALONE))
+
+    @cached_property
+    def placements(self) -> Floats:
+        """All places (m, 4, 3) as affine maps in row-vector form: x' = x @ place[:3] + place[3].
+
+        Raises
+        ------
+        UnreadableFile
+            They are too many to be written out.
+        """
+        return np.ascontiguousarray(np.swapaxes(self.places.all(), 1, 2))
+
+    def placed_at(self, numbers: Ints) -> Floats:
+        """Some of them, (k, 4, 3)."""
+        return np.ascontiguousarray(np.swapaxes(self.places.at(numbers), 1, 2))
 
     @property
     def facet_count(self) -> int:
@@ -73,7 +95,7 @@ class Part:
     @property
     def repeated(self) -> bool:
         """Whether it stands at more than one place."""
-        return len(self.placements) > 1
+        return len(self.places) > 1
 
     def corners(self, start: int, stop: int) -> Floats:
         """Corners of facets start … stop − 1 before placing, (k, 3, 3), file unit."""
@@ -137,7 +159,7 @@ class Part:
         count = self.facet_count
         if count == 0:
             return
-        if count >= size or len(self.placements) == 1:
+        if count >= size or not self.repeated:
             for place in self.placements:
                 for start in range(0, count, size):
                     yield _placed(self.corners(start, min(start + size, count)), place)
@@ -173,7 +195,7 @@ class FileMesh:
     @property
     def facet_count(self) -> int:
         """Number of facets with every placement counted."""
-        return sum(part.facet_count * len(part.placements) for part in self.parts)
+        return sum(part.facet_count * len(part.places) for part in self.parts)
 
     @property
     def stored_count(self) -> int:
@@ -215,14 +237,14 @@ class FileMesh:
             return np.concatenate([np.zeros((0, 3, 3)), *self.chunks()])
         found = []
         for part in self.parts:
-            every = part.facet_count * len(part.placements)
+            every = part.facet_count * len(part.places)
             many = min(every, int(np.ceil(count * every / total)))
             k = np.arange(many)
             # places in order, facets by the golden ratio: no stride of one falls in step with the other
-            place = (k * len(part.placements)) // max(1, many)
+            place = (k * len(part.places)) // max(1, many)
             share = (k * GOLDEN) % 1.0 if part.repeated else (k + 0.5) / max(1, many)
             corners = part.picked((share * part.facet_count).astype(np.int64))
-            spots = part.placements[place]
+            spots = part.placed_at(place)
             found.append(np.einsum("kcx,kxy->kcy", corners, spots[:, :3]) + spots[:, None, 3])
         return np.concatenate(found)
 
@@ -266,16 +288,15 @@ class FileMesh:
         """Lowest and highest corner, (3,) each, file unit."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for part in self.parts:
-            for linear, rows in kinds(part):
+            for linear, _, first, last in kinds_and_ends(part):
                 least, most = np.full(3, np.inf), np.full(3, -np.inf)
                 for start in range(0, part.facet_count, CHUNK):
                     corners = part.corners(start, start + CHUNK)
                     corners = corners if np.array_equal(linear, np.eye(3)) else corners @ linear
                     least = np.minimum(least, corners.min(axis=(0, 1)))
                     most = np.maximum(most, corners.max(axis=(0, 1)))
-                move = part.placements[rows, 3]
-                low = np.minimum(low, least + move.min(axis=0))
-                high = np.maximum(high, most + move.max(axis=0))
+                low = np.minimum(low, least + first)
+                high = np.maximum(high, most + last)
         return low, high
 
 
@@ -292,6 +313,14 @@ def kinds(part: Part) -> list[tuple[Floats, Ints]]:
     rows = np.argsort(which.ravel(), kind="stable")
     ends = np.cumsum(times)
     return [(linear[first[k]].reshape(3, 3), rows[ends[k] - times[k] : ends[k]]) for k in order]
+
+
+def kinds_and_ends(part: Part) -> list[tuple[Floats, int, Floats, Floats]]:
+    """The same with how many they are, and the least and greatest moves (3,) of them; rows are not written out."""
+    if part.places.in_rows:
+        return [(np.eye(3), len(part.places), low, high) for _, low, high in part.places.ends()]
+    moves = [(linear, part.placements[rows, 3]) for linear, rows in kinds(part)]
+    return [(linear, len(move), move.min(axis=0), move.max(axis=0)) for linear, move in moves]
 
 
 def turned_normals(normals: Floats, place: Floats) -> Floats:

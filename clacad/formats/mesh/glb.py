@@ -17,8 +17,9 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.base.units import MILLIMETRE
-from clacad.formats.mesh.file_mesh import FileMesh, Part
+from clacad.formats.mesh.file_mesh import FileMesh, Part, put
 from clacad.formats.mesh.repeated_pieces import Piece
+from clacad.formats.placements import Placements
 from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
 from clacad.storage.spending import Spending
 
@@ -312,7 +313,7 @@ def _scene(file: _Buffers) -> FileMesh:
     parts = [
         part
         for mesh in sorted(places)
-        for part in _parts(file, mesh, np.ascontiguousarray(np.concatenate(places[mesh])[::-1]))
+        for part in _parts(file, mesh, put(np.concatenate(places[mesh])[::-1]))
     ]
     if not parts:
         raise UnreadableFile("its scene shows no triangle")
@@ -404,8 +405,8 @@ def _local(node: dict[str, Any]) -> Floats:
     return place
 
 
-def _parts(file: _Buffers, number: int, placements: Floats) -> list[Part]:
-    """Parts of one mesh, one a primitive, all at the same placements (k, 4, 3)."""
+def _parts(file: _Buffers, number: int, places: Placements) -> list[Part]:
+    """Parts of one mesh, one a primitive, all at the same places."""
     mesh = file.document["meshes"][number]
     found = []
     for primitive in mesh["primitives"]:
@@ -429,7 +430,7 @@ def _parts(file: _Buffers, number: int, placements: Floats) -> list[Part]:
                 vertices,
                 corners.reshape(-1, 3),
                 normals=normals,
-                placements=placements,
+                places=places,
             )
         )
     return found

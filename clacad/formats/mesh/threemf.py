@@ -13,6 +13,8 @@ from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import IO, Any
 
@@ -20,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Part
+from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Part, put
 from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT, Piece, Places
+from clacad.formats.placements import Placements, joined
 from clacad.storage.archive import Attributes, open_archive, parse_xml
 from clacad.storage.element_runs import NUMBER, WHOLE, ElementRun
 from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
@@ -222,12 +225,12 @@ def read_threemf(path: Path) -> FileMesh:
                 model = _parsed(spent, stream)
         except (KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError) as error:
             raise UnreadableFile(f"{path.name}: damaged ({error})") from error
-    places: dict[str, list[Floats]] = {}
+    places: dict[str, list[Placements]] = {}
     budget = [MOST_PLACES]
     for number, place in model.items:
         _expand(model, number, place, places, (), budget)
-    parts = tuple(_part(model, number, np.concatenate(list(found))) for number, found in places.items())
-    facets = sum(part.facet_count * len(part.placements) for part in parts)
+    parts = tuple(_part(model, number, joined(found)) for number, found in places.items())
+    facets = sum(part.facet_count * len(part.places) for part in parts)
     if not facets:
         raise UnreadableFile(f"{path.name}: holds no triangle that is built")
     return FileMesh("3mf", parts, model.unit, model.title.strip())
@@ -377,29 +380,57 @@ _HANDLERS = {
 }  # fmt: skip
 
 
-def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Floats]], above: tuple[str, ...],
+def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Placements]], above: tuple[str, ...],
             budget: list[int]) -> None:  # fmt: skip
-    """Collect where each mesh stands. Leaf components are placed as one array, so a sheet costs one call a row."""
+    """Collect where each mesh stands. Leaf components are placed as one array, rows of such that follow one another as
+    rows: a sheet costs as much as its rows and one of them.
+    """
     if number in above or len(above) > 16:
         raise model.fail(f"object {number} contains itself, or components nest deeper than 16")
     found = model.objects.get(number)
     if found is None:
         raise model.fail(f"object {number} is used and not defined")
     if found.triangles:
-        places.setdefault(number, []).append(place[None])
+        places.setdefault(number, []).append(put(place[None]))
+    _spend(model, found, 1, budget)
     leaves: dict[str, list[Floats]] = {}
-    budget[0] -= max(500, len(found.components))  # a level of its own is dearer than a leaf
-    if budget[0] < 0:
-        raise OverBudget(f"{model.spent.name}: more than {MOST_PLACES:,} places of its parts")
-    for child, inner in found.components:
+    for child, run in groupby(found.components, key=itemgetter(0)):
         inside = model.objects.get(child)
+        standing = [inner for _, inner in run]
         if inside is not None and not inside.components:
-            leaves.setdefault(child, []).append(inner)
+            leaves.setdefault(child, []).extend(standing)
+        elif inside is not None and len(above) < 16 and not inside.triangles and _holds_leaves(model, inside):
+            _spend(model, inside, len(standing), budget)
+            rows = put(_composed(np.stack(standing), place)).outer
+            for leaf, cells in _by_object(inside).items():
+                places.setdefault(leaf, []).append(Placements(rows).within(put(np.stack(cells)).outer))
         else:
-            _expand(model, child, _composed(inner[None], place)[0], places, (*above, number), budget)
+            for inner in standing:
+                _expand(model, child, _composed(inner[None], place)[0], places, (*above, number), budget)
     for child, inner_places in leaves.items():
         if model.objects[child].triangles:
-            places.setdefault(child, []).append(_composed(np.stack(inner_places), place))
+            places.setdefault(child, []).append(put(_composed(np.stack(inner_places), place)))
+
+
+def _spend(model: _Model, found: _Object, times: int, budget: list[int]) -> None:
+    """Take an object's components, as often as it stands, out of the budget; a level of its own is dearer than a leaf."""
+    budget[0] -= max(500, len(found.components)) * times
+    if budget[0] < 0:
+        raise OverBudget(f"{model.spent.name}: more than {MOST_PLACES:,} places of its parts")
+
+
+def _holds_leaves(model: _Model, found: _Object) -> bool:
+    """Whether all that an object holds are meshes."""
+    inside = (model.objects.get(child) for child in {child for child, _ in found.components})
+    return all(one is not None and one.triangles and not one.components for one in inside)
+
+
+def _by_object(found: _Object) -> dict[str, list[Floats]]:
+    """Where components of an object stand in it, by what stands there."""
+    places: dict[str, list[Floats]] = {}
+    for child, place in found.components:
+        places.setdefault(child, []).append(place)
+    return places
 
 
 def _composed(inner: Floats, outer: Floats) -> Floats:
@@ -409,7 +440,7 @@ def _composed(inner: Floats, outer: Floats) -> Floats:
     return np.asarray(result, dtype=np.float64)
 
 
-def _part(model: _Model, number: str, placements: Floats) -> Part:
+def _part(model: _Model, number: str, places: Placements) -> Part:
     found = model.objects[number]
     vertices = np.frombuffer(found.vertices, dtype=np.float64).reshape(-1, 3)
     triangles = np.frombuffer(found.triangles, dtype=np.int64).reshape(-1, 3)
@@ -417,4 +448,4 @@ def _part(model: _Model, number: str, placements: Floats) -> Part:
         raise model.fail(f"object {number} has a vertex that is not a number")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise model.fail(f"object {number} has a triangle that uses a vertex it does not have")
-    return Part(found.name, vertices, triangles, placements=placements)
+    return Part(found.name, vertices, triangles, places=places)

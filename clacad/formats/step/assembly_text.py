@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.formats.step.placements import UNPLACED, composed, inverse, product
+from clacad.formats.placements import UNPLACED, Placements, composed, inverse, product
 
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[Ee][-+]?\d+)?")
 _PLAIN = re.compile(r"#(\d+)|(\$)")
@@ -46,14 +46,14 @@ class PlacedPart:
     shells : numbers of its shells
     unit : float
         mm per unit of its own coordinates.
-    placements : (k, 3, 4), mm
+    placements : Placements
     """
 
     name: str
     solid: bool
     shells: tuple[int, ...]
     unit: float
-    placements: Floats
+    placements: Placements
 
 
 @dataclass

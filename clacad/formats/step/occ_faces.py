@@ -8,8 +8,8 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.formats.placements import applied
 from clacad.formats.step.lens_placements import LensPoints, on_lenses
-from clacad.formats.step.placements import applied
 from clacad.formats.step.shape_parts import ShapePart, boxes_of, moved
 from clacad.sheet.window import WALL, Window
 
@@ -27,7 +27,7 @@ def engraved_in(several: list[ShapePart], window: Window) -> float:
         return 0.0
     # letters stand in borders, of which there is one; a cell that is repeated has none
     alone = [piece for piece in several if len(piece.placements) == 1]
-    faces = [moved(face, piece.placements[0]) for piece in alone for face in piece.faces]
+    faces = [moved(face, piece.placements.one(0)) for piece in alone for face in piece.faces]
     corners = boxes_of(faces) / scale
     total = 0.0
     for pocket in room:
@@ -49,7 +49,7 @@ def sampled_lenses(several: list[ShapePart], window: Window, lens_faces: int, po
         number = int(np.searchsorted(ends, at, side="right"))
         if number not in held:
             held[number] = _face_points(curved[number][1], points)
-        here = where[number][at - int(ends[number])]
+        here = where[number].one(at - int(ends[number]) + len(where[number]))
         place.append(applied(here, held[number][0]))
         outward.append(held[number][1] @ here[:, :3].T)
     lens = np.concatenate(outward)
@@ -77,7 +77,7 @@ def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:
         if len(piece.placements) > 1:
             continue
         for face in piece.faces:
-            hole = _hole(TopoDS.Face(moved(face, piece.placements[0])))
+            hole = _hole(TopoDS.Face(moved(face, piece.placements.one(0))))
             if hole is None:
                 continue
             for known in found:  # halves of one hole, and a hole through several bodies

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.formats.step.placements import applied
+from clacad.formats.placements import applied
 from clacad.formats.step.ray_paths import RayPaths, media_of
 from clacad.formats.step.text_health import Scan, patches_of
 from clacad.optics.surface import refract
@@ -72,9 +72,10 @@ def column_patches(scan: Scan, low: Floats, high: Floats) -> list[PlacedPatch]:
             where = scan.parts[part].placements
             box = np.array([flat.min(axis=0), flat.max(axis=0)])
             middle, reach = box.mean(axis=0), 0.5 * float(np.linalg.norm(np.ptp(box, axis=0)))
-            at = applied(where, middle[None])[:, 0, :2]
-            for row in np.flatnonzero(((at > low - reach) & (at < high + reach)).all(axis=1)):
-                placed = applied(where[row], flat).reshape(poles.shape)
+            near = where.at(where.near(low - reach - middle[:2], high + reach - middle[:2]))
+            at = applied(near, middle[None])[:, 0, :2]
+            for placement in near[((at > low - reach) & (at < high + reach)).all(axis=1)]:
+                placed = applied(placement, flat).reshape(poles.shape)
                 over = placed.reshape(-1, 3)[:, :2]
                 if (over.max(axis=0) < low).any() or (over.min(axis=0) > high).any():
                     continue

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clacad.base.reading_budgets import BUDGETS
-from clacad.formats.step.lens_placements import lens_facts
+from clacad.formats.step.lenses_on_cells import lens_facts
 from clacad.formats.step.occ_faces import engraved_in, holes_in, occ_lenses, sampled_lenses
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
 from clacad.formats.step.sheet_of_many import SheetPlace

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.formats.step.placements import by_turn, composed, product, unturned
+from clacad.formats.placements import UNPLACED, Placements, composed, product, unturned
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
@@ -25,14 +25,14 @@ class ShapePart:
     solid : bool
     faces : list of kernel faces
     shells : int
-    placements : (k, 3, 4), mm
+    placements : Placements
     """
 
     shape: Any
     solid: bool
     faces: list[Any]
     shells: int
-    placements: Floats
+    placements: Placements
 
 
 def pieces(shape: Any) -> list[ShapePart]:
@@ -58,10 +58,17 @@ def pieces(shape: Any) -> list[ShapePart]:
         found.append(
             ShapePart(
                 one, kind == TopAbs_SOLID, explored(one, TopAbs_FACE), len(explored(one, TopAbs_SHELL)),
-                product(top, placed[key]),
+                _under(top, placed[key]),
             )
         )  # fmt: skip
     return found
+
+
+def _under(top: Floats, placements: Placements) -> Placements:
+    """Placements of a part of a shape that is itself placed."""
+    if np.array_equal(top, UNPLACED):
+        return placements
+    return Placements(product(top, placements.all()))
 
 
 def _parts_held(shape: Any) -> tuple[dict[Any, Any], dict[Any, list[tuple[Any, Floats]]]]:
@@ -144,18 +151,11 @@ def whole_box(several: list[ShapePart]) -> list[list[float]]:
     """Lowest and highest corner of all pieces in all their placements."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for piece in several:
-        for turn, moves in turns(piece.placements):
+        for turn, least, most in piece.placements.ends():
             corners = np.array(box(moved(piece.shape, turn)))
-            low = np.minimum(low, corners[0] + moves.min(axis=0))
-            high = np.maximum(high, corners[1] + moves.max(axis=0))
+            low = np.minimum(low, corners[0] + least)
+            high = np.maximum(high, corners[1] + most)
     return [low.tolist(), high.tolist()]
-
-
-def turns(placements: Floats) -> Iterator[tuple[Floats, Floats]]:
-    """Every turn among placements (k, 3, 4), as a placement without a move, with the moves (m, 3) of all that have it."""
-    for rows in by_turn(placements):
-        turn = np.concatenate([placements[rows[0], :, :3], np.zeros((3, 1))], axis=1)
-        yield turn, placements[rows, :, 3]
 
 
 def boxes_of(faces: list[Any]) -> Floats:
@@ -166,8 +166,8 @@ def boxes_of(faces: list[Any]) -> Floats:
 def reaching(piece: ShapePart, boxes: Floats, low: Floats, high: Floats) -> Iterator[Any]:
     """Faces of a piece, placed, whose boxes reach into the column low … high (2,) of x and y."""
     whole = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-    for row in np.flatnonzero(_reach(whole[None], piece.placements, low, high)):
-        placement = piece.placements[row]
+    near = piece.placements.at(piece.placements.near(low - whole[1, :2], high - whole[0, :2]))
+    for placement in near[_reach(whole[None], near, low, high)]:
         for number in np.flatnonzero(_reach(boxes, placement[None], low, high)):
             yield placement, piece.faces[number]
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.formats.placements import Placements, applied, turns
 from clacad.formats.step.lens_placements import LensPoints
-from clacad.formats.step.placements import applied
-from clacad.formats.step.shape_parts import ShapePart, box, moved, turns
+from clacad.formats.step.shape_parts import ShapePart, box, moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,26 +45,46 @@ class SheetPlace:
         """The pieces of a file that are the sheet's, each in those of its placements that are."""
         found = []
         for piece in several:
-            kept = [np.empty((0, 3, 4))]
-            for turn, moves in turns(piece.placements):
-                corners = np.array(box(moved(piece.shape, turn)))
-                inside = self.holds(corners[:, 2].mean() + moves[:, 2])
-                placed = np.repeat(turn[None], int(inside.sum()), axis=0)
-                placed[:, :, 3] = moves[inside]
-                kept.append(placed)
-            placements = np.concatenate(kept)
-            if len(placements):
-                found.append(replace(piece, placements=self.own(placements)))
+            own = self._of_piece(piece)
+            if len(own):
+                found.append(replace(piece, placements=own))
         return found
 
-    def of_parts(self, lenses: LensPoints, parts: Sequence[Floats]) -> list[Floats]:
-        """Of the placements (k, 3, 4) of each part those that are the sheet's, told by the part's lenses."""
+    def _of_piece(self, piece: ShapePart) -> Placements:
+        """Those placements of a piece that are the sheet's, in its frame."""
+        placements = piece.placements
+        if _rows_level(placements):
+            return self._of_rows(placements, float(np.array(box(piece.shape))[:, 2].mean()))
+        kept = [np.empty((0, 3, 4))]
+        for turn, moves in turns(placements.all()):
+            corners = np.array(box(moved(piece.shape, turn)))
+            inside = self.holds(corners[:, 2].mean() + moves[:, 2])
+            placed = np.repeat(turn[None], int(inside.sum()), axis=0)
+            placed[:, :, 3] = moves[inside]
+            kept.append(placed)
+        return Placements(self.own(np.concatenate(kept)))
+
+    def of_parts(self, lenses: LensPoints, parts: Sequence[Placements]) -> list[Placements]:
+        """Of the placements of each part those that are the sheet's, told by the part's lenses."""
         found = []
         for number, placements in enumerate(parts):
             place = lenses.of_part(number).place
             if not len(place):
-                found.append(np.empty((0, 3, 4)))
-                continue
-            middle = applied(placements, place.mean(axis=0)[None, None])[:, 0, 2]
-            found.append(self.own(placements[self.holds(middle)]))
+                found.append(Placements(np.empty((0, 3, 4))))
+            elif _rows_level(placements):
+                found.append(self._of_rows(placements, float(place.mean(axis=0)[2])))
+            else:
+                every = placements.all()
+                middle = applied(every, place.mean(axis=0)[None, None])[:, 0, 2]
+                found.append(Placements(self.own(every[self.holds(middle)])))
         return found
+
+    def _of_rows(self, placements: Placements, middle: float) -> Placements:
+        """Those of a part in rows that are the sheet's, its middle at that height (mm) in its own frame."""
+        inside = self.holds(middle + placements.outer[:, 2, 3])
+        return replace(placements, outer=self.own(placements.outer[inside]))
+
+
+def _rows_level(placements: Placements) -> bool:
+    """Whether parts only move, those of one row not in height."""
+    return placements.unturned and not placements.inner[:, 2, 3].any()

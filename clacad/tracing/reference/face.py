@@ -147,6 +147,14 @@ def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
     return np.asarray((np.abs(x) <= half_x) & (np.abs(y) <= half_y))
 
 
+def well_inside(body: BodyPlan, xy: Floats) -> Bools:
+    """Which sheet points (m, 2) are certainly over the body: what lies between two of them is the body too."""
+    x, y = (xy - np.asarray(body.centre)).T
+    half_x, half_y, radius = body.inner
+    inside = (np.abs(x) < half_x) & (np.abs(y) < half_y)
+    return np.asarray(inside & (x * x + y * y < radius * radius) & (radius > 0.0))
+
+
 def lens_roots(
     face: FacePlan, local: Floats, z: Floats, direction: Floats, places: LensPlaces
 ) -> tuple[Floats, Floats]:

@@ -15,6 +15,7 @@ from clacad.exporting.compare_instances import levels as levels
 from clacad.exporting.compare_instances import owner as owner
 from clacad.mesh.saddle_bevel import in_corners
 from clacad.sheet.bundle import central_cell
+from clacad.sheet.lattice import Lattice
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import distance_in_cell
 from clacad.sheet.window import WALL, Face, Window, lens_height
@@ -49,7 +50,7 @@ def chosen_cells(window: Window) -> tuple[Cell, ...]:
     """
     lattice = window.lattice
     middle = central_cell(window)
-    cells = lattice.cells() if lattice.cell_count <= 4_000_000 else lattice.row(middle[1])
+    cells = _outermost(lattice, middle[1])
     centres = lattice.centres(cells)
     towards = [(x, y) for x in (-1, 1) for y in (-1, 1)] + [(1, 0), (-1, 0), (0, 1), (0, -1)]
     picked = [middle]
@@ -59,9 +60,25 @@ def chosen_cells(window: Window) -> tuple[Cell, ...]:
         aside = np.abs(centres @ np.array([-y, x], dtype=np.float64))
         best = cells[int(np.lexsort((aside, -np.round(reach / lattice.circumradius, 6)))[0])]
         picked.append((int(best[0]), int(best[1])))
-    for row in np.random.default_rng(0).integers(0, len(cells), RANDOM_CELLS):
-        picked.append((int(cells[row, 0]), int(cells[row, 1])))
+    whole = lattice.outline is None
+    for number in np.random.default_rng(0).integers(
+        0, lattice.cell_count if whole else len(cells), RANDOM_CELLS
+    ):
+        j, i = divmod(int(number), lattice.count[0])
+        one = lattice.row(j)[i] if whole else cells[number]
+        picked.append((int(one[0]), int(one[1])))
     return tuple(dict.fromkeys(picked))
+
+
+def _outermost(lattice: Lattice, middle: int) -> Ints:
+    """Cells (n, 2), row by row, among which are those farthest out along any axis or diagonal: the first and last row, and
+    the ends of the others. All where an outline cuts the sheet, or of a very large one the middle row.
+    """
+    if lattice.outline is not None:
+        return lattice.cells() if lattice.cell_count <= 4_000_000 else lattice.row(middle)
+    last = lattice.count[1] - 1
+    rows = [lattice.row(j) if j in (0, last) else lattice.row(j)[[0, -1]] for j in range(last + 1)]
+    return np.concatenate(rows)
 
 
 @dataclass

@@ -39,7 +39,7 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
     shells : int or None
         Closed surfaces with every instance counted; None where they were not counted.
     """
-    objects, places = len(mesh.parts), sum(len(part.placements) for part in mesh.parts)
+    objects, places = len(mesh.parts), sum(len(part.places) for part in mesh.parts)
     if places > objects:
         words = f"{places:,} instances of {objects} object{'s' * (objects != 1)}"
     else:
@@ -140,7 +140,7 @@ def pieces_check(
         pieces, holes = sum(count[0] for count in counts), sum(count[1] for count in counts)
         sentence = f"{pieces} connected pieces with {holes:g} holes; {wanted} pieces are expected"
     else:
-        pieces = counted.pieces if counted else sum(connected(p) * len(p.placements) for p in mesh.parts)
+        pieces = counted.pieces if counted else sum(connected(p) * len(p.places) for p in mesh.parts)
         sentence = f"{pieces} connected pieces; {wanted} pieces are expected"
     state: State = "pass" if pieces in expected else "fail"
     return [Check("pieces", state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
@@ -153,7 +153,7 @@ def _counted(part: Part) -> tuple[int, float]:
     edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
     count = len(np.unique(edges[:, 0] * np.int64(len(vertices)) + edges[:, 1]))
     euler = len(vertices) - count + len(facets)
-    times = len(part.placements)
+    times = len(part.places)
     return pieces * times, (pieces - euler / 2) * times
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.exporting.compare_instances import MOST_KINDS, PartPlaces, Standing
+from clacad.exporting.compare_instances import MOST_KINDS, PartPlaces, RowPlaces, Standing
 from clacad.formats.mesh.file_mesh import Part, kinds
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gatherer
@@ -38,23 +38,37 @@ def placement_check(design: Design, found: Standing, name: str) -> Check:
     )  # fmt: skip
 
 
-def look_at_places(gatherer: Gatherer, places: PartPlaces, factor: float, limit: float) -> None:
+def look_at_places(gatherer: Gatherer, places: PartPlaces | RowPlaces, factor: float, limit: float) -> None:
     """Gather the facets of a repeated object over the chosen cells, and hold it against the design where it is worst.
 
     Parameters
     ----------
     gatherer : Gatherer
-    places : PartPlaces
+    places : PartPlaces or RowPlaces
     factor : float
         Design units per file unit.
     limit : float, design units
         Displacement from the lattice up to which a place is a copy of another.
     """
+    if isinstance(places, RowPlaces):
+        for part in places.parts:
+            _look_at_rows(gatherer, part, places, factor)
+        return
     for part in places.parts:
         for number, (_, rows) in enumerate(kinds(part)):
             if number == MOST_KINDS:
                 break
             _look_at_kind(gatherer, part, places, rows, factor, limit)
+
+
+def _look_at_rows(gatherer: Gatherer, part: Part, places: RowPlaces, factor: float) -> None:
+    """The same for a part in rows: all its places are copies of the one over the first chosen cell."""
+    over = [places.over(cell) for cell in gatherer.result.cells]
+    spots = part.placed_at(np.array(over, dtype=np.int64))
+    for corners, normals in part.pairs_at(spots[0]):
+        gatherer.look(corners * factor, normals, places.count)
+    for number in sorted(range(1, len(over)), key=over.__getitem__):
+        _repeat(gatherer, 0, number, (spots[number, 3] - spots[0, 3]) * factor)
 
 
 def _look_at_kind(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.formats.mesh.file_mesh import FileMesh, Part
+from clacad.formats.mesh.file_mesh import FileMesh, Part, put
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window, lens_height
 from clacad.verification.checks import Check, State
@@ -314,7 +314,7 @@ def moved(mesh: FileMesh, pose: PartPose) -> FileMesh:
         places = np.concatenate(
             [part.placements[:, :3] @ linear, (part.placements[:, 3:] @ linear) + pose.move], axis=1
         )
-        parts.append(Part(part.name, part.vertices, part.triangles, part.soup, None, places))
+        parts.append(Part(part.name, part.vertices, part.triangles, part.soup, None, put(places)))
     return FileMesh(mesh.format, tuple(parts), None, mesh.name)
 
 

@@ -1,0 +1,265 @@
+"""Where the parts of an assembly stand: placements composed level by level, arrays of them at a time.
+
+A placement is the upper three rows of a homogeneous matrix, (3, 4): x ↦ A x + b. Rows of a sheet and the cells of a row
+are kept apart as the file has them: a sheet of a million cells is two thousand placements, and is written out only where
+somebody must see each of its cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from clacad.base.types import Floats, Ints
+from clacad.sheet.lattice import Lattice
+from clacad.storage.errors import UnreadableFile
+
+Node = TypeVar("Node", bound=Hashable)
+
+MOST = 8_000_000
+"""Instances of one part that are written out; a file that claims more, and is no sheet of rows, is refused."""
+
+UNPLACED = np.eye(3, 4)
+ALONE = UNPLACED[None]
+
+NEGLIGIBLE = 1e-12
+"""Relative to the lengths that are added: more than what is lost when they are rounded."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placements:
+    """Where one part stands: each of the inner placements within each of the outer ones, as cells of a row in rows.
+
+    Number k of them is `inner[k % n]`, then `outer[k // n]`. Those of no such order are all outer ones.
+
+    Parameters
+    ----------
+    outer : (m, 3, 4)
+    inner : (n, 3, 4)
+    """
+
+    outer: Floats
+    inner: Floats = field(default_factory=lambda: ALONE)
+
+    def __len__(self) -> int:
+        return len(self.outer) * len(self.inner)
+
+    @cached_property
+    def unturned(self) -> bool:
+        """Whether all of them only move, exactly."""
+        return unturned(self.outer) and unturned(self.inner)
+
+    @property
+    def in_rows(self) -> bool:
+        """Whether they are rows and cells in them, none turned."""
+        return len(self.inner) > 1 and len(self.outer) > 1 and self.unturned
+
+    def at(self, numbers: Ints) -> Floats:
+        """Some of them, (k, 3, 4).
+
+        Raises
+        ------
+        UnreadableFile
+            More than `MOST` of them.
+        """
+        if self.inner is ALONE:
+            return self.outer[numbers]
+        _few(len(numbers))
+        row, column = np.divmod(numbers, len(self.inner))
+        return product(self.outer[row], self.inner[column])
+
+    def one(self, number: int) -> Floats:
+        """One of them, (3, 4)."""
+        row, column = divmod(number, len(self.inner))
+        return self.outer[row] if self.inner is ALONE else product(self.outer[row], self.inner[column])
+
+    def all(self) -> Floats:
+        """Every one of them, (m n, 3, 4).
+
+        Raises
+        ------
+        UnreadableFile
+            More than `MOST` of them.
+        """
+        if self.inner is ALONE:
+            return self.outer
+        _few(len(self))
+        return product(self.outer[:, None], self.inner[None]).reshape(-1, 3, 4)
+
+    def within(self, own: Floats) -> Placements:
+        """The placements of something that has the placements `own` (e, 3, 4) in this part.
+
+        Raises
+        ------
+        UnreadableFile
+            More than `MOST` must be written out.
+        """
+        if len(self) == 1:
+            return Placements(product(self.outer, own))
+        if len(own) == 1:
+            return self if np.array_equal(own[0], UNPLACED) else Placements(product(self.all(), own))
+        return Placements(self.all(), own)
+
+    def ends(self) -> Iterator[tuple[Floats, Floats, Floats]]:
+        """Every turn among them, as a placement without a move, with the least and greatest moves (3,) of all that have it."""
+        if self.unturned and len(
+            self
+        ):  # a rounded sum of greater numbers is no smaller: sums of ends are the ends
+            across, along = self.outer[..., 3], self.inner[..., 3]
+            yield UNPLACED, across.min(axis=0) + along.min(axis=0), across.max(axis=0) + along.max(axis=0)
+            return
+        for turn, moves in turns(self.all()):
+            yield turn, moves.min(axis=0), moves.max(axis=0)
+
+    def near(self, low: Floats, high: Floats) -> Ints:
+        """Numbers, ascending, of all whose moves lie between low and high (2,) of x and y, and of others besides."""
+        if not self.unturned or not len(self):
+            return np.arange(len(self))
+        across, along = self.outer[:, :2, 3], self.inner[:, :2, 3]
+        sizes = [
+            np.abs(lengths[np.isfinite(lengths)]).max(initial=0.0) for lengths in (across, along, low, high)
+        ]
+        room = NEGLIGIBLE * sum(sizes)
+        rows = _between(across, low - along.max(axis=0) - room, high - along.min(axis=0) + room)
+        columns = _between(along, low - across.max(axis=0) - room, high - across.min(axis=0) + room)
+        _few(len(rows) * len(columns))
+        return np.asarray((rows[:, None] * len(self.inner) + columns).ravel())
+
+
+def _between(values: Floats, low: Floats, high: Floats) -> Ints:
+    """Rows of values (k, 2) between low and high (2,)."""
+    return np.flatnonzero(((values >= low) & (values <= high)).all(axis=1))
+
+
+def fill(lattice: Lattice, first: Ints, steps: Ints) -> bool:
+    """Whether rows of cells fill a lattice, each cell once; False, too, where an outline cuts it or rows run up and down.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    first : (m, 2)
+        A cell of each row.
+    steps : (n, 2)
+        From there to the cells of the row.
+    """
+    if lattice.outline is not None or (len(steps), len(first)) != lattice.count or steps[:, 1].any():
+        return False
+    columns, rows = np.sort(steps[:, 0]), np.sort(first[:, 1])
+    if (np.diff(columns) != 1).any() or (np.diff(rows) != 1).any():
+        return False
+    return all(bool(lattice.contains(first + [columns[end], 0]).all()) for end in (0, -1))
+
+
+def turns(placements: Floats) -> Iterator[tuple[Floats, Floats]]:
+    """Every turn among placements (k, 3, 4), as a placement without a move, with the moves (m, 3) of all that have it."""
+    for rows in by_turn(placements):
+        turn = np.concatenate([placements[rows[0], :, :3], np.zeros((3, 1))], axis=1)
+        yield turn, placements[rows, :, 3]
+
+
+def product(outer: Floats, inner: Floats) -> Floats:
+    """Apply placements (…, 3, 4) `inner` first, then `outer`; their leading shapes are broadcast."""
+    if unturned(outer) and unturned(inner):  # moves alone: the same numbers, of a million cells in no time
+        shape = np.broadcast_shapes(outer.shape, inner.shape)
+        found = np.empty(shape)
+        found[..., :3] = UNPLACED[:, :3]
+        np.add(inner[..., 3], outer[..., 3], out=found[..., 3])
+        return found
+    linear = outer[..., :, :3] @ inner[..., :, :3]
+    move = (outer[..., :, :3] @ inner[..., :, 3:]) + outer[..., :, 3:]
+    return np.concatenate([linear, move], axis=-1)
+
+
+def unturned(placements: Floats) -> bool:
+    """Whether placements (…, 3, 4) only move, exactly."""
+    return bool((placements[..., :3] == UNPLACED[:, :3]).all())
+
+
+def by_turn(placements: Floats) -> list[Ints]:
+    """Rows of placements (k, 3, 4) grouped by how they turn, to twelve places."""
+    linear = placements[:, :, :3].reshape(-1, 9)
+    if not len(linear) or (linear == linear[0]).all():
+        return [np.arange(len(linear))] if len(linear) else []
+    which = np.unique(linear.round(12), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(which, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
+
+
+def inverse(placement: Floats) -> Floats:
+    """Inverse of placements (…, 3, 4)."""
+    linear = np.linalg.inv(placement[..., :, :3])
+    return np.concatenate([linear, -linear @ placement[..., :, 3:]], axis=-1)
+
+
+def applied(placement: Floats, points: Floats) -> Floats:
+    """Points (…, n, 3) after placements (…, 3, 4)."""
+    if unturned(placement):
+        return np.asarray(points + placement[..., None, :, 3])
+    turned = points @ np.swapaxes(placement[..., :, :3], -1, -2)
+    return np.asarray(turned + placement[..., None, :, 3])
+
+
+def composed(
+    held: Mapping[Node, Sequence[tuple[Node, Floats]]], nodes: Iterable[Node]
+) -> dict[Node, Placements]:
+    """Placements of every node of an assembly in the frame of its roots.
+
+    Parameters
+    ----------
+    held : mapping
+        What a node holds: (child, its placements (e, 3, 4) in the node's frame).
+    nodes : iterable
+        All nodes; those that nobody holds are roots and stand unplaced.
+
+    Returns
+    -------
+    dict of Placements
+        As many as the node stands in the whole.
+
+    Raises
+    ------
+    UnreadableFile
+        A part holds itself, or stands more than `MOST` times and not as cells stand in rows.
+    """
+    everyone = list(dict.fromkeys(nodes))
+    waiting = dict.fromkeys(everyone, 0)
+    for node in everyone:
+        for child, _ in held.get(node, ()):
+            waiting[child] += 1
+    ready = [node for node in everyone if waiting[node] == 0]
+    placed: dict[Node, list[Placements]] = {node: [Placements(ALONE)] for node in ready}
+    found: dict[Node, Placements] = {}
+    while ready:
+        node = ready.pop()
+        found[node] = here = joined(placed.pop(node))
+        for child, own in held.get(node, ()):
+            placed.setdefault(child, []).append(here.within(own))
+            waiting[child] -= 1
+            if waiting[child] == 0:
+                ready.append(child)
+    if len(found) < len(everyone):
+        raise UnreadableFile("a part of its assembly holds itself")
+    return found
+
+
+def joined(several: Sequence[Placements]) -> Placements:
+    """Placements one after another.
+
+    Raises
+    ------
+    UnreadableFile
+        More than `MOST` must be written out.
+    """
+    if len(several) == 1:
+        return several[0]
+    _few(sum(len(one) for one in several))
+    return Placements(np.concatenate([one.all() for one in several]))
+
+
+def _few(count: int) -> None:
+    if count > MOST:
+        raise UnreadableFile(f"a part of its assembly stands more than {MOST} times")

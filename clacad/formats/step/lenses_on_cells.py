@@ -1,0 +1,321 @@
+"""Whether every cell of the design holds each of its lenses once, and how far the lenses of a file stand from their cells.
+
+A part in rows is compared as rows: where its copies fill the lattice, each cell once, that is told by one of its rows and one
+copy of every row. Copies that do not are looked at one by one. Lengths in mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.types import Floats, Ints
+from clacad.base.units import millimetres
+from clacad.formats.placements import Placements, applied, by_turn, fill, inverse, product
+from clacad.formats.step.lens_placements import LensPoints, Measured, measured
+from clacad.sheet.window import Window
+
+SAMPLE = 20_000
+"""Patches, in their placements, whose points are held against the design; the place of every instance is checked."""
+
+NEAR = 1e-5
+"""Pitches within which a lens stands on its cell as far as telling where the whole part lies goes."""
+
+MOVED = 1e-7
+"""Pitches from its cell beyond which a lens is said to stand off the lattice."""
+
+LOST = 128.0 * 2.0**-52
+"""Relative to the farthest coordinates: more than what roundings can make of five places, each of them some eight."""
+
+Cell = tuple[int, int]
+
+
+def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) -> dict[str, Any]:
+    """Hold every lens of a file against the design, in all placements of its part.
+
+    Parameters
+    ----------
+    window : Window
+    lenses : LensPoints
+    parts : sequence of Placements
+        Of every part.
+
+    Returns
+    -------
+    dict
+        patches, patch_error (mm), patch_slope_error (rad); placement: instances, lattice_error (mm, largest distance of
+        an instance of a repeated part from its cell; of copies in rows those of the worst row and of the worst in a row
+        together, which no copy exceeds but by rounding), lattice_cell, lattice_body (where), moved (instances farther than
+        1e-7 of the pitch), missing and doubled ((cell, body) without a lens, and with several), missing_cell, doubled_cell,
+        standing (share of the lenses asked for that stand right to 1e-5 of the pitch).
+
+    Raises
+    ------
+    UnreadableFile
+        More copies than are looked at one by one do not fill the lattice.
+    """
+    board = _Board(window)
+    patches, error, slope = 0, 0.0, 0.0
+    for number, placements in enumerate(parts):
+        mine = lenses.of_part(number)
+        if not len(mine.part) or not len(placements):
+            continue
+        chosen = _sampled(placements, len(mine.part))
+        seen = measured(window, mine, placements.at(chosen))
+        real = np.asarray((seen.face >= 0).any(axis=0), dtype=np.bool_)
+        if not real.any():
+            continue
+        patches += int(real.sum())
+        error = max(error, float(seen.error[:, real].max()))
+        slope = max(slope, float(seen.slope[:, real].max()))
+        board.take(seen, placements, chosen, real)
+    if not patches:
+        return {"patches": 0, "patch_error": None, "patch_slope_error": None, "placement": None}
+    return {"patches": patches, "patch_error": error, "patch_slope_error": slope, "placement": board.facts()}
+
+
+def _sampled(placements: Placements, patches: int) -> Ints:
+    """Which placements are held against the design point by point: all, or some and one of every turn."""
+    many = max(1, SAMPLE // patches)
+    if len(placements) <= many:
+        return np.arange(len(placements))
+    turns = [0] if placements.unturned else [int(rows[0]) for rows in by_turn(placements.all())]
+    even = np.linspace(0, len(placements) - 1, many).astype(np.int64)
+    return np.unique(np.concatenate([even, turns[:many]]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Copies:
+    """One lens of a part in all the places that a part has.
+
+    placements : Placements
+    number : int
+        The place at which its cell was found.
+    array : int
+        Whose grid it stands on.
+    cell : (i, j)
+    """
+
+    window: Window
+    placements: Placements
+    number: int
+    array: int
+    cell: Cell
+
+    def off(self, placements: Floats) -> tuple[Ints, Floats]:
+        """Cells (k, 2) that the lens stands on in placements (k, 3, 4), and from where it then should (k, 3), mm."""
+        window, scale = self.window, millimetres(self.window.unit)
+        moves = product(placements, inverse(self.placements.one(self.number)))
+        at = np.append(window.centres(self.array, np.array(self.cell)), 0.0) * scale
+        place = applied(moves, at[None])[:, 0] / scale
+        index, x, y = window.locate(self.array, place[:, 0], place[:, 1])
+        return index, np.stack([x, y, place[:, 2]], axis=-1)
+
+    @cached_property
+    def each(self) -> tuple[Ints, Floats]:
+        """Cells (k, 2) that all of them stand on, and how far from their centres (k,), mm.
+
+        Raises
+        ------
+        UnreadableFile
+            They are too many.
+        """
+        index, off = self.off(self.placements.all())
+        return index, _lengths(off) * millimetres(self.window.unit)
+
+    @cached_property
+    def filling(self) -> tuple[float, Cell] | None:
+        """Where they fill the lattice, each cell once and within `MOVED`: how far off they are at most, mm, and the cell
+        farthest off; None where that cannot be told by rows.
+
+        What a copy is off is what its row is off and what its place in a row is off, added.
+        """
+        lattice, outer, inner = self.window.lattice, self.placements.outer, self.placements.inner
+        if not self.placements.in_rows or (len(inner), len(outer)) != lattice.count:
+            return None
+        row, column = divmod(self.number, len(inner))
+        down, down_off = self.off(self.placements.at(np.arange(len(outer)) * len(inner) + column))
+        along, along_off = self.off(self.placements.at(row * len(inner) + np.arange(len(inner))))
+        if not fill(lattice, down, along - np.array(self.cell)):
+            return None
+        scale = millimetres(self.window.unit)
+        away = _lengths(down_off) * scale, _lengths(along_off - along_off[column]) * scale
+        worst = float(away[0].max() + away[1].max())
+        reach = sum(float(np.abs(moves[..., 3]).max()) for moves in (outer, inner))
+        reach += max(map(abs, self._extent())) * scale
+        if not worst + LOST * reach <= MOVED * min(lattice.pitch) * scale:
+            return None
+        i, j = down[int(np.argmax(away[0]))] + along[int(np.argmax(away[1]))] - np.array(self.cell)
+        return worst, (int(i), int(j))
+
+    def _extent(self) -> tuple[float, ...]:
+        return self.window.placements[self.array].extent(self.window.lattice)
+
+
+def _lengths(off: Floats) -> Floats:
+    x, y, z = off.T
+    return np.asarray(np.sqrt(x * x + y * y + z**2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """What the cells of the lattice hold of one lens: (cells,) each.
+
+    times : how often
+    repeated : whether by a part that stands several times
+    right : whether one stands within `NEAR`
+    """
+
+    times: Ints
+    repeated: NDArray[np.bool_]
+    right: NDArray[np.bool_]
+
+
+class _Board:
+    """Which cell holds which lens how often, and how far from it the farthest instance stands."""
+
+    def __init__(self, window: Window) -> None:
+        self._window = window
+        self._scale = millimetres(window.unit)
+        self._near = NEAR * min(window.lattice.pitch) * self._scale
+        self._filled: dict[
+            int, list[bool]
+        ] = {}  # by face: for every part that fills the lattice, whether right
+        self._held: dict[int, _Held] = {}
+        self._instances, self._moved, self._worst = 0, 0, (0.0, -1, (0, 0))
+
+    @cached_property
+    def _cells(self) -> Ints:
+        return self._window.lattice.cells()
+
+    @cached_property
+    def _low(self) -> Ints:
+        return np.asarray(self._cells.min(axis=0))
+
+    @cached_property
+    def _table(self) -> Ints:
+        """Number of the cell at every index from the lowest on, −1 for none."""
+        table = np.full(tuple(np.ptp(self._cells, axis=0) + 1), -1, dtype=np.int64)
+        table[tuple((self._cells - self._low).T)] = np.arange(len(self._cells))
+        return table
+
+    def take(self, seen: Measured, placements: Placements, chosen: Ints, real: NDArray[np.bool_]) -> None:
+        """Count the lenses of one part in all its placements."""
+        judged = np.where(real, seen.error, 0.0)
+        best = int(np.argmin(judged.max(axis=1)))
+        lenses: dict[tuple[int, int, int], float] = {}
+        for patch in np.flatnonzero(real & (seen.face[best] >= 0)):
+            i, j = seen.cell[best, patch].tolist()
+            key = (int(seen.face[best, patch]), i, j)
+            lenses[key] = max(lenses.get(key, 0.0), float(seen.error[best, patch]))
+        if len(placements) == 1:
+            for (face, *cell), error in lenses.items():
+                self._count(face, np.array([cell]), np.array([error]), repeated=False)
+            return
+        self._instances += len(placements)
+        stand: dict[tuple[int, int, int], _Copies] = {}
+        for (face, i, j), error in lenses.items():
+            array = self._window.faces[face].array
+            assert array is not None
+            found = _Copies(self._window, placements, int(chosen[best]), array, (i, j))
+            copies = stand.setdefault((array, i, j), found)  # both faces of a lens stand alike
+            if copies.filling is not None:
+                self._filled.setdefault(face, []).append(error <= self._near)
+                self._farthest(face, *copies.filling)
+            else:
+                self._instanced(face, error, *copies.each)
+
+    def _instanced(self, face: int, error: float, index: Ints, away: Floats) -> None:
+        """One lens of a part, moved from where it fits best to all its places, cells (k, 2), `away` (k,) mm from them."""
+        self._count(face, index, np.maximum(away, error), repeated=True)
+        self._moved += int((away > MOVED * min(self._window.lattice.pitch) * self._scale).sum())
+        worst = int(np.argmax(away))
+        self._farthest(face, float(away[worst]), (int(index[worst, 0]), int(index[worst, 1])))
+
+    def _farthest(self, face: int, away: float, cell: Cell) -> None:
+        if away > self._worst[0]:
+            self._worst = (away, face, cell)
+
+    def _count(self, face: int, cells: Ints, away: Floats, repeated: bool) -> None:
+        at = cells - self._low
+        inside = ((at >= 0) & (at < self._table.shape)).all(axis=1)
+        number = self._table[tuple(at[inside].T)]
+        kept = number >= 0
+        number, away = number[kept], away[inside][kept]
+        if face not in self._held:
+            self._held[face] = self._nothing()
+        held = self._held[face]
+        np.add.at(held.times, number, 1)
+        held.repeated[number] |= repeated
+        held.right[number[away <= self._near]] = True
+
+    def _nothing(self) -> _Held:
+        many = len(self._cells)
+        return _Held(
+            np.zeros(many, dtype=np.int64), np.zeros(many, dtype=np.bool_), np.zeros(many, dtype=np.bool_)
+        )
+
+    def _whole(self, face: int) -> _Held | None:
+        """What all cells hold of a lens; None where a part fills the lattice with it and nothing else does."""
+        filled, held = self._filled.get(face, []), self._held.get(face)
+        if held is None and len(filled) == 1:
+            return None
+        one = self._nothing() if held is None else held
+        return _Held(one.times + len(filled), one.repeated | bool(filled), one.right | any(filled))
+
+    def facts(self) -> dict[str, Any]:
+        """What is said of the placement."""
+        window, cells = self._window, self._window.lattice.cell_count
+        names = [body.name for body in window.bodies for _ in range(2)]
+        lens = [number for number, face in enumerate(window.faces) if face.array is not None]
+        counted = {
+            face
+            for face in lens
+            if face in self._filled or (face in self._held and self._held[face].times.any())
+        }
+        held = {names[face] for face in counted}
+        asked = [face for face in lens if names[face] in held]
+        right = dict.fromkeys(lens, 0)
+        missing, doubled = _Places(), _Places()
+        for face in asked:
+            whole = self._whole(face)
+            if whole is None:
+                right[face] = cells * self._filled[face][0]
+                continue
+            right[face] = int(whole.right.sum())
+            missing = missing.with_those(names[face], whole.times == 0, self._cells)
+            doubled = doubled.with_those(names[face], (whole.times > 1) & whole.repeated, self._cells)
+        worst, face, cell = self._worst
+        return {
+            "instances": self._instances, "lattice_error": worst, "lattice_cell": list(cell),
+            "lattice_body": names[face] if face >= 0 else "", "moved": self._moved,
+            "missing": missing.count, "doubled": doubled.count, "lenses": len(asked) * cells,
+            "missing_cell": missing.first, "doubled_cell": doubled.first,
+            "bodies": [body.name for body in window.bodies if body.name in held],
+            "standing": _share(sum(right.values()), len(lens) * cells),
+            "standing_held": _share(sum(right[face] for face in asked), len(asked) * cells),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Places:
+    """How many (cell, lens) there are of a kind, and the first: the body's name and the cell."""
+
+    count: int = 0
+    first: list[Any] | None = None
+
+    def with_those(self, body: str, where: NDArray[np.bool_], cells: Ints) -> _Places:
+        """These, and those of the cells for which `where` (cells,) holds."""
+        found = np.flatnonzero(where)
+        if not len(found):
+            return self
+        return _Places(self.count + len(found), self.first or [body, *map(int, cells[found[0]])])
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else 0.0
