@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.sheet.lattice import less_steps
 from clacad.sheet.plate_edges import next_crossing
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
 from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 
@@ -247,8 +247,8 @@ def _divisions(layout: Layout, body: BodyPlan, piece: Piece) -> tuple[Floats, Ki
             times.append((face.vertex[2] - piece.z) / piece.direction[:, 2])
             causes.append(lens)
         else:
-            apex = apexes(layout, face, piece.cells[face.array])
-            times += lens_roots(face, piece.starts[face.array], piece.z, piece.direction, apex)
+            places = lenses(layout, face, piece.cells[face.array])
+            times += lens_roots(face, piece.starts[face.array], piece.z, piece.direction, places)
             causes += [lens, lens]
         if not np.isnan(face.land):
             times.append((face.land - piece.z) / piece.direction[:, 2])
@@ -313,8 +313,8 @@ def _lens_over(
     if face.array is None:
         return np.full(len(next(iter(points.values()))), face.vertex[2])
     local = points[face.array]
-    apex = apexes(layout, face, cells[face.array])
-    lens = np.where(kept[face.array], height(face, local, apex), np.nan)
+    places = lenses(layout, face, cells[face.array])
+    lens = np.where(kept[face.array], height(face, local, places), np.nan)
     if layout.margin > 0.0:
         lens = np.where(in_zone(layout, local, layout.margin, face.array), lens, np.nan)
     return lens

@@ -9,6 +9,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface import refract
+from clacad.sheet.cell_places import LensPlaces
 from clacad.tracing.layout import FacePlan
 from clacad.tracing.reference.face import Hit, cross
 from clacad.tracing.triangles.tiles import (
@@ -30,14 +31,14 @@ TRIES = 8
 
 
 def meet_face(
-    face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float, apex: Floats | None
+    face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float, places: LensPlaces
 ) -> Hit:
     """Meet a face from its −z side and refract: its lens, see `face.cross`, or its facets.
 
     Of facets rays must be steeper than all of them: then the first one found is the only one.
     """
     if not isinstance(face, TiledFace):
-        return cross(face, local, z, direction, n1, n2, apex)
+        return cross(face, local, z, direction, n1, n2, places)
     if face.array is None:
         distance = (face.low - z) / direction[:, 2]
         normal = np.broadcast_to(np.array([0.0, 0.0, 1.0]), direction.shape)

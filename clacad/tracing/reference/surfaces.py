@@ -16,7 +16,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import Fate
 from clacad.optics.surface import ULP
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes, sheet_position
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.face import height, in_zone, well_inside
@@ -140,12 +140,12 @@ def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Throug
     good &= ok & _steeper(beam.direction, max(front.slope, back.slope))
     by_heights = not (body.covered or isinstance(front, TiledFace))  # a facet is there only where it is met
     if by_heights:
-        good &= height(back, beam.local, apexes(layout, back, beam.cell)) >= beam.z
+        good &= height(back, beam.local, lenses(layout, back, beam.cell)) >= beam.z
     seen = [beam]
     beam, second, ok = _through(layout, back, beam, index, 1.0)
     good &= ok & _steeper(beam.direction, back.slope)
     if by_heights:
-        good &= height(front, beam.local, apexes(layout, front, beam.cell)) <= beam.z
+        good &= height(front, beam.local, lenses(layout, front, beam.cell)) <= beam.z
     good &= in_zone(layout, _at(beam, body.high), 0.0, beam.array)
     seen.append(beam)
     return beam, (first, second), good, [beam.cell, beam.cell], seen
@@ -189,7 +189,7 @@ def _through(
     layout: Layout, face: FacePlan, beam: Beam, n1: float, n2: float, within: bool = True
 ) -> tuple[Beam, Floats, Bools]:
     """Cross one face; tell which rays met the lens itself, upright, in the cell's optical zone."""
-    hit = meet_face(face, beam.local, beam.z, beam.direction, n1, n2, apexes(layout, face, beam.cell))
+    hit = meet_face(face, beam.local, beam.z, beam.direction, n1, n2, lenses(layout, face, beam.cell))
     good = hit.upright & (hit.direction[:, 2] > 0.0)
     if within:
         good &= in_zone(layout, hit.local, layout.margin, beam.array)

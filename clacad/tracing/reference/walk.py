@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP, refract
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes, sheet_position
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import (
@@ -216,11 +216,13 @@ def _cross_face(
         z = np.where(on_lens, beam.z + event.distance * beam.direction[:, 2], level)
         on_face = Beam(beam.rows, array, event.cells[array], land, z, beam.direction)
         return on_face, event.distance, np.where(on_lens[:, None], bent, flat)
-    apex = apexes(here.layout, face, event.cells[array])
-    hit = cross(face, start, beam.z, beam.direction, n1, n2, apex)
+    places = lenses(here.layout, face, event.cells[array])
+    hit = cross(face, start, beam.z, beam.direction, n1, n2, places)
     other = on_lens & ~(np.abs(hit.distance - event.distance) <= SAME * here.layout.halves.max())
     if other.any():
-        hit = _where(other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2, apex), hit)
+        hit = _where(
+            other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2, places), hit
+        )
     local = np.where(on_lens[:, None], hit.local, land)
     z = np.where(on_lens, hit.z, level)
     distance = np.where(on_lens, hit.distance, event.distance)
