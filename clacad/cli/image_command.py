@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,8 @@ from clacad.cli.option_values import BadOption, picture_kind
 
 if TYPE_CHECKING:
     from clacad.imaging import Image
+    from clacad.imaging.best_point import BestPoint
+    from clacad.imaging.image_by_rays import Middle
 
 TASK = "image"
 
@@ -131,8 +134,9 @@ def image_text(found: Image, unit: str) -> str:
     lines = [["rung", "predicted x, y, z", "found x, y, z", "apart", "spot rms x, y", "share", unit]]
     for one in found.rungs:
         lines.append([
-            one.rung, _place(one.predicted.point), _place(one.found.point), f"{one.off:.3g}",
-            ", ".join(f"{v:.4g}" for v in one.found.spot), f"{100.0 * one.share:.3g} %", "",
+            one.rung, _point(one.predicted), _point(one.found),
+            "" if one.predicted.missing or one.found.missing else f"{one.off:.3g}",
+            "" if one.found.missing else ", ".join(f"{v:.4g}" for v in one.found.spot), f"{100.0 * one.share:.3g} %", "",
         ])  # fmt: skip
     return "\n".join([table(lines), *_notes(found, unit)])
 
@@ -146,6 +150,10 @@ def _notes(found: Image, unit: str) -> list[str]:
     notes = [
         "share: of the light on the sheet, what goes through lenses of one telescopelet; rung law: a sheet of no thickness at z = 0"
     ]
+    if any(best.missing == "parallel" for one in found.rungs for best in (one.predicted, one.found)):
+        notes.append("parallel: this light leaves the sheet parallel, and meets in no point")
+    if found.instead is not None:
+        notes.append(_instead(found, found.instead, unit))
     if found.width is None:
         notes.append(
             "a table of cells: predicted is the point nearest to the light through the middles of its lenses"
@@ -168,6 +176,29 @@ def _notes(found: Image, unit: str) -> list[str]:
                      f"one lens of F-number {number} of a lattice of them, and no field of a cell survives beyond the moire period {moire} "
                      f"{unit}; one large lens: [law.varying] f_image")  # fmt: skip
     return notes
+
+
+def _instead(found: Image, instead: Middle, unit: str) -> str:
+    """Where the light went, and which goes through."""
+    one = next(one for one in found.rungs if one.rung == instead.rung)
+    went = ", ".join(f"{100.0 * part:.3g} % {name}" for name, part in sorted(one.fates.items()))
+    if one.astray is not None:
+        went += f", most of the ghosts {one.astray} cells from the partner"
+    x, y, z = (instead.source + 0.0).tolist()
+    place = ",".join("-inf" if v == -inf else f"{v:.4g}" for v in (x, y, z))
+    what = (
+        f"parallel light of slopes {x:.4g}, {y:.4g}"
+        if z == -inf
+        else f"light from {_place(instead.source)} {unit}"
+    )
+    return (
+        f"rung {one.rung}: {went}; {what}, through the middles of both lenses, has a share of {100.0 * instead.share:.3g} %: "
+        f'--object="{place}"'
+    )
+
+
+def _point(best: BestPoint) -> str:
+    return best.missing or _place(best.point)
 
 
 def _place(point: Any) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.announce_cost import forecast, tell_compiling
+from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
 from clacad.cli.option_values import parse_angle, parse_cells, per_format
@@ -98,16 +98,12 @@ def _judged(
 ) -> Report:
     """The report: checks and verdicts, by the target where one is given; of the design alone it is said at once."""
     from clacad.verification.error_target import judged_by
-    from clacad.verification.kernels_ahead import OF_REPORT, compiling_seconds
-    from clacad.verification.kernels_ahead import TASK as COMPILING
     from clacad.verification.run import verified
 
     steps = verified(design, delivery, parse_cells(request.cells), rays, progress)
     report = next(steps)
     if delivery is not None:
         progress.say(f"the design itself {report.verdict()}; now its files")
-    if request.out is not None:
-        tell_compiling(COMPILING, compiling_seconds(report.window, OF_REPORT), quiet=quiet)
     for whole in steps:
         report = whole
     return report if request.target is None else judged_by(report, parse_angle("--target", request.target))

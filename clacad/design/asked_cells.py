@@ -6,13 +6,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.config.design_error import DesignError
 from clacad.design.cell_table import read_table
+from clacad.design.combinations import ETAS, FEATURES, why_not
+from clacad.design.read import values_of
 from clacad.design.varying import gradient_of
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 
 if TYPE_CHECKING:
     from clacad.design.model import Design
+
+
+def refuse_beside_etas(design: Design) -> None:
+    """Refuse what is not built of cells with η of their own; CL125."""
+    values = values_of(design.given)
+    for feature in FEATURES:
+        reason = why_not(ETAS, feature.name)
+        if reason and feature.present(values.get):
+            raise DesignError.at(design, feature.key, f"{feature.key} with {ETAS}: {reason}", code="CL125",
+                                 hint=feature.instead)  # fmt: skip
 
 
 def lattice_of(design: Design) -> Lattice:
@@ -31,13 +44,16 @@ def cell_laws(design: Design) -> CellLaws:
     Raises
     ------
     DesignError
-        Its table cannot be read.
+        Its table cannot be read, or has η in a design beside which that is not built.
     """
     law, spec = design.law, design.law_spec.varying
     if spec is None:
         return CellLaws(law)
     if spec.table is not None:
-        return CellLaws(law, table=read_table(design.path, spec.table, lattice_of(design)))
+        found = read_table(design.path, spec.table, lattice_of(design), law.eta_x)
+        if found.etas is not None:
+            refuse_beside_etas(design)
+        return CellLaws(law, table=found.deltas, ratios=found.etas)
     rows = np.array(gradient_of(spec, design.law_spec.eta, design.pair.separation or 0.0))
     if spec.gradient is None:  # planes are given along the lens axes
         rows = rows @ law.rotation[:2, :2].T

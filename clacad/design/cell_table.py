@@ -1,8 +1,10 @@
-"""Tables of δ, cell by cell, from a file that anybody may have written: CSV or NPZ.
+"""Tables of δ, and perhaps η, cell by cell, from a file that anybody may have written: CSV or NPZ.
 
-CSV: the header ``i,j,delta_x,delta_y`` and one row for each cell, in any order; i and j are the cell's indices as
-`clacad.Lattice` counts them (of hexagons axial ones). A byte order mark and Windows line ends are taken. NPZ: one array
-``delta`` (n1, n2, 2) of numbers, whose first index is the place in the row; what is pickled is not read.
+CSV: the header ``i,j,delta_x,delta_y``, or that and ``,eta``, and one row for each cell, in any order; i and j are the
+cell's indices as `clacad.Lattice` counts them (of hexagons axial ones). A byte order mark and Windows line ends are taken.
+NPZ: an array ``delta`` (n1, n2, 2) of numbers, whose first index is the place in the row, and perhaps ``eta`` (n1, n2);
+what is pickled is not read. η is of both lens axes, and on the same side of 0 and of 1 as the law's, so that both lenses keep
+their signs.
 
 A table has exactly one δ for each cell that the sheet keeps. Its SHA-256 stands in the design's canonical text, so that
 the hash of the design is that of its table too.
@@ -23,7 +25,7 @@ from clacad.config.mistakes import Mistake
 from clacad.config.named_paths import folder_of, outside
 
 if TYPE_CHECKING:  # a design is read without numpy
-    from clacad.base.types import Floats
+    from clacad.design.cell_table_rows import CellNumbers
     from clacad.sheet.lattice import Lattice
 
 KEY = "law.varying.table"
@@ -86,8 +88,8 @@ def digest(path: str) -> str:
     return made.hexdigest()
 
 
-def read_table(design_path: str, table: TableSpec, lattice: Lattice) -> Floats:
-    """δ of every cell.
+def read_table(design_path: str, table: TableSpec, lattice: Lattice, eta: float) -> CellNumbers:
+    """δ of every cell, and η where the table has it.
 
     Parameters
     ----------
@@ -95,17 +97,19 @@ def read_table(design_path: str, table: TableSpec, lattice: Lattice) -> Floats:
         Of the design that names the table.
     table : TableSpec
     lattice : Lattice
+    eta : float
+        Of the design's law, along x.
 
     Returns
     -------
-    (n1, n2, 2) array
-        First index: the place in the row; 0 for cells that an outline leaves out.
+    CellNumbers
+        First index: the place in the row; 0 and the law's η for cells that an outline leaves out.
 
     Raises
     ------
     DesignError
         With row and column: a wrong header, a cell twice or missing, an index outside, what is no finite number from
-        -1e6 to 1e6; a file that has changed since its hash was taken; an array of another shape, or pickled.
+        -1e6 to 1e6, an η of another kind; a file that has changed since its hash was taken; an array of another shape, or pickled.
     DesignTooLarge
         More than 10⁷ cells or 1 GB.
     """
@@ -119,4 +123,4 @@ def read_table(design_path: str, table: TableSpec, lattice: Lattice) -> Floats:
     if (found := digest(path)) != table.sha256:
         raise DesignError([Mistake("CL124", f"{path} is not the table whose sha256 the design states", KEY, found=found,
                                    allowed=table.sha256, hint="the name alone takes the table as it is")])  # fmt: skip
-    return TableFile(path, lattice, KEY).deltas()
+    return TableFile(path, lattice, KEY, eta).numbers()

@@ -65,6 +65,11 @@ def _is_slope(a: Ask) -> bool:
     return aperture not in (None, "centred", "aligned") and not has_point(aperture)
 
 
+def _auto_thickness(a: Ask) -> bool:
+    """Whether the thickness of biconvex lenses is to be found."""
+    return a("pair.form") == "biconvex" and a("pair.thickness") in (None, "auto")
+
+
 def _tolerated(a: Ask) -> bool:
     """Whether any tolerance is stated."""
     return any(a(f"tolerances.{key}") not in (None, 0.0, (0.0, 0.0)) for key in _TOLERATED)
@@ -106,6 +111,9 @@ FEATURES: Final = (
     Feature("plate with holes, corners or pins", "body.holes", has_plate, "plain edges"),
     Feature("field lens", "pair.field_lens", lambda a: bool(a("pair.field_lens")), "field_lens = false"),
     Feature("baffle", "body.baffle", lambda a: bool(a("body.baffle")), "baffle = false"),
+    Feature("eta_x and eta_y that differ", "law.eta", lambda a: a("law.eta")[0] != a("law.eta")[1], "eta_x = eta_y"),
+    Feature("depth of a lens", "pair.depth", lambda a: a("pair.depth") is not None, "leave depth out"),
+    Feature("biconvex of a thickness to be found", "pair.thickness", _auto_thickness, "thickness = a length"),
 )  # fmt: skip
 
 
@@ -122,6 +130,8 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
     FOCUS: _focused,
 }
 """Kinds of sheet whose cells differ, by the key that asks for them."""
+ETAS: Final = "eta in law.varying.table"
+"""A kind of `law.varying` that is known once its table is read."""
 
 _ONE_WAY: Final = "lenses 2 are traced for light of one direction over the sheet"
 _NODAL: Final = "its cells look at the nodal point"
@@ -149,6 +159,19 @@ _OWN_ARRAY: Final[Mapping[str, str]] = {
 }
 """What a sheet whose array 2 is of another pitch, or turned, does not have."""
 
+_VARIED: Final[Mapping[str, str]] = {
+    "tilt where planes are imaged": "cells of a sheet that leans against its lenses stand at many distances from a plane across them",
+    "aimed at a point": _ONE_WAY,
+    "other pitch": "its cells stand over their partners",
+    "turned array": "its cells stand over their partners",
+    "sharp pairs": _APART,
+    "confocal best": _ALONG,
+    "plate with holes, corners or pins": _PATTERN,
+    "field lens": _FIELD,
+    "baffle": _CHANNELS,
+}
+"""What a sheet whose law varies does not have."""
+
 _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
     POINT: {
         "tilt where planes are imaged": _ONE_WAY,
@@ -161,16 +184,13 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
         "field lens": _FIELD,
         "baffle": _CHANNELS,
     },
-    VARYING: {
-        "tilt where planes are imaged": "cells of a sheet that leans against its lenses stand at many distances from a plane across them",
-        "aimed at a point": _ONE_WAY,
-        "other pitch": "its cells stand over their partners",
-        "turned array": "its cells stand over their partners",
-        "sharp pairs": _APART,
-        "confocal best": _ALONG,
-        "plate with holes, corners or pins": _PATTERN,
-        "field lens": _FIELD,
-        "baffle": _CHANNELS,
+    VARYING: _VARIED,
+    ETAS: {
+        **_VARIED,
+        "given faces": "its faces are of one size as they are given",
+        "eta_x and eta_y that differ": "its lenses are one figure in many sizes, the same along both axes",
+        "depth of a lens": "the depth is that of lenses of one size",
+        "biconvex of a thickness to be found": "the thickness that is found is that for lenses of law.eta alone",
     },
     PITCH_2: _OWN_ARRAY,
     ROTATION_2: _OWN_ARRAY,
@@ -201,6 +221,7 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
 BUILT: Final = "built"
 """What the matrix says of what is not refused."""
 ITSELF: Final = "itself"
+_PART_OF: Final = {ETAS: VARYING}
 
 
 def built_sheets(a: Ask) -> list[str]:
@@ -215,8 +236,9 @@ def why_not(sheet: str, feature: str) -> str:
 
 def matrix() -> list[list[str]]:
     """Rows of the table of what is built with what: a head, then one row for each feature."""
-    head = ["", *SHEETS]
+    kinds = [*SHEETS, ETAS]
     rows = (
-        [f.name, *(ITSELF if f.key == s else why_not(s, f.name) or BUILT for s in SHEETS)] for f in FEATURES
+        [f.name, *(ITSELF if f.key in (s, _PART_OF.get(s)) else why_not(s, f.name) or BUILT for s in kinds)]
+        for f in FEATURES
     )
-    return [head, *rows]
+    return [["", *kinds], *rows]

@@ -111,7 +111,7 @@ class Design:
 
     @property
     def law(self) -> Law:
-        """The asked law of refraction; where it varies, that of the sheet's middle (of a table: with no offset)."""
+        """The asked law of refraction; where it varies, that of the sheet's middle (of a table: with no offset, and `law.eta`)."""
         from clacad.optics.law import Law
 
         phi, theta, psi = self.law_spec.euler

@@ -46,6 +46,18 @@ class NumberRows:
     key: str = ""
     elsewhere: tuple[tuple[str, str], ...] = ()
 
+    def names(self) -> list[str]:
+        """The header's columns, whatever they are.
+
+        Raises
+        ------
+        DesignError
+            It is not UTF-8, or too long.
+        """
+        with open(self.path, "rb") as stream:
+            line = self._text(stream.readline(LONGEST_ROW), 1).removeprefix("\ufeff")
+        return [part.strip() for part in line.split(",")]
+
     def blocks(self) -> Iterator[RowBlock]:
         """Rows, many at a time.
 
@@ -122,7 +134,7 @@ class NumberRows:
             self.refuse("the row is not UTF-8 text", row, allowed=",".join(self.columns))
 
     def _numbers(self, lines: list[str], first: int) -> Floats:
-        """Numbers (n, 4) of rows, the first of which is row `first` of the file."""
+        """Numbers (n, columns) of rows, the first of which is row `first` of the file."""
         try:
             numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2, dtype=np.float64)
         except ValueError:

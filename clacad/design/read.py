@@ -58,6 +58,11 @@ def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, An
     return _read(given, tuple(overrides), None, "")
 
 
+def values_of(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by dotted key of a design that was read, from its keys as written: what the rules ask."""
+    return _checked(dict(given))[0]
+
+
 def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Read a design's keys as written, some of them changed; the fields of a `Design`, see `Design.replace`."""
     data: Any = given

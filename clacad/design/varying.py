@@ -52,6 +52,7 @@ class VaryingSpec:
     gradient : ((K_xx, K_xy), (K_yx, K_yy)) or None, 1/length
         dδ/d(x, y): lens axes by sheet axes.
     table : TableSpec or None
+        Of δ, and perhaps η, of every cell.
     """
 
     f_image: Pair2 | None = None

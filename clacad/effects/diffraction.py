@@ -10,13 +10,15 @@ itself is void (design error CL311).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
+from clacad.base.unique_rows import distinct
 from clacad.base.units import millimetres
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
@@ -32,6 +34,7 @@ from clacad.sheet.vignetting import (
     off_partner,
     partner_step,
     partner_zone,
+    scale_of_image,
     thin_cells,
 )
 from clacad.sheet.window import Window
@@ -79,6 +82,8 @@ def lit_widths(
     """
     image, zone = cells.image, partner_zone(cells)
     known = (order != NO_CELL).all(axis=1)
+    if cell is not None and cells.window.many_sizes:
+        return _lit_by_cell(cells, direction, order, np.where(known[:, None], cell, 0).astype(np.int64))
     steps = np.array([partner_step(cells, (1, 0)), partner_step(cells, (0, 1))])
     beside = np.where(known[:, None], order, 0).astype(np.float64) @ steps
     slopes = cells.slopes(direction)
@@ -92,6 +97,17 @@ def lit_widths(
     whole = np.minimum(np.ptp(zone, axis=0), np.ptp(image, axis=0))
     overlap = np.where(known[:, None], np.clip(far - near, 0.0, None), whole)
     return np.asarray(overlap * (equivalent_widths(lit_zone(cells)) / whole))
+
+
+def _lit_by_cell(cells: ThinCells, direction: Floats, order: NDArray[np.int32], index: Ints) -> Floats:
+    """`lit_widths` of light through the cells `index` (m, 2) of a sheet whose cells have an η, and with it an image, of their own."""
+    ratio = scale_of_image(cells, index)
+    assert ratio is not None  # who calls this has looked
+    widths = np.empty((len(index), 2))
+    for scale in distinct(ratio):
+        here = ratio == scale
+        widths[here] = lit_widths(replace(cells, image=cells.image * scale), direction[here], order[here])
+    return widths
 
 
 def sinc_squared(u: Floats) -> Floats:

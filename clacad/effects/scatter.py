@@ -14,12 +14,13 @@ from math import expm1, hypot, pi, sqrt
 
 import numpy as np
 
+from clacad.base.types import Floats, Ints
 from clacad.effects.engine.block import FaceCrossing, RayBlock, bend, lens_slopes
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import normal
-from clacad.sheet.vignetting import focal_ratio
+from clacad.sheet.vignetting import focal_ratio, scale_of_image, thin_cells
 from clacad.sheet.window import Window
 
 NAME = "scatter"
@@ -39,18 +40,33 @@ def effect(window: Window, setting: Setting) -> Effect:
         if setting.roughness > 0.0:
             block.result.flux[rows] *= 1.0 - haze(window, setting.roughness, block.air_wavelength)
         if setting.slope_rms > 0.0:
-            slopes = lens_slopes(block)[0] + normal(block.rays, 1, setting.seed, SALT) * width
+            turns = (
+                width
+                if not window.many_sizes
+                else _by_cell(window, block.result.cell.astype(np.int64), setting.slope_rms)
+            )
+            slopes = lens_slopes(block)[0] + normal(block.rays, 1, setting.seed, SALT) * turns
             bend(block, slopes, rows)
 
     return Effect(NAME, When.EXIT, apply=apply)
 
 
 def blur(window: Window, slope_rms: float) -> tuple[float, float]:
-    """Rms slope by which light is turned along lens x and y."""
+    """Rms slope by which light is turned along lens x and y; where cells have an η of their own, of that of the sheet's law."""
     index = max(body.index for body in window.bodies)
     one, two = (faces_of_lens(window, array) for array in (0, 1))
     x, y = ((index - 1.0) * slope_rms * sqrt(two + one / (m * m)) for m in focal_ratio(window.thin))
     return x, y
+
+
+def _by_cell(window: Window, cell: Ints, slope_rms: float) -> Floats:
+    """The same (n, 2) of light through the cells (n, 2) of a sheet whose cells have an η of their own."""
+    cells, index = thin_cells(window), max(body.index for body in window.bodies)
+    scale = scale_of_image(cells, cell)
+    assert scale is not None  # who calls this has looked
+    one, two = (faces_of_lens(window, array) for array in (0, 1))
+    ratio = scale[:, None] * np.array(focal_ratio(window.thin))
+    return np.asarray((index - 1.0) * slope_rms * np.sqrt(two + one / ratio**2))
 
 
 def faces_of_lens(window: Window, array: int) -> int:

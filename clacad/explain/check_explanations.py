@@ -21,7 +21,8 @@ CHECKS: dict[str, Text] = {
         "As for law_rms; off the axis it is mostly coma and field curvature, so a smaller field helps too.",
     ),
     "eta": (
-        "η fitted to traced rays near the axis, against the η that was asked.", "η is the magnification the sheet was made for.",
+        "η fitted to traced rays near the axis, against the η that was asked; where cells have an η of their own, the light of each taken by it.",
+        "η is the magnification the sheet was made for.",
         "max_i |η_i,fit/η_i − 1|", "If the pair is thin-lens designed, take confocal = \"exact\".",
     ),
     "delta": (

@@ -137,15 +137,18 @@ MISTAKES: dict[str, Text] = {
         "The message names the cell and a distance of the viewer from which it works; a smaller sheet or p/s helps too.",
     ),
     "CL124": (
-        "The table of law.varying is not there, not in the design's folder, has changed, or holds something else than one delta for each cell.",
+        "The table of law.varying is not there, not in the design's folder, has changed, or holds something else than one delta, "
+        "and perhaps one eta, for each cell.",
         "A cell without a delta has no lens; a table from anywhere is taken as text and numbers only, never as a program.",
-        "i,j,delta_x,delta_y and one row for each cell; or an NPZ array delta (n1, n2, 2)",
+        "i,j,delta_x,delta_y or i,j,delta_x,delta_y,eta and one row for each cell; or an NPZ array delta (n1, n2, 2), perhaps eta (n1, n2); "
+        "eta of both axes, on the same side of 0 and of 1 as law.eta, so that both lenses keep their signs",
         "Correct the row and column that the message names.",
     ),
     "CL125": (
-        "The sheet's cells differ, and something stands beside it that is built of equal cells only.",
+        "The sheet's cells differ, and something stands beside it that is built of equal cells only; or biconvex neighbours differ in eta "
+        "by more than 0.05.",
         "The message has the reason; `clacad explain combinations` prints what goes with what.", "",
-        "Leave out one of the two.",
+        "Leave out one of the two; let eta change more slowly, or take a slab or plano lenses.",
     ),
     "CL141": (
         "An outline, a corner, a hole or a pin makes no plate.",

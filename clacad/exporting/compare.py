@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.facet_vectors import doubled_normals
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.exporting.compare_instances import measure_mesh, standing
 from clacad.formats.mesh.closed_stream import Measure, edge_times
 from clacad.formats.mesh.file_mesh import FileMesh
@@ -88,7 +88,8 @@ def compare_mesh(
         With the first difference found, as a sentence with both numbers.
     """
     scale = (mesh.unit if mesh.unit is not None else 1e-3) / window.unit
-    found = measure_mesh(mesh, scale)
+    sample = _Sample.of(mesh)
+    found = measure_mesh(mesh, scale, sample.passing)
     if found.facets != promise.facets:
         raise FileDisagrees(f"{name}: {found.facets} facets were read back, {promise.facets} were written")
     if not found.closed:
@@ -96,7 +97,7 @@ def compare_mesh(
     _compare_places(mesh, window, scale, name)
     slack = rounding(window, promise.single)
     _compare_box(found, window, promise, slack, name)
-    chord = _compare_shape(_sampled(mesh, scale), window, promise, slack, name)
+    chord = _compare_shape(sample.facets(mesh) * scale, window, promise, slack, name)
     exact = None
     if volume is not None:
         exact = _compare_volume(found, window, promise, chord, slack, volume, name)
@@ -139,20 +140,53 @@ def _compare_box(found: Measure, window: Window, promise: Promise, slack: float,
         )
 
 
-def _sampled(mesh: FileMesh, scale: float) -> Floats:
-    """Pick SAMPLES facets at random, always the same ones for one file, (n, 3, 3), design units."""
-    count = mesh.facet_count
-    chosen = np.unique(np.random.default_rng(0).integers(0, count, size=min(SAMPLES, 2 * count)))
-    found, first = [], 0
-    for part in mesh.parts:
-        every = part.facet_count * len(part.places)
-        place, facet = np.divmod(
-            chosen[(chosen >= first) & (chosen < first + every)] - first, max(1, part.facet_count)
+@dataclass(eq=False, slots=True)
+class _Sample:
+    """SAMPLES facets of a mesh at random, always the same ones for one file, taken as they pass where none is repeated.
+
+    chosen : (n,) ints, ascending
+        Their numbers, every place of a part counted.
+    passed : int
+        Facets that have passed.
+    """
+
+    chosen: Ints
+    passed: int
+    found: list[Floats]
+
+    @classmethod
+    def of(cls, mesh: FileMesh) -> _Sample:
+        """Choose from so many facets as the file stands for."""
+        count = mesh.facet_count
+        return cls(
+            np.unique(np.random.default_rng(0).integers(0, max(1, count), size=min(SAMPLES, 2 * count))),
+            0,
+            [],
         )
-        spots = part.placed_at(place)
-        found.append(np.einsum("kcx,kxy->kcy", part.picked(facet), spots[:, :3]) + spots[:, None, 3])
-        first += every
-    return np.concatenate(found) * scale
+
+    def passing(self, corners: Floats) -> Floats:
+        """Take what is chosen of the next facets (k, 3, 3), and give these on."""
+        first, last = np.searchsorted(self.chosen, [self.passed, self.passed + len(corners)])
+        self.found.append(corners[self.chosen[first:last] - self.passed])
+        self.passed += len(corners)
+        return corners
+
+    def facets(self, mesh: FileMesh) -> Floats:
+        """The facets (n, 3, 3), file unit."""
+        if any(part.repeated for part in mesh.parts):
+            return self._picked(mesh)
+        return np.concatenate(self.found)
+
+    def _picked(self, mesh: FileMesh) -> Floats:
+        found, first = [], 0
+        for part in mesh.parts:
+            every = part.facet_count * len(part.places)
+            mine = self.chosen[(self.chosen >= first) & (self.chosen < first + every)] - first
+            place, facet = np.divmod(mine, max(1, part.facet_count))
+            spots = part.placed_at(place)
+            found.append(np.einsum("kcx,kxy->kcy", part.picked(facet), spots[:, :3]) + spots[:, None, 3])
+            first += every
+        return np.concatenate(found)
 
 
 def _compare_places(mesh: FileMesh, window: Window, scale: float, name: str) -> None:

@@ -7,7 +7,7 @@ lattice are compared as rows; of those that do not every place is looked at.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import fsum
 from operator import itemgetter
@@ -46,7 +46,9 @@ Side = tuple[int, int]
 # -- measuring -----------------------------------------------------------------------------------
 
 
-def measure_mesh(mesh: FileMesh, factor: float) -> Measure:
+def measure_mesh(
+    mesh: FileMesh, factor: float, passing: Callable[[Floats], Floats] = lambda corners: corners
+) -> Measure:
     """Measure a file in design units; a part that stands many times once for each way it is turned.
 
     Parameters
@@ -54,10 +56,12 @@ def measure_mesh(mesh: FileMesh, factor: float) -> Measure:
     mesh : FileMesh
     factor : float
         Design units per file unit.
+    passing : callable
+        Given, and giving on, the corners (k, 3, 3) of the parts that stand once, file unit.
     """
     single = [part for part in mesh.parts if not part.repeated]
     return joined([
-        measure((chunk * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)),
+        measure((passing(chunk) * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)),
         measure_repeated(mesh, factor),
     ])  # fmt: skip
 

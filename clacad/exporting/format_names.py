@@ -52,6 +52,8 @@ OF_ANY_CELLS = (
 
 OF_STRAIGHT_ARRAYS = ("gds", "pov")
 """Of these the formats that do not hold an array which is turned."""
+OF_ONE_SIZE = ("pov",)
+"""Those that do not hold lenses of many sizes."""
 
 
 def refuse_other_cells(window: Window, format: str) -> None:
@@ -64,7 +66,8 @@ def refuse_other_cells(window: Window, format: str) -> None:
     from clacad.sheet.need_window import need_equal_cells
 
     turned = any(place.turn for place in window.placements)
-    held = [name for name in OF_ANY_CELLS if not turned or name not in OF_STRAIGHT_ARRAYS]
+    without = (OF_STRAIGHT_ARRAYS if turned else ()) + (OF_ONE_SIZE if window.many_sizes else ())
+    held = [name for name in OF_ANY_CELLS if name not in without]
     if format not in held:
         need_equal_cells(window, f"format {format}", f"such sheets are held by: {', '.join(held)}")
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.exporting.tessellations import Tessellation
     from clacad.formats.mesh.repeated_pieces import Piece
+    from clacad.storage.overheard import Overheard
 
 
 OPTILAND_SECONDS = 600.0
@@ -81,13 +82,13 @@ class Job:
         return tuple(body.name for body in self.window.bodies)
 
     def record(self, path: Path, format: str, unit: str = "mm", bodies: Sequence[str] | None = None,
-               facts: Mapping[str, Any] | None = None, checks: tuple[str, ...] = ("shape",)) -> FileRecord:  # fmt: skip
-        """Describe a file that was written and agreed."""
+               facts: Mapping[str, Any] | None = None, checks: tuple[str, ...] = ("shape",),
+               heard: Overheard | None = None) -> FileRecord:  # fmt: skip
+        """Describe a file that was written and agreed; `heard`: its bytes as they were read back."""
         flush(path)
         whose = self.bodies if bodies is None else tuple(bodies)
-        return FileRecord(
-            path.name, file_hash(path), path.stat().st_size, format, unit, whose, facts or {}, checks
-        )
+        digest = file_hash(path) if heard is None else heard.hexdigest()
+        return FileRecord(path.name, digest, path.stat().st_size, format, unit, whose, facts or {}, checks)
 
 
 # -- meshes --------------------------------------------------------------------------------------
@@ -105,10 +106,10 @@ def _stl_parts(job: Job) -> list[FileRecord]:
 
 
 def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
-    """Write some bodies of the sheet as one STL file, read it back, compare."""
+    """Write some bodies of the sheet as one STL file, read it back once, compare, and take its hash on the way."""
     from clacad.exporting.compare import compare_mesh
-    from clacad.formats.mesh.readers import read_mesh
-    from clacad.formats.mesh.stl import check_stl_facets, write_stl
+    from clacad.formats.mesh.stl import read_stl, write_stl
+    from clacad.storage.overheard import Overheard
 
     path = job.stage.path(name)
     names = [body.name for body in window.bodies]
@@ -117,12 +118,13 @@ def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
     job.progress(f"write {name}", 0.0)
     write_stl(bodies, path, job.scale, f"{job.stem} {' '.join(names)}")
     job.progress(f"read back {name}", 0.5)
-    check_stl_facets(path)
+    heard = Overheard(path)
     promise = job.tessellation.promise(instanced=False, single=True, bodies=names)
-    verdict = compare_mesh(read_mesh(path), window, promise, name, volume_sum(job.integrals, names))
+    read = read_stl(path, heard, checked=True)
+    verdict = compare_mesh(read, window, promise, name, volume_sum(job.integrals, names))
     facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, names)
     facts |= {"mode": "fused", "triangles": promise.facets, "float": "f32"}
-    return job.record(path, "stl-binary", bodies=names, facts=facts, checks=verdict.checks)
+    return job.record(path, "stl-binary", bodies=names, facts=facts, checks=verdict.checks, heard=heard)
 
 
 def _mesh_facts(

@@ -230,12 +230,10 @@ def _lens_normals(window: Window, face: Face, corners: Floats, flat: Floats) -> 
     middle = corners.mean(axis=1)
     index, _, _ = window.locate(face.array, middle[:, 0], middle[:, 1])
     local = corners[..., :2] - window.centres(face.array, index)[:, None]
-    rise: Floats | float = 0.0
-    if face.change is not None:
-        moved = face.change.at(window.lattice, index)
-        local, rise = local - moved[:, None], face.change.rise(moved)[:, None]
-    z, normal = lens_height_and_normal(face, local[..., 0].ravel(), local[..., 1].ravel())
-    z, normal = z.reshape(-1, 3) + rise, normal.reshape(-1, 3, 3) * -face.side
+    places = window.lenses(face, index[:, None])
+    x, y = places.seen(local[..., 0], local[..., 1])
+    z, normal = lens_height_and_normal(face, x.ravel(), y.ravel())
+    z, normal = places.raised(z.reshape(-1, 3)), normal.reshape(-1, 3, 3) * -face.side
     land = np.full_like(z, np.inf) if face.land is None else np.abs(corners[..., 2] - face.land)
     # A facet is the lens's unless all its corners lie nearer to the land; a rim corner lies on both.
     with np.errstate(invalid="ignore"):

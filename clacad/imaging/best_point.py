@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -28,6 +29,13 @@ class BestPoint:
     point: Floats
     spot: Pair2
     rays: int
+
+    @property
+    def missing(self) -> Literal["no light", "parallel"] | None:
+        """Why there is no such point, if there is none: fewer than two rays, or rays that never meet."""
+        if np.isfinite(self.point).all():
+            return None
+        return "parallel" if self.rays >= 2 else "no light"
 
 
 def best_point(position: Floats, direction: Floats) -> BestPoint:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.feasibility.imaging_rows import Zone, zone_of
 from clacad.sheet.need_window import need_window
+from clacad.sheet.vignetting import aperture_slopes
 from clacad.tracing.tracer import Tracer
 
 if TYPE_CHECKING:
@@ -24,6 +25,12 @@ if TYPE_CHECKING:
 
 RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
 RAYS = 100_000
+
+LITTLE = 0.01
+"""Share of the light below which it is told which light goes through instead."""
+
+TRIED = 4096
+"""Rays sent along the middle of the field to tell that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +48,10 @@ class RungImage:
         Part of the light on the sheet that goes through lenses of one telescopelet.
     position, direction : (n, 3) lengths, unit
         Of that light, behind the sheet.
+    fates : mapping
+        Shares of all the light sent, by the names of its fates; those that there are.
+    astray : (i, j) or None
+        Of light through lenses of two telescopelets: how many cells from its partner most of it leaves.
     """
 
     rung: Rung
@@ -49,11 +60,31 @@ class RungImage:
     share: float
     position: Floats
     direction: Floats
+    fates: Mapping[str, float]
+    astray: tuple[int, int] | None
 
     @property
     def off(self) -> float:
         """Distance from the predicted point to the one found, length."""
         return float(np.linalg.norm(self.found.point - self.predicted.point))
+
+
+@dataclass(frozen=True, eq=False)
+class Middle:
+    """The light that goes through, where next to nothing does of what was asked.
+
+    Parameters
+    ----------
+    source : (3,) lengths
+        Where it comes from, given as `Image.source`: along the middle of the field, from lens 1's middle to lens 2's.
+    rung : "law", "thin" or "surfaces"
+    share : float
+        Part of that light that goes through lenses of one telescopelet on that rung.
+    """
+
+    source: Floats
+    rung: Rung
+    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +119,8 @@ class Image:
         What it costs that the law changes from cell to cell; None where all cells share one, or a table has none between.
     zone : Zone or None
         Where array 2 has a pitch of its own, or is turned.
+    instead : Middle or None
+        Where less than LITTLE of the light gets through on some rung.
     """
 
     source: Floats
@@ -95,6 +128,7 @@ class Image:
     width: Pair2 | None
     sampling: Sampling | None = None
     zone: Zone | None = None
+    instead: Middle | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, for JSON."""
@@ -107,10 +141,14 @@ class Image:
             "sampling": None if self.sampling is None else {
                 "slope": self.sampling.slope, "found": self.sampling.smooth.point.tolist(), "spot": list(self.sampling.smooth.spot),
             },
+            "instead": None if self.instead is None else {
+                "object": self.instead.source.tolist(), "rung": self.instead.rung, "share": self.instead.share,
+            },
             "rungs": [
                 {
                     "rung": one.rung, "predicted": one.predicted.point.tolist(), "found": one.found.point.tolist(),
                     "off": one.off, "spot": list(one.found.spot), "share": one.share, "rays": one.found.rays,
+                    "missing": one.found.missing, "fates": dict(one.fates), "astray": one.astray,
                 }
                 for one in self.rungs
             ],
@@ -156,7 +194,9 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
     sent, which = sent_to(window, place, rays)
     cells = window.lattice.cells()[np.unique(which)]
     found = tuple(_on(window, rung, place, sent, cells) for rung in rungs)
-    return Image(place, found, _width(window, place), _sampling(window, sent), zone_of(window))
+    dark = [one.rung for one in found if one.share < LITTLE]
+    instead = _middle(window, place, dark[-1]) if dark else None
+    return Image(place, found, _width(window, place), _sampling(window, sent), zone_of(window), instead)
 
 
 def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
@@ -203,7 +243,27 @@ def _on(window: Window, rung: Rung, source: Floats, sent: Rays, cells: Ints) -> 
         float(np.mean(good)),
         seen.position[good],
         seen.direction[good],
+        {name: count / len(sent) for name, count in seen.counts().items() if count},
+        _astray(seen),
     )
+
+
+def _astray(seen: TraceResult) -> tuple[int, int] | None:
+    """The commonest step from the partner of light through lenses of two telescopelets."""
+    steps, times = np.unique(seen.order[seen.fate == Fate.GHOST], axis=0, return_counts=True)
+    if not len(steps):
+        return None
+    i, j = steps[times.argmax()].tolist()
+    return i, j
+
+
+def _middle(window: Window, source: Floats, rung: Rung) -> Middle:
+    """The same kind of light, parallel or from a point as far away, along the middle of the field; how much gets through."""
+    slopes = np.mean(aperture_slopes(window, window.lattice.cells()), axis=0)
+    far = np.isinf(source[2])
+    place = np.array([*(slopes if far else source[2] * slopes), source[2]])
+    seen = Tracer(window, rung, path="size")(sent_to(window, place, TRIED)[0])
+    return Middle(place, rung, float(np.mean(seen.fate == Fate.ALIVE)))
 
 
 def lens_plane(window: Window, rung: Rung) -> float:

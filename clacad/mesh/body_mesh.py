@@ -24,7 +24,7 @@ from clacad.sheet.window import Body, Window
 if TYPE_CHECKING:
     from clacad.mesh.own_cells import OwnTemplates
 
-_CHUNK = 200_000  # triangles an expanded block holds at most, about
+_CHUNK = 20_000  # triangles an expanded block holds at most, about: what stays in the second-level cache
 
 
 JUDGED = 16

@@ -5,7 +5,7 @@ distortion bias what leaves. As each cell has a vertex of its own, it is moved u
 light of the cell's field centre is the asked one: a 2 × 2 secant on the exact trace (Broyden 1965), many cells at once.
 
 Light of one slope finds the same lenses in every cell, so the move is a smooth function of the slope alone; where the law
-varies and the light does not, of δ alone. Up to `DIRECT` cells it is solved for each; beyond, for a spread of them, and a polynomial through these gives the rest, held to
+varies and the light does not, of δ (and η) alone. Up to `DIRECT` cells it is solved for each; beyond, for a spread of them, and a polynomial through these gives the rest, held to
 cells that it was not made from.
 """
 
@@ -44,6 +44,9 @@ DIRECT = 400
 LADDER = ((260, 11), (700, 17))
 """Slopes through which a polynomial goes, and its degree in both together: the second where the first misses."""
 
+OWN_LADDER = ((700, 8), (1800, 12))
+"""The same of lenses of many sizes, where moves are functions of η too."""
+
 HELD_OUT = 40
 """Other slopes that it is held to."""
 
@@ -54,6 +57,22 @@ WAY_OUT = 'a viewer or image farther away, a smaller sheet, or pair.offset = "pa
 
 GRID = 2.0**-40
 """Part of the pitch that vertices are whole multiples of: coarser than what the order of sums changes, so that bytes repeat."""
+
+
+@dataclass(frozen=True, eq=False)
+class OwnLenses:
+    """Lenses of cells that differ in size.
+
+    Parameters
+    ----------
+    sizes : (2, m)
+        Of lens 1 and lens 2, against the window's.
+    fill : (m,)
+        Part of the cell whose light lens 2 can take.
+    """
+
+    sizes: Floats
+    fill: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +93,8 @@ class CellLight:
         Key of the design to blame.
     climb : (along x, along y)
         How far lens 2 rises on its way, as `VertexChange.slope`.
+    own : OwnLenses or None
+        None: the lenses of all cells are alike.
     """
 
     slopes: Floats
@@ -82,6 +103,7 @@ class CellLight:
     variable: Floats
     key: str = "lattice.aperture"
     climb: Pair2 = (0.0, 0.0)
+    own: OwnLenses | None = None
 
     def of(self, rows: Ints) -> CellLight:
         """The light of some cells, by their places (k,) in the list."""
@@ -91,6 +113,7 @@ class CellLight:
             asked=self.asked[rows],
             first=self.first[rows],
             variable=self.variable[rows],
+            own=None if self.own is None else OwnLenses(self.own.sizes[:, rows], self.own.fill[rows]),
         )
 
 
@@ -122,7 +145,7 @@ def moves_of(window: Window, light: CellLight) -> Floats:
     grid = GRID * min(window.lattice.pitch)
     if len(light.slopes) <= DIRECT:
         return np.asarray(np.rint(_solved(window, light) / grid) * grid)
-    for nodes, degree in LADDER:
+    for nodes, degree in LADDER if light.own is None else OWN_LADDER:
         moves, missed = _by_polynomial(window, light, nodes, degree)
         if missed <= FIT * min(window.lattice.pitch):
             return np.asarray(np.rint(moves / grid) * grid)
@@ -136,7 +159,8 @@ def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) ->
     """Moves (m, 2) by a polynomial through `count` of them, and by how much it misses others at most."""
     variable = light.variable
     order = np.argsort(sobol(len(variable), 1)[:, 0], kind="stable")
-    middle, reach = variable.mean(axis=0), np.ptp(variable, axis=0).max() / 2.0 or 1.0
+    middle, reach = variable.mean(axis=0), np.ptp(variable, axis=0) / 2.0
+    reach = np.where(reach == 0.0, 1.0, reach) if light.own is not None else reach.max() or 1.0
     outer = np.argsort(-((variable - middle) ** 2).sum(axis=1), kind="stable")[: count // 5]
     nodes = np.unique(np.concatenate([outer, order[: count - len(outer)]]))
     held = np.setdiff1d(order[count : count + 2 * HELD_OUT], nodes)[:HELD_OUT]
@@ -148,15 +172,17 @@ def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) ->
 
 
 def _powers(t: Floats, degree: int) -> Floats:
-    """Products of Chebyshev polynomials (m, k) of total degree up to `degree` at points (m, 2)."""
-    x, y = (np.polynomial.chebyshev.chebvander(t[:, k], degree) for k in (0, 1))
-    return np.column_stack([x[:, i] * y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)])
+    """Products of Chebyshev polynomials (m, k) of total degree up to `degree` at points (m, 2) or (m, 3)."""
+    x, y, *more = (np.polynomial.chebyshev.chebvander(column, degree) for column in t.T)
+    flat = [(x[:, i] * y[:, j], degree - i - j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    if not more:
+        return np.column_stack([one for one, _ in flat])
+    return np.column_stack([one * more[0][:, k] for one, rest in flat for k in range(rest + 1)])
 
 
 def _solved(window: Window, light: CellLight) -> Floats:
     """Moves (m, 2) of lens 2, each by a secant of its own, all traced together."""
-    seq, points = interfaces(window), _cell_points(window)
-    second = [i for i, array in enumerate(_owners(window)) if array == 1]
+    seq, points, owners = interfaces(window), _cell_points(window, light.own), _owners(window)
     slopes, asked = light.slopes, light.asked
     if not np.isfinite(asked).all():
         raise NoSuchLens("the law gives no direction for light of this slope", light.key, code="CL123")
@@ -164,9 +190,11 @@ def _solved(window: Window, light: CellLight) -> Floats:
     inverse = np.zeros((len(slopes), 2, 2))
     turned = window.thin.rotation[:2, :2]
     inverse[:] = turned @ np.diag(np.where(np.isfinite(focal), focal, 0.0)) @ turned.T
+    if light.own is not None:
+        inverse *= light.own.sizes[1][:, None, None]
     move = np.zeros((len(slopes), 2))
     allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(light.first).max(axis=1)
-    error = _bias(seq, second, points, light, light.first + move)
+    error = _bias(seq, owners, points, light, light.first + move)
     for _ in range(STEPS):
         if not np.isfinite(error).all():
             break
@@ -178,7 +206,7 @@ def _solved(window: Window, light: CellLight) -> Floats:
             np.abs(move + step) > allowed[:, None]
         )  # aslant the first step, as by paraxial rays, is too long
         step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)
-        after = _bias(seq, second, points, light, light.first + move + step)
+        after = _bias(seq, owners, points, light, light.first + move + step)
         inverse = _broyden(inverse, step, after - error)
         move, error = move + step, after
     worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf).max(axis=1)))
@@ -199,35 +227,49 @@ def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
     return np.where(moved[:, None, None], inverse + add, inverse)
 
 
-def _bias(seq: list[Interface], second: list[int], points: Floats, light: CellLight, move: Floats) -> Floats:
+def _bias(
+    seq: list[Interface], owners: list[int | None], points: Floats, light: CellLight, move: Floats
+) -> Floats:
     """Mean exit direction less the asked one, x and y, (m, 2); lens 2 of each of m cells moved by `move`."""
     slopes, asked, climb = light.slopes, light.asked, light.climb
-    m, n = len(slopes), len(points)
+    m, n = len(slopes), points.shape[-2]
     ray = np.repeat(np.column_stack([slopes, np.ones(m)]), n, axis=0)
     low = min(interface.vertex[2] for interface in seq) - 4.0 * float(np.abs(points).max())
-    start = np.column_stack([np.tile(points, (m, 1)) + low * ray[:, :2], np.full(m * n, low)])
+    at = np.broadcast_to(points, (m, n, 2)).reshape(-1, 2)
+    start = np.column_stack([at + low * ray[:, :2], np.full(m * n, low)])
     direction, scaled = unit_directions(ray)
     offset, travelled = launch(start, scaled, seq[0].vertex)
     slide = np.repeat(np.column_stack([move, move @ np.array(climb)]), n, axis=0)
     for k, interface in enumerate(seq):
         if k:
             offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)
-            here, before = (number in second for number in (k, k - 1))
+            here, before = (owners[number] == 1 for number in (k, k - 1))
             offset = offset + (int(before) - int(here)) * slide
-        crossing = cross(interface, offset, direction, travelled)
+        size = _size_at(interface, owners[k], light, n)
+        crossing = cross(interface, offset / size, direction, travelled / size[..., 0])
         offset, direction = (
-            crossing.offset,
+            crossing.offset * size,
             np.where((crossing.fate == Fate.ALIVE)[:, None], crossing.direction, np.nan),
         )
     mean = _unit(direction.reshape(m, n, 3).mean(axis=1))
     return np.asarray((mean - asked)[:, :2])
 
 
-def _cell_points(window: Window) -> Floats:
-    """Points (256, 2) where the light of a cell that lens 2 can take crosses z = 0, from the cell's centre, lengths."""
+def _size_at(interface: Interface, owner: int | None, light: CellLight, n: int) -> Floats:
+    """Sizes (m n, 1) of the lenses that n rays of each of m cells meet, (1, 1) of 1 where these are alike."""
+    if light.own is None or owner not in (0, 1):
+        return np.ones((1, 1))
+    return np.repeat(light.own.sizes[owner], n)[:, None]
+
+
+def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
+    """Points (256, 2), or (m, 256, 2) of cells of their own, where the light of a cell that lens 2 can take crosses z = 0, from
+    the cell's centre, lengths.
+    """
     fill = min(1.0, *(1.0 / abs(one) for one in (window.law.eta_x, window.law.eta_y)))
-    quarter = fill * window.lattice.over_cell(sobol(RAYS, 2))
-    return np.concatenate([quarter * signs for signs in ((1, 1), (-1, 1), (1, -1), (-1, -1))])
+    quarter = (1.0 if own is not None else fill) * window.lattice.over_cell(sobol(RAYS, 2))
+    points = np.concatenate([quarter * signs for signs in ((1, 1), (-1, 1), (1, -1), (-1, -1))])
+    return points if own is None else own.fill[:, None, None] * points
 
 
 def _owners(window: Window) -> list[int | None]:

@@ -1,4 +1,4 @@
-"""Lenses of a sheet whose law varies: lens 2 of each cell stands where its own δ has it.
+"""Lenses of a sheet whose law varies: lens 2 of each cell stands where its own δ has it, and both are as large as its η asks.
 
 Cells stay where they are, so that they tile; only vertices differ. Lens 1 stays centred: shared between both lenses the
 decentre would cost more coma. Off its vertex lens 2 turns its light too far, by 6 mrad at a slope of .125 and R2/p = 5, so
@@ -17,8 +17,9 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.asked_cells import cell_laws
 from clacad.optics.law.varying import refract_each
 from clacad.prescription.aimed_cells import MOST_TRACED, STEEPEST
+from clacad.prescription.cell_sizes import CellSizes, sizes_of
 from clacad.prescription.radii import NoSuchLens
-from clacad.prescription.traced_vertices import CellLight, moves_of
+from clacad.prescription.traced_vertices import CellLight, OwnLenses, moves_of
 from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Face, Window
@@ -52,19 +53,40 @@ def with_varying_law(window: Window, design: Design) -> Window:
                          f"{MOST_TRACED:,} that it may have", key="lattice.count", code="CL125", hint="fewer cells")  # fmt: skip
     cells = window.lattice.cells()
     deltas = laws.deltas(window.lattice, cells)
+    sizes = None if laws.ratios is None else sizes_of(window, design, laws)
     turn = next(face.rotation for face in window.faces if face.array == 1)
-    first = _by_rule(window, deltas, np.array(window.recipe["f"][0]), turn)
+    first = _by_rule(
+        window, deltas, np.array(window.recipe["f"][0]), turn, None if sizes is None else sizes.focal
+    )
     window = replace(window, cell_laws=laws)
-    _refuse_far(window, cells, first)
+    _refuse_far(window, cells, first, sizes)
     moved = first
     if design.pair.offset != "paraxial":
-        moved = first + _traced(window, deltas, first, lens_plane_slope(turn))
-    _refuse_far(window, cells, moved)
+        moved = first + _traced(window, deltas, first, lens_plane_slope(turn), sizes)
+    _refuse_far(window, cells, moved, sizes)
     thin_turn = window.thin.rotation
-    ideal = _by_rule(window, deltas, np.array(window.thin.focal_length[0]), thin_turn)
-    thin = replace(_tabled(window, cells, ideal), slope=lens_plane_slope(thin_turn))
-    change = replace(_tabled(window, cells, moved), slope=lens_plane_slope(turn))
-    return replace(_with_change(window, change), thin=replace(window.thin, change=thin))
+    ideal = _by_rule(
+        window,
+        deltas,
+        np.array(window.thin.focal_length[0]),
+        thin_turn,
+        None if sizes is None else sizes.thin[0],
+    )
+    thin = VertexChange(table=_tabled(window, cells, ideal), slope=lens_plane_slope(thin_turn))
+    change = VertexChange(table=_tabled(window, cells, moved), slope=lens_plane_slope(turn))
+    if sizes is None:
+        return replace(_with_change(window, None, change), thin=replace(window.thin, change=thin))
+    return _sized(window, cells, sizes, (change, thin))
+
+
+def _sized(
+    window: Window, cells: Ints, sizes: CellSizes, second: tuple[VertexChange, VertexChange]
+) -> Window:
+    """The window whose lenses are of many sizes, lens 2 moved as built and as thin lenses."""
+    built, thin = ([_tabled(window, cells, size, 1.0) for size in both] for both in (sizes.built, sizes.thin))
+    pair = replace(window.thin, change_1=VertexChange(size=thin[0]), change=replace(second[1], size=thin[1]))
+    made = _with_change(window, VertexChange(size=built[0]), replace(second[0], size=built[1]))
+    return replace(made, thin=pair)
 
 
 def lens_plane_slope(turn: Floats) -> Pair2:
@@ -73,53 +95,69 @@ def lens_plane_slope(turn: Floats) -> Pair2:
     return -x / z + 0.0, -y / z + 0.0
 
 
-def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2) -> Floats:
-    """How far lenses 2 must move from `first` (n, 2), lengths, for the light of each cell to leave by its δ (n, 2)."""
+def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2, sizes: CellSizes | None) -> Floats:
+    """How far lenses 2 must move from `first` (n, 2), lengths, for the light of each cell to leave by its δ (n, 2) and η."""
     slopes = np.broadcast_to(aperture_slope(window), deltas.shape)
-    asked = refract_each(window.law, deltas, np.column_stack([slopes, np.ones(len(slopes))]))
-    return moves_of(window, CellLight(slopes, asked, first, deltas, KEY, climb))
+    light = np.column_stack([slopes, np.ones(len(slopes))])
+    if sizes is None:
+        asked = refract_each(window.law, deltas, light)
+        return moves_of(window, CellLight(slopes, asked, first, deltas, KEY, climb))
+    assert window.cell_laws is not None
+    etas = window.cell_laws.ratios_of(window.lattice, window.lattice.cells())
+    asked = refract_each(window.law, deltas, light, etas)
+    own = OwnLenses(sizes.built, np.minimum(1.0, 1.0 / np.abs(etas[:, 0])))
+    return moves_of(
+        window, CellLight(slopes, asked, first, np.column_stack([deltas, etas[:, 0]]), KEY, climb, own)
+    )
 
 
-def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats) -> Floats:
-    """Change of lens 2's place (n, 2), lengths, with δ (n, 2) by d = δ f1; `focal` (2,) is f1, turn (3, 3) lens → sheet."""
+def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats, size: Floats | None) -> Floats:
+    """Change of lens 2's place (n, 2), lengths, with δ (n, 2) by d = δ f1; `focal` (2,) is f1 of the law, turn (3, 3)
+    lens → sheet, `size` (n,) how many times as long f1 of a cell is, None: all have the law's.
+    """
     law = window.law
+    if size is not None:
+        deltas = deltas * size[:, None]
     over = deltas - (law.delta_x, law.delta_y)
     lens = np.where(over == 0.0, 0.0, over * np.where(np.isfinite(focal), focal, 0.0))
     return np.asarray(lens @ turn[:2, :2].T)
 
 
-def _tabled(window: Window, cells: Ints, moved: Floats) -> VertexChange:
-    """Change of vertices by a table that has `moved` (n, 2), lengths, at the kept cells (n, 2)."""
-    table = np.zeros((*window.lattice.count, 2))
+def _tabled(window: Window, cells: Ints, each: Floats, beyond: float = 0.0) -> Floats:
+    """Table (n1, n2, ...) that has `each` (n, ...) at the kept cells (n, 2) and `beyond` at others."""
+    table = np.full((*window.lattice.count, *each.shape[1:]), beyond)
     i, j = cells.T
-    table[i + j // 2 if window.lattice.hexagonal else i, j] = moved
-    return VertexChange(table=table)
+    table[i + j // 2 if window.lattice.hexagonal else i, j] = each
+    return table
 
 
-def _with_change(window: Window, change: VertexChange) -> Window:
-    """The window with array 2's lenses changed."""
+def _with_change(window: Window, first: VertexChange | None, second: VertexChange) -> Window:
+    """The window with the lenses of both arrays changed."""
 
     def moved(face: Face) -> Face:
-        return replace(face, change=change) if face.array == 1 else face
+        return replace(face, change=first if face.array == 0 else second) if face.array is not None else face
 
     return replace(
         window, bodies=tuple(replace(b, front=moved(b.front), back=moved(b.back)) for b in window.bodies)
     )
 
 
-def _refuse_far(window: Window, cells: Ints, moved: Floats) -> None:
+def _refuse_far(window: Window, cells: Ints, moved: Floats, sizes: CellSizes | None) -> None:
     """Refuse a lens whose cell reaches too far from its vertex for its radius, naming the worst."""
     for face in window.faces:
         if face.array != 1:
             continue
         half = window.lattice.tile().max(axis=0)
         place = np.abs(np.asarray(face.vertex[:2]) + moved) + half
-        curved = np.abs([face.surface.curvature_x, face.surface.curvature_y])
+        curved = np.broadcast_to(np.abs([face.surface.curvature_x, face.surface.curvature_y]), place.shape)
+        if sizes is not None:
+            curved = curved / sizes.built[1][:, None]
         steep = place * curved
         worst = np.unravel_index(int(np.argmax(steep)), steep.shape)
         if not steep[worst] <= STEEPEST:
             (i, j), axis = cells[worst[0]].tolist(), int(worst[1])
-            over = (steep[worst] - half[axis] * curved[axis]) / (STEEPEST - half[axis] * curved[axis])
+            own = half[axis] * curved[worst]
+            over = (steep[worst] - own) / (STEEPEST - own)
             most = abs(
                 float(
                     window.law_at(cells[worst[0]]).delta_y if axis else window.law_at(cells[worst[0]]).delta_x

@@ -1,4 +1,4 @@
-"""The sheet whose cells differ, on the report's page: δ and steps of its cells, the worst ones, the asked point's light."""
+"""The sheet whose cells differ, on the report's page: δ, η and steps of its cells, the worst ones, the asked point's light."""
 
 from __future__ import annotations
 
@@ -52,7 +52,12 @@ def varying(report: Report, window: Window) -> str:
         shown = axes[2].imshow(high, cmap="viridis", vmin=0.0, vmax=top, **_placed(box))
         axes[2].set_title("greatest step to the next cell (\N{MICRO SIGN}m)", fontsize=8.5)
         figure.colorbar(shown, ax=axes[2], fraction=0.05, pad=0.03)
-        for panel in axes[:3]:
+        own_eta = laws.ratios is not None
+        if own_eta:
+            shown = axes[3].imshow(maps[3], cmap="viridis", **_placed(box))
+            axes[3].set_title("eta", fontsize=8.5)
+            figure.colorbar(shown, ax=axes[3], fraction=0.05, pad=0.03)
+        for panel in axes[: 3 + own_eta]:
             panel.grid(False)
             panel.set_xlabel("x on the sheet (mm)")
             panel.set_ylabel("y on the sheet (mm)")
@@ -60,13 +65,14 @@ def varying(report: Report, window: Window) -> str:
             axes[2].set_xlabel(f"x on the sheet (mm)\nringed, the worst: {words}")
         if seen is not None and np.isfinite(seen.found.point).all():
             _through_focus(axes[3], seen, mm)
-        else:
+        elif not own_eta:
             axes[3].set_axis_off()
 
     return svg(
         7.6,
         6.0,
-        "delta of each cell, steps between cells, and the light of the asked point through focus",
+        "delta of each cell, steps between cells, and "
+        + ("the light of the asked point through focus" if laws.ratios is None else "eta of each cell"),
         draw,
     )
 
@@ -77,7 +83,7 @@ def _placed(box: tuple[float, ...]) -> dict[str, Any]:
 
 
 def _maps(window: Window) -> Floats:
-    """δ_x, δ_y and the greatest step (length) at points over the sheet, (3, h, w); NaN where no cell is kept."""
+    """δ_x, δ_y, the greatest step (length) and η_x at points over the sheet, (4, h, w); NaN where no cell is kept."""
     assert window.cell_laws is not None  # who calls this has looked
     x0, x1, y0, y1 = window.lattice.extent()
     pixel = max(x1 - x0, y1 - y0) / ACROSS
@@ -88,11 +94,12 @@ def _maps(window: Window) -> Floats:
     index, _, _ = window.locate(0, across, up)
     cells, which = np.unique(index, axis=0, return_inverse=True)
     kept = window.lattice.contains(cells)
-    found = np.full((3, len(cells)), np.nan)
+    found = np.full((4, len(cells)), np.nan)
     found[:2, kept] = window.cell_laws.deltas(window.lattice, cells[kept]).T
     steps = [greatest_steps(window, face, cells[kept]) for face in window.faces if face.array is not None]
     found[2, kept] = np.max(steps, axis=0)
-    return found[:, which.ravel()].reshape(3, height, width)
+    found[3, kept] = window.cell_laws.ratios_of(window.lattice, cells[kept])[:, 0]
+    return found[:, which.ravel()].reshape(4, height, width)
 
 
 def _named_cells(panel: Any, report: Report, window: Window, mm: float) -> str:

@@ -14,7 +14,9 @@ with them their lenses turned about its middle; points in a cell and the axes of
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import repeat
 
 import numpy as np
 
@@ -77,9 +79,65 @@ class CellPlacement:
         return x0 * gx + sx, x1 * gx + sx, y0 * gy + sy, y1 * gy + sy
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LensPlaces:
+    """Where the lenses of given cells stand and how large each is, against the one lens that a face describes.
+
+    A lens of another size is the same figure enlarged about its apex: h(r) becomes k h(r/k), and no angle changes.
+
+    Parameters
+    ----------
+    vertex : (3,) lengths
+        Apex of the face's lens.
+    moved : (..., 2) or None, lengths
+        How far the apexes stand from there; None: all lenses are the face's.
+    rise : (...) lengths
+        How much higher.
+    size : (...) or None
+        k; None: all are as large.
+    """
+
+    vertex: tuple[float, float, float]
+    moved: Floats | None = None
+    rise: Floats | float = 0.0
+    size: Floats | None = None
+
+    def seen(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Points (...), lengths, of the cells' frames as the face's one lens sees them."""
+        if self.moved is None:
+            return x, y
+        x, y = x - self.moved[..., 0], y - self.moved[..., 1]
+        if self.size is None:
+            return x, y
+        vx, vy, _ = self.vertex
+        return vx + (x - vx) / self.size, vy + (y - vy) / self.size
+
+    def raised(self, z: Floats) -> Floats:
+        """Heights (...), lengths, of the lenses from those of the face's one lens over points so seen."""
+        if self.moved is None:
+            return z
+        if self.size is not None:
+            z = self.vertex[2] + (z - self.vertex[2]) * self.size
+        return np.asarray(z + self.rise)
+
+    @property
+    def apex(self) -> tuple[Floats | float, Floats | float, Floats | float]:
+        """Apexes of the lenses, x, y and z, (...) lengths; three numbers where all stand alike."""
+        x, y, z = self.vertex
+        if self.moved is None:
+            return x, y, z
+        return x + self.moved[..., 0], y + self.moved[..., 1], z + self.rise
+
+    def each(self) -> Iterator[LensPlaces]:
+        """The places of cells (n), one by one."""
+        assert self.moved is not None
+        sizes = repeat(None) if self.size is None else self.size
+        return (LensPlaces(self.vertex, *one) for one in zip(self.moved, np.asarray(self.rise), sizes))
+
+
 @dataclass(frozen=True, eq=False)
 class VertexChange:
-    """How far the lens of a cell stands from where `Face.vertex` has it: an affine part and a table.
+    """How far the lens of a cell stands from where `Face.vertex` has it, an affine part and a table, and how large it is.
 
     Parameters
     ----------
@@ -89,22 +147,31 @@ class VertexChange:
         Added cell by cell; the first index of a hexagonal lattice is i + j // 2, the place in the row.
     slope : (along x, along y)
         How far a lens rises on its way: tilted lenses that move in their own lens plane keep their distance from lens 1.
+    size : (n1, n2) array or None
+        How many times as large as the face's the lens of a cell is; indexed as `table`. None: all are as large.
     """
 
     gradient: tuple[Pair2, Pair2] = ((0.0, 0.0), (0.0, 0.0))
     table: Floats | None = None
     slope: Pair2 = (0.0, 0.0)
+    size: Floats | None = None
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
         """Change (..., 2), lengths, of the cells `index` (..., 2); the table has 0 for cells that are not kept."""
         x, y = np.moveaxis(lattice.centres(index), -1, 0)
         (xx, xy), (yx, yy) = self.gradient
         change = np.stack([xx * x + xy * y, yx * x + yy * y], axis=-1)
-        return change if self.table is None else np.asarray(change + self._tabled(lattice, index))
+        return change if self.table is None else np.asarray(change + tabled(self.table, lattice, index, 0.0))
 
     def rise(self, moved: Floats) -> Floats:
         """How much higher (...) lenses stand that moved so far (..., 2), lengths."""
         return np.asarray(moved @ np.array(self.slope))
+
+    def places(self, vertex: tuple[float, float, float], lattice: Lattice, index: Ints) -> LensPlaces:
+        """Where the lenses of the cells `index` (..., 2) stand, against the one at `vertex`, lengths."""
+        moved = self.at(lattice, index)
+        size = None if self.size is None else tabled(self.size, lattice, index, 1.0)
+        return LensPlaces(vertex, moved, self.rise(moved), size)
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> VertexChange:
         """The same change on `count` cells in the middle of the lattice it is for; a table is cut to them.
@@ -114,32 +181,56 @@ class VertexChange:
         ValueError
             The table has fewer cells.
         """
-        if self.table is None:
-            return self
-        over = [have - want for have, want in zip(self.table.shape[:2], count, strict=True)]
-        if min(over) < 0:
-            have, want = self.table.shape[:2], tuple(count)
-            raise ValueError(f"a table of {have[0]} x {have[1]} cells has no {want[0]} x {want[1]}")
-        i, j = over[0] // 2, over[1] // 2
-        j -= j % 2 if lattice.hexagonal else 0  # odd rows stand half a pitch over
-        return replace(self, table=self.table[i : i + count[0], j : j + count[1]])
+        table, size = (
+            None if whole is None else of_middle(whole, count, lattice) for whole in (self.table, self.size)
+        )
+        return replace(self, table=table, size=size)
 
-    def _tabled(self, lattice: Lattice, index: Ints) -> Floats:
-        assert self.table is not None
-        kept = lattice.contains(index)
-        i, j = index[..., 0], index[..., 1]
-        place = i + j // 2 if lattice.hexagonal else i
-        found = self.table[np.where(kept, place, 0), np.where(kept, j, 0)]
-        return np.where(kept[..., None], found, 0.0)
+
+def of_middle(table: Floats, count: tuple[int, int], lattice: Lattice) -> Floats:
+    """The part of a table (n1, n2, ...) that is for `count` cells in the middle of the lattice it is for.
+
+    Raises
+    ------
+    ValueError
+        It has fewer cells.
+    """
+    over = [have - want for have, want in zip(table.shape[:2], count, strict=True)]
+    if min(over) < 0:
+        have, want = table.shape[:2], tuple(count)
+        raise ValueError(f"a table of {have[0]} x {have[1]} cells has no {want[0]} x {want[1]}")
+    i, j = over[0] // 2, over[1] // 2
+    j -= j % 2 if lattice.hexagonal else 0  # odd rows stand half a pitch over
+    return table[i : i + count[0], j : j + count[1]]
+
+
+def tabled(table: Floats, lattice: Lattice, index: Ints, beyond: float) -> Floats:
+    """What a table (n1, n2, ...) has for the cells `index` (..., 2), and `beyond` for cells that are not kept.
+
+    The first index of a hexagonal lattice's is i + j // 2, the place in the row.
+    """
+    kept = lattice.contains(index)
+    i, j = index[..., 0], index[..., 1]
+    place = i + j // 2 if lattice.hexagonal else i
+    found = table[np.where(kept, place, 0), np.where(kept, j, 0)]
+    return np.where(kept if table.ndim == 2 else kept[..., None], found, beyond)
 
 
 def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
-    """List kept cells whose lenses stand farthest out, in each of 64 directions, (m, 2)."""
-    cells = row_ends(lattice) if change.table is None else lattice.cells()
+    """List kept cells whose lenses stand farthest out, in each of 64 directions, (m, 2).
+
+    Of lenses of many sizes also the largest and the smallest one, and those that lie steepest and highest in each direction.
+    """
+    alike = change.table is None and change.size is None
+    cells = row_ends(lattice) if alike else lattice.cells()
     moved = change.at(lattice, cells)
     angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-    far = [int(np.argmax(moved @ (np.cos(a), np.sin(a)))) for a in angle]
-    return np.unique(cells[far], axis=0)
+    out = [moved @ (np.cos(a), np.sin(a)) for a in angle]
+    if change.size is not None:
+        size = tabled(change.size, lattice, cells, 1.0)
+        rims = [lattice.circumradius + one for one in out]
+        out += [size, -size, *(rim / size for rim in rims), *(rim**2 / size for rim in rims)]
+    return np.unique(cells[[int(np.argmax(one)) for one in out]], axis=0)
 
 
 def row_ends(lattice: Lattice) -> Ints:

@@ -46,10 +46,14 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
     apart = thin.lattice(window.lattice).centres(index) + np.asarray(thin.shift) - first
     lens_2 = np.array(window.thin.offset)
     lens_2[:2] += apart - np.asarray(window.thin.shift)
-    if window.thin.change is not None:
-        moved = window.thin.change.at(window.lattice, index)
-        lens_2 += [*moved, float(window.thin.change.rise(moved))]
+    pair = window.thin
+    thin_lenses = [pair.lenses(array, window.lattice, index) for array in (0, 1)]
+    lens_2 += [float(v) for v in thin_lenses[1].apex]
     x, y, z = (float(v) for v in lens_2)
+    focal_1, focal_2 = (
+        focal if one.size is None else (focal[0] * float(one.size), focal[1] * float(one.size))
+        for focal, one in zip(pair.focal_length, thin_lenses, strict=True)
+    )
     return replace(
         window,
         bodies=bodies,
@@ -58,12 +62,15 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
         cell_laws=None,
         lattice=_wider(window.lattice, wider),
         outline=None if window.outline is None else _larger(window.outline, wider),
-        thin=replace(window.thin, offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0, change=None),
-    )
+        thin=replace(
+            pair, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0,
+            change=None, change_1=None,
+        ),
+    )  # fmt: skip
 
 
 def outer_cells(window: Window) -> Ints:
-    """Cells (m, 2) whose lenses stand farthest from where others have them, in four directions."""
+    """Cells (m, 2) whose lenses stand farthest from where others have them, in four directions, or are the smallest and largest."""
     changes = [face.change for face in window.faces if face.change is not None]
     if not changes:  # arrays of two pitches alone
         return np.asarray(sampled_cells(window, SIDES))
@@ -77,6 +84,9 @@ def outer_cells(window: Window) -> Ints:
         angles = np.arange(SIDES) * (2.0 * np.pi / SIDES)
         found.append(cells[[int(np.argmax(places @ (np.cos(a), np.sin(a)))) for a in angles]])
         found.append(cells[[int(np.argmax(np.hypot(*places.T)))]])
+        size = window.lenses(face, cells).size
+        if size is not None:
+            found.append(cells[[int(np.argmin(size)), int(np.argmax(size))]])
     return np.unique(np.concatenate(found), axis=0)
 
 

@@ -43,6 +43,12 @@ def need_equal_cells(window: Window, what: str, instead: str = "") -> None:
         raise CellsDiffer(what, instead)
 
 
+def need_one_eta(window: Window, what: str) -> None:
+    """Refuse a window whose cells have an η of their own; `CellsDiffer`, as `need_equal_cells`."""
+    if window.many_sizes:
+        raise CellsDiffer(what, "cells may differ in their offsets")
+
+
 def equal_cells(window: Window, what: str, instead: str = "") -> Window:
     """The window, refused where its cells differ; see `need_equal_cells`."""
     need_equal_cells(window, what, instead)

@@ -1,6 +1,7 @@
 """Steps between neighbours of a sheet whose cells differ: over every border, not of one cell that stands for all.
 
-Of two spheres the difference in height along their border is a straight line, so five places on it see the highest step.
+Of two spheres of one radius the difference in height along their border is a straight line, so five places on it see the
+highest step; of two radii it bends, and is looked at in seventeen.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from clacad.sheet.window import Body, Face, Window, face_height
 
 PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Where on a border the two cells are compared."""
+CLOSER = tuple(k / 16.0 for k in range(17))
+"""The same of lenses of many sizes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +68,17 @@ def _across(window: Window, face: Face, left: Ints, k: int) -> Floats:
     lattice = window.lattice_of(face.array)
     tile, m = lattice.tile(), len(lattice.steps)
     right = left + np.array(lattice.steps[k])
-    one = _along(tile[k], tile[(k + 1) % m])
-    other = _along(tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m])
+    at = CLOSER if window.many_sizes else PLACES
+    one = _along(tile[k], tile[(k + 1) % m], at)
+    other = _along(tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m], at)
     return np.asarray(
         np.abs(_heights(window, face, left, one) - _heights(window, face, right, other)).max(axis=1)
     )
 
 
-def _along(start: Floats, end: Floats) -> Floats:
-    """Places (5, 2) on a border, cell frame."""
-    t = np.array(PLACES)[:, None]
+def _along(start: Floats, end: Floats, at: tuple[float, ...]) -> Floats:
+    """Places (n, 2) on a border, n parts of the way along it, cell frame."""
+    t = np.array(at)[:, None]
     return np.asarray((1.0 - t) * start + t * end)
 
 

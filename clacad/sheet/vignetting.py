@@ -137,11 +137,27 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
         Incident directions, sheet frame, any length.
     """
     cells = thin_cells(window)
-    if not window.thin.second.own:
+    ratio = scale_of_image(cells, index)
+    if not window.thin.second.own and ratio is None:
         return share(cells, directions)
     arrival = off_partner(cells, index, cells.slopes(directions))
-    whole = polygon_area(cells.image)
-    return np.asarray(cells.part * _common_areas(cells.image, arrival, partner_zone(cells)) / whole)
+    return share_of_zone(cells, arrival, ratio)
+
+
+def share_of_zone(cells: ThinCells, shift: Floats, ratio: Floats | None) -> Floats:
+    """Share (n,) of light whose copies of lens 1's zone, `ratio` (n,) times the image, lie `shift` (n, 2) from lens 2's."""
+    image, whole = cells.image, np.asarray(polygon_area(cells.image))
+    if ratio is not None:
+        image, whole = image * ratio[:, None, None], whole * ratio**2
+    return np.asarray(cells.part * _common_areas(image, shift, partner_zone(cells)) / whole)
+
+
+def scale_of_image(cells: ThinCells, index: Ints) -> Floats | None:
+    """How many times as large as `ThinCells.image` the copy of lens 1's zone is that the cells `index` (n, 2) make, (n,); None
+    where those of all are alike.
+    """
+    first, second = (cells.pair.lenses(array, cells.window.lattice, index).size for array in (0, 1))
+    return None if first is None or second is None else np.asarray(second / first)
 
 
 def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
@@ -304,12 +320,13 @@ def _half_width(polygon: Floats, axis: int) -> float:
 
 
 def _common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
-    """Areas (k,), length², that a convex polygon (m, 2) moved to each of some places (k, 2) has in common with another one.
+    """Areas (k,), length², that a convex polygon (m, 2), or one (k, m, 2) each, moved to each of some places (k, 2) has in common
+    with another one.
 
     `clip` of all of them in step, with the same bits: a row that has fewer corners than others is filled up behind them.
     """
     corners = polygon + places[:, None]
-    count = np.full(len(places), len(polygon))
+    count = np.full(len(places), polygon.shape[-2])
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
         slots = np.arange(corners.shape[1])
         follower = np.where(slots + 1 < count[:, None], slots + 1, 0)

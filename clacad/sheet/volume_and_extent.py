@@ -6,7 +6,7 @@ Nothing here uses a mesh or a solid; every number comes from `clacad.sheet.windo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import inf, pi
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
-from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.cell_places import CellPlacement, LensPlaces
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, polygon_area
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
@@ -105,26 +105,19 @@ def _meets_itself(window: Window, body: Body, cells: Ints) -> bool:
 def _at_corners(window: Window, face: Face, cells: Ints) -> Floats:
     """Heights (n, m) of a face at the m corners of its optical zone in cells (n, 2)."""
     assert face.array is not None
-    corners = optical_tile(window, face.array)[None]
-    rise: Floats | float = 0.0
-    if face.change is not None:
-        moved = face.change.at(window.lattice, cells)
-        corners, rise = corners - moved[:, None], face.change.rise(moved)[:, None]
-    one = replace(face, change=None)
-    found = lens_height(one, corners[..., 0].ravel(), corners[..., 1].ravel()).reshape(corners.shape[:2])
-    return np.asarray(found + rise)
+    places = window.lenses(face, cells[:, None])
+    x, y = places.seen(*optical_tile(window, face.array).T[:, None])
+    return places.raised(lens_height(face, x.ravel(), y.ravel()).reshape(x.shape))
 
 
 def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts: int) -> Floats:
     """Integrals (n,) of a face's height over the optical zones of cells (n, 2), each cut into parts² boxes a parallelogram."""
-    one, low = replace(face, change=None), np.arange(parts) / parts
+    low = np.arange(parts) / parts
     boxes = np.stack(np.meshgrid(low, low, indexing="ij"), axis=-1).reshape(-1, 2)
 
-    def over_zone(moved: Floats) -> float:
-        rise = 0.0 if face.change is None else face.change.rise(moved)
-
+    def over_zone(places: LensPlaces) -> float:
         def height(x: Floats, y: Floats) -> Floats:
-            return np.asarray(lens_height(one, x - moved[0], y - moved[1]) + rise)
+            return places.raised(lens_height(face, *places.seen(x, y)))
 
         return sum(
             abs(float(u[0] * v[1] - u[1] * v[0])) * float(_rule(height, o, u, v, boxes, 1.0 / parts).sum())
@@ -132,8 +125,8 @@ def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts
         )
 
     if face.change is None:
-        return np.full(len(cells), over_zone(np.zeros(2)))
-    return np.array([over_zone(moved) for moved in face.change.at(window.lattice, cells)])
+        return np.full(len(cells), over_zone(window.lenses(face, None)))
+    return np.array([over_zone(places) for places in window.lenses(face, cells).each()])
 
 
 def volume_sum(integrals: Mapping[str, Integral | None], names: Sequence[str]) -> Integral | None:
@@ -359,11 +352,9 @@ def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) ->
     lattice: Lattice = window.lattice
     kept = lattice.contains(index)
     local = points[..., :2] - window.centres(face.array, index)[:, None]
-    rise: Floats | float = 0.0
-    if face.change is not None:
-        moved = face.change.at(lattice, index)
-        local, rise = local - moved[:, None], face.change.rise(moved)[:, None]
-    lens = lens_height(face, local[..., 0].ravel(), local[..., 1].ravel()).reshape(local.shape[:-1]) + rise
+    places = window.lenses(face, index[:, None])
+    x, y = places.seen(local[..., 0], local[..., 1])
+    lens = places.raised(lens_height(face, x.ravel(), y.ravel()).reshape(x.shape))
     to_lens = np.where(kept[:, None] & np.isfinite(lens), np.abs(points[..., 2] - lens), inf)
     to_land = np.full_like(to_lens, inf) if face.land is None else np.abs(points[..., 2] - face.land)
     return np.asarray(np.minimum(to_lens, to_land))

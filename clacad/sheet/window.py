@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.types import Floats, Ints
-from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, upright_sag
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, resized, upright_sag
 from clacad.sheet.cell_laws import CellLaws
-from clacad.sheet.cell_places import CellPlacement, VertexChange
+from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle
 from clacad.sheet.turn import turned
 
@@ -67,7 +67,7 @@ class Face:
         Sheet-frame z of the flat land of this face (web, seam, border); None: there is no land, so
         where the lenslet does not reach there is no face (a hole).
     change : VertexChange or None
-        How far the lens of each cell stands from `vertex`; None: all stand alike.
+        How far the lens of each cell stands from `vertex`, and how large it is; None: all are alike.
     """
 
     surface: Surface
@@ -174,7 +174,9 @@ class ThinPair:
     turn : float, radians
         Of array 2's cells about their middle.
     change : VertexChange or None
-        How far lens 2 of each cell stands, in its own cell, from where the middle cell has it.
+        How far lens 2 of each cell stands, in its own cell, from where the middle cell has it, and how large it is.
+    change_1 : VertexChange or None
+        How large lens 1 of each cell is; None: all are alike.
     field : tuple of FieldLens
         In the order of the light: none, one, or two where the meridians' foci lie apart.
     """
@@ -187,6 +189,7 @@ class ThinPair:
     change: VertexChange | None = None
     field: tuple[FieldLens, ...] = ()
     turn: float = 0.0
+    change_1: VertexChange | None = None
 
     @property
     def second(self) -> CellPlacement:
@@ -197,6 +200,12 @@ class ThinPair:
     def separation(self) -> float:
         """Distance s between the lens planes along the lens axis (length), equal to f1 + f2."""
         return float(self.rotation[:, 2] @ np.asarray(self.offset))
+
+    def lenses(self, array: int, lattice: Lattice, index: Ints) -> LensPlaces:
+        """Where lens `array` (0, 1) of the cells `index` (..., 2) stands, from where the middle cell has it, and how large it is."""
+        change = (self.change_1, self.change)[array]
+        middle = (0.0, 0.0, 0.0)
+        return LensPlaces(middle) if change is None else change.places(middle, lattice, index)
 
     def field_centre(self, lens: FieldLens) -> Floats:
         """Vertex (3,) of a field lens, sheet frame, from lens 1's centre: on the line from the middle of cell 1 to that of
@@ -325,9 +334,16 @@ class Window:
 
     @property
     def level_and_straight(self) -> bool:
-        """Whether every array lies along the sheet's axes and the lenses of each face stand at one height."""
-        rising = any(face.change is not None and any(face.change.slope) for face in self.faces)
-        return not rising and not any(place.turn for place in self.placements)
+        """Whether every array lies along the sheet's axes and the lenses of each face are of one size at one height."""
+        return not any(place.turn for place in self.placements) and not any(
+            face.change is not None and (any(face.change.slope) or face.change.size is not None)
+            for face in self.faces
+        )
+
+    @property
+    def many_sizes(self) -> bool:
+        """Whether lenses of one face are of many sizes, each for an η of its own."""
+        return any(face.change is not None and face.change.size is not None for face in self.faces)
 
     @property
     def uniform(self) -> bool:
@@ -345,12 +361,18 @@ class Window:
 
     def vertices(self, face: Face, index: Ints) -> Floats:
         """Apexes (..., 3) of a face's lenses in the cells `index` (..., 2): x, y from the cell's centre, z of the sheet."""
-        places = np.broadcast_to(np.asarray(face.vertex), (*index.shape[:-1], 3)).copy()
-        if face.change is not None:
-            moved = face.change.at(self.lattice, index)
-            places[..., :2] += moved
-            places[..., 2] += face.change.rise(moved)
-        return places
+        found = np.empty((*index.shape[:-1], 3))
+        for axis, apex in enumerate(self.lenses(face, index).apex):
+            found[..., axis] = apex
+        return found
+
+    def lenses(self, face: Face, index: Ints | None) -> LensPlaces:
+        """Where a face's lenses stand in the cells `index` (..., 2), and how large they are, against the one that the face
+        describes; None: that one.
+        """
+        if face.change is None or index is None:
+            return LensPlaces(face.vertex)
+        return face.change.places(face.vertex, self.lattice, index)
 
     def law_at(self, index: ArrayLike) -> Law:
         """The law that the cell `index` (i, j) is built for and judged by; that of the sheet where all obey one.
@@ -372,17 +394,16 @@ class Window:
         """Sheet points, (n,) each, in the cell frame in which the lens of their cell stands at `Face.vertex`, lengths."""
         assert face.array is not None
         index, x, y = self.locate(face.array, x, y)
-        if face.change is None:
-            return x, y
-        moved = face.change.at(self.lattice, index)
-        return x - moved[:, 0], y - moved[:, 1]
+        return self.lenses(face, index).seen(x, y)
 
     def in_cell(self, face: Face, index: Ints) -> Face:
         """The face of a sheet whose cells are all like the one at `index` (2,)."""
         if face.change is None:
             return face
-        x, y, z = (float(v) for v in self.vertices(face, index))
-        return replace(face, vertex=(x, y, z), change=None)
+        places = self.lenses(face, index)
+        x, y, z = (float(v) for v in places.apex)
+        surface = face.surface if places.size is None else resized(face.surface, float(places.size))
+        return replace(face, surface=surface, vertex=(x, y, z), change=None)
 
     def with_cells(self, count: tuple[int, int]) -> Window:
         """Give the same design with another cell count, centred on the origin, without a cut outline.
@@ -557,11 +578,8 @@ def face_height(window: Window, face: Face, x: Floats, y: Floats, index: Ints | 
 
 
 def _in_zone(window: Window, face: Face, x: Floats, y: Floats, index: Ints | None) -> Floats:
-    if face.change is None or index is None:
-        lens = lens_height(face, x, y)
-    else:
-        moved = face.change.at(window.lattice, index)
-        lens = lens_height(face, x - moved[..., 0], y - moved[..., 1]) + face.change.rise(moved)
+    places = window.lenses(face, index)
+    lens = places.raised(lens_height(face, *places.seen(x, y)))
     if window.land.seam > 0.0:
         zone = in_optical_tile(window, np.asarray(x), np.asarray(y), face.array or 0)
         lens = np.where(zone, lens, np.nan)

@@ -117,8 +117,7 @@ class Stage:
             self.folder = self.folder.resolve()
             sweep(self.folder)
             self._found = {MANIFEST: _identity(self.folder / MANIFEST)}
-            name = f".clacad-{os.getpid()}-{_start_time(os.getpid())}-{secrets.token_hex(6)}"
-            self._private = self.folder / name
+            self._private = self.folder / _private_name()
             _OPEN.add(self._private)
             try:
                 self._private.mkdir(mode=0o700)
@@ -269,9 +268,11 @@ def require_folder(folder: str | os.PathLike[str]) -> None:
     with translated(Path(folder)):
         if not place.is_dir():
             raise CannotWrite(f"{place} is a file; a folder is needed there")
-        probe = place / f".clacad-{secrets.token_hex(6)}"
+        sweep(place)
+        probe = place / _private_name()  # one that the next run removes, should this process die here
         probe.mkdir(mode=0o700)
-        probe.rmdir()
+        with suppress(FileNotFoundError):  # another machine took it for a dead one's
+            probe.rmdir()
 
 
 def write_file(path: str | os.PathLike[str], write: Callable[[Path], None], *, overwrite: bool = False,
@@ -416,6 +417,11 @@ def translated(path: Path) -> Iterator[None]:
 
 
 # -- whose private folder is it --------------------------------------------------------------
+
+
+def _private_name() -> str:
+    """A private folder's name, which tells whose it is."""
+    return f".clacad-{os.getpid()}-{_start_time(os.getpid())}-{secrets.token_hex(6)}"
 
 
 def _start_time(pid: int) -> int:

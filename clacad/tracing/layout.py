@@ -15,7 +15,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import sharpest_bend
-from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, VertexChange, extreme_cells
+from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, LensPlaces, VertexChange, extreme_cells
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
 from clacad.sheet.plate import Plate
 from clacad.sheet.turn import turned
@@ -49,7 +49,7 @@ class FacePlan:
     whole : bool
         The lens is a graph over all of its optical zone and stands proud of the land there.
     change : VertexChange or None
-        How far the lens of each cell stands from `vertex`.
+        How far the lens of each cell stands from `vertex`, and how large it is.
     blind : 0, 1 or 2
         Index (1: i, 2: j) that says nothing of which lens is met, for the face is the same along it: see `Face.blind`.
     """
@@ -219,12 +219,11 @@ def _half_widths(lattice: Lattice) -> Floats:
     return np.asarray(0.5 * np.hypot(offsets[:, 0], offsets[:, 1]))
 
 
-def apexes(layout: Layout, face: FacePlan, cell: Ints) -> Floats | None:
-    """How far (m, 3) the lenses of cells (m, 2) stand from the face's vertex, lengths; None where all stand alike."""
+def lenses(layout: Layout, face: FacePlan, cell: Ints) -> LensPlaces:
+    """Where the lenses of cells (m, 2) stand and how large they are, z over the body's level."""
     if face.change is None:
-        return None
-    moved = face.change.at(layout.lattice, cell)
-    return np.column_stack([moved, face.change.rise(moved)])
+        return LensPlaces(face.vertex)
+    return face.change.places(face.vertex, layout.lattice, cell)
 
 
 def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Floats) -> Floats:
@@ -239,17 +238,29 @@ def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Flo
 class SampledCell(NamedTuple):
     """Points of cells where faces are sampled.
 
-    x, y (m,) and their spacing, lengths; which lie in the optical zone, (m,); how far the lenses stand off, (2, cells), and how
-    much higher, (m,) and (cells,).
+    x, y (m,) as the face's one lens sees them, and their spacing, lengths; which lie in the optical zone, (m,); where the
+    lenses over each of them stand, (cells, 1), None: alike.
     """
 
     x: Floats
     y: Floats
     spacing: float
     zone: Bools
-    moved: Floats = np.zeros((2, 0))
-    rise: Floats = np.zeros(1)
-    risen: Floats = np.zeros(1)
+    places: LensPlaces | None = None
+
+    @property
+    def apart(self) -> float:
+        """How far the farthest lens stands off, length."""
+        if self.places is None or self.places.moved is None:
+            return 0.0
+        return float(np.hypot(*self.places.moved.T).max())
+
+    def bend(self, surface: Surface, reach: float) -> float:
+        """Bound, 1/length, of how the most curved of the lenses bends that reach so far, length."""
+        if self.places is None or self.places.size is None:
+            return sharpest_bend(surface, reach)
+        least = float(self.places.size.min())
+        return sharpest_bend(surface, reach / least) / least
 
 
 def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
@@ -267,11 +278,11 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
     front = _plan_face(body.front, level, front_z, front_slope, before, solids[0])
     back = _plan_face(body.back, level, back_z, back_slope, after, solids[1])
     apart = max(float(np.hypot(*face.vertex[:2])) for face in (body.front, body.back))
-    apart += max(float(np.hypot(*seen.moved).max(initial=0.0)) for seen in (before, after))
+    apart += max(before.apart, after.apart)
     if body.columnar:
-        covered = _covered(
-            (back_z - front_z)[before.zone], body, spacing, window.lattice.circumradius + apart
-        )
+        reach = window.lattice.circumradius + apart
+        bend = before.bend(body.front.surface, reach) + after.bend(body.back.surface, reach)
+        covered = _covered((back_z - front_z)[before.zone], bend, spacing)
     else:
         covered = front.high < back.low and front.whole and back.whole
     box, inner, outline, centre = _footprint(window, body)
@@ -293,9 +304,8 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
     )
 
 
-def _covered(gap: Floats, body: Body, spacing: float, reach: float) -> bool:
-    """Whether the sampled thickness is positive by more than a lens, `reach` (length) wide, can bend between two samples."""
-    bend = sum(sharpest_bend(face.surface, reach) for face in (body.front, body.back))
+def _covered(gap: Floats, bend: float, spacing: float) -> bool:
+    """Whether the sampled thickness is positive by more than faces that bend so much (1/length) can bend between two samples."""
     return bool(np.isfinite(gap).all() and gap.min() > bend * spacing * spacing)
 
 
@@ -317,15 +327,13 @@ def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | Non
         sampled = _sample_cell(window, face.array)
     if cells is None:
         return sampled
-    change = np.zeros((len(cells), 2)) if face.change is None else face.change.at(window.lattice, cells)
-    x, y = ((points - change[:, k, None]).ravel() for k, points in enumerate((sampled.x, sampled.y)))
+    places = window.lenses(face, np.broadcast_to(cells[:, None], (len(cells), 1, 2)))
+    if places.moved is None:
+        places = LensPlaces(face.vertex, np.zeros((len(cells), 1, 2)), np.zeros((len(cells), 1)))
+    x, y = places.seen(sampled.x[None], sampled.y[None])
+    seen = SampledCell(x.ravel(), y.ravel(), sampled.spacing, np.tile(sampled.zone, len(cells)), places)
     # between two of the directions in which cells were looked for a lens may stand a little farther out
-    between = (1.0 - cos(pi / DIRECTIONS)) * float(np.hypot(*change.T).max())
-    risen = np.zeros(len(cells)) if face.change is None else face.change.rise(change)
-    higher = np.repeat(risen, len(sampled.x))
-    return SampledCell(
-        x, y, sampled.spacing + between, np.tile(sampled.zone, len(cells)), change.T, higher, risen
-    )
+    return seen._replace(spacing=sampled.spacing + (1.0 - cos(pi / DIRECTIONS)) * seen.apart)
 
 
 def _sample_cell(window: Window, array: int = 0) -> SampledCell:
@@ -355,7 +363,8 @@ def _sampled(face: Face, seen: SampledCell) -> tuple[Floats, Floats]:
     if face.array is None:
         return np.full(seen.x.shape, face.vertex[2]), np.zeros(seen.x.shape)
     z, normal = lens_height_and_normal(face, seen.x, seen.y)
-    z = z + seen.rise
+    if seen.places is not None:
+        z = seen.places.raised(z.reshape(np.shape(seen.places.rise)[0], -1)).ravel()
     with np.errstate(invalid="ignore", divide="ignore"):
         return z, np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]
 
@@ -374,8 +383,10 @@ def _plan_face(
     high = float(heights.max(initial=-np.inf)) + margin
     if face.array is None:
         low = high = face.vertex[2] - level
-    if face.change is not None and seen.any():  # nearer lenses show their apex
-        apex = face.vertex[2] - level + seen_from.risen
+    if (
+        face.change is not None and seen_from.places is not None and seen.any()
+    ):  # nearer lenses show their apex
+        apex = face.vertex[2] - level + np.asarray(seen_from.places.rise)
         low, high = min(low, float(apex.min())), max(high, float(apex.max()))
     if isfinite(land):
         low, high = min(low, land), max(high, land)

@@ -54,8 +54,10 @@ def trace(
         None: the environment variable CLACAD_THREADS, else every core.
     path : "numpy", "numba", "size" or None
         Which implementation; None takes what is done first here and now, compiled kernels wherever they are loaded
-        already. "size" goes by the number of rays alone: the same bits in every process. Arrays that are turned and lenses
-        at heights of their own are known to numpy alone, which traces their exact surfaces whatever is asked.
+        already; rung "mesh" is then always compiled. "size" goes by the number of rays alone: the same bits in every
+        process. Arrays that are turned and lenses at heights of their own are known to numpy alone, which traces their
+        exact surfaces whatever is asked; triangles that are not the sheet's own mesh, and those of cells that differ, to
+        the kernels alone.
     precision : "float64" or "float32"
         Rung "surfaces" without effects only: "float32" computes the straight path of the light in single
         precision, for pictures; directions are then good to about a microradian. Always compiled.

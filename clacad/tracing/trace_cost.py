@@ -15,7 +15,7 @@ COMPILED = 0.7
 PER_RAY = {"law": 3.5e-7, "thin": 4.2e-7, "surfaces": 4.2e-7, "mesh": 5e-7}
 """Reading, tracing and writing a ray."""
 
-PLAIN = {"law": 1.7e-6, "thin": 2.0e-6, "surfaces": 2.6e-6}
+PLAIN = {"law": 1.7e-6, "thin": 2.0e-6, "surfaces": 2.6e-6, "mesh": 3.0e-6}
 """The same where there are too few rays for compiled kernels."""
 
 PER_EFFECT = 2e-6
@@ -38,7 +38,7 @@ def trace_seconds(
     mesh_bytes : int
         Size of the file of triangles, if there is one.
     """
-    plain = _in_numpy(rung, effects, rays, faces)
+    plain = _in_numpy(rung, effects, rays, faces, mesh_bytes > 0)
     fixed = FIXED + (0.0 if plain else COMPILED)
     each = (PLAIN if plain else PER_RAY).get(rung, PER_RAY["surfaces"])
     return fixed + rays * (each + PER_EFFECT * len(effects)) + PER_BYTE * mesh_bytes
@@ -48,13 +48,13 @@ def task(
     rung: str, effects: Sequence[str] = (), rays: int = 0, faces: int = 4, from_file: bool = False
 ) -> str:
     """Name under which such a trace is noted: what decides how long a ray takes."""
-    plain = _in_numpy(rung, effects, rays, faces)
+    plain = _in_numpy(rung, effects, rays, faces, from_file)
     parts = ["trace", rung, "numpy" if plain else "", "file" if from_file else "", *sorted(effects)]
     return " ".join(part for part in parts if part)
 
 
-def _in_numpy(rung: str, effects: Sequence[str], rays: int, faces: int) -> bool:
-    """Whether the rays are too few for compiled kernels; ideal rungs have none under effects."""
+def _in_numpy(rung: str, effects: Sequence[str], rays: int, faces: int, from_file: bool) -> bool:
+    """Whether the rays are too few for compiled kernels; ideal rungs have none under effects, and a file's facets nothing else."""
     if rung in ("law", "thin"):
         return bool(effects) or not worth_compiled(rays, IDEAL_FACES)
-    return rung == "surfaces" and not worth_compiled(rays, faces)
+    return not (from_file or worth_compiled(rays, faces))

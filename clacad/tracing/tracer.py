@@ -24,7 +24,15 @@ from clacad.tracing.reference.law_rung import trace_law
 from clacad.tracing.reference.surfaces import trace_surfaces
 from clacad.tracing.reference.thin import trace_thin
 from clacad.tracing.triangles.ready_facets import OWN_QUADS, Facets, facets_of
-from clacad.tracing.which_path import IDEAL_FACES, LOADED, Path, compiled_suits, kernels_of
+from clacad.tracing.triangles.tiles import Tiles
+from clacad.tracing.which_path import (
+    IDEAL_FACES,
+    LOADED,
+    Path,
+    compiled_suits,
+    kernels_of,
+    worth_compiled,
+)
 
 if TYPE_CHECKING:
     from clacad.effects.engine.passes import Effect
@@ -32,7 +40,7 @@ if TYPE_CHECKING:
     from clacad.tracing.light_sums import LightSums
     from clacad.tracing.triangles.facet_grid import Triangles
     from clacad.tracing.triangles.ready_facets import AnyMesh
-    from clacad.tracing.triangles.tiles import Normals, Tiles
+    from clacad.tracing.triangles.tiles import Normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +115,8 @@ class Tracer:
             found = _through_facets(self.facets, rays, faces, self.threads)
             return told(self.window, self.facets, rays, found, record)
         if self.facets is not None:
+            if self._tiles_in_numpy(len(rays), faces):
+                return _by_numpy(self.facets.layout, rays, "surfaces", recorded)
             return _through_facets(self.facets, rays, recorded, self.threads)
         layout, single = lay_out(self.window), self.precision == "float32"
         if single or compiled_suits(self.rung, self.path, len(rays), faces, layout):
@@ -150,11 +160,18 @@ class Tracer:
     def _chosen(self, rays: int) -> Path:
         """The path of so many rays, whatever pieces they are traced in."""
         if self.facets is not None or self.precision == "float32":
-            return "numba"
+            few = self._tiles_in_numpy(rays, 2 * len(self.window.bodies))
+            return "numpy" if few else "numba"
         if not self.window.uniform:
             return "numpy"
         faces = 2 * len(self.window.bodies) if self.rung == "surfaces" else IDEAL_FACES
         return "numba" if compiled_suits(self.rung, self.path, rays, faces, lay_out(self.window)) else "numpy"
+
+    def _tiles_in_numpy(self, rays: int, faces: int) -> bool:
+        """Whether numpy traces so many rays through a sheet's own mesh: as asked, or because they are few."""
+        if self.facets is None or not isinstance(self.facets.found_in, Tiles):
+            return False
+        return self.path == "numpy" or (self.path == "size" and not worth_compiled(rays, faces))
 
     def _refuse_words(self) -> None:
         """Refuse words that are not known, and a mesh or its normals where no facets are traced."""

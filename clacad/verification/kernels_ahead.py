@@ -14,9 +14,6 @@ Kernel = Literal["surfaces", "mesh", "float32", "law", "thin"]
 SECONDS: dict[Kernel, float] = {"surfaces": 40.0, "mesh": 41.0, "float32": 20.0, "law": 7.0, "thin": 9.0}
 """Processor seconds of compiling each (`tests/benchmarks/kernel_compile.py`)."""
 
-OF_REPORT: tuple[Kernel, ...] = ("mesh",)
-"""Kernels that a report's ladder of accuracy runs: its few rays are numpy's on the other rungs."""
-
 OF_TABLE: tuple[Kernel, ...] = ("surfaces", "mesh", "float32", "law", "thin")
 """Kernels of a table of accuracy."""
 

@@ -287,8 +287,9 @@ def asked_and_built(report: Report) -> list[tuple[str, str, str]]:
         if design.pair.index is None
         else f"{design.pair.index:g}"
     )
+    own = "" if not window.many_sizes else ", cells of the table taken by their own"
     return [
-        ("η x, y", _pair((law.eta_x, law.eta_y)), dark if fit is None else _pair((fit.eta_x, fit.eta_y))),
+        ("η x, y", _pair((law.eta_x, law.eta_y)) + own, dark if fit is None else _pair((fit.eta_x, fit.eta_y))),
         ("δ x, y", _pair((law.delta_x, law.delta_y)), dark if fit is None else _pair((fit.delta_x, fit.delta_y))),
         ("φ, θ, ψ (deg)", ", ".join(f"{a:g}" for a in design.law_spec.euler_degrees)
          + f" ({design.law_spec.euler_axes} axes)", "held in the fit; see the check tilt"),

@@ -13,7 +13,6 @@ import pytest
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.design import number_rows
 from clacad.design.cell_table import TableSpec, digest, read_table, table_path
-from clacad.design.cell_table_rows import TableFile
 from clacad.sheet.lattice import Circle, Lattice
 
 HEADER = "i,j,delta_x,delta_y\n"
@@ -26,15 +25,22 @@ def rows(lattice, delta=lambda i, j: (0.01 * i, -0.02 * j)):
     )
 
 
-def read(tmp_path, data, lattice=SMALL, name="cells.csv", stated=None):
+def table_of(tmp_path, data, lattice=SMALL, name="cells.csv", stated=None, eta=-1.0):
     raw = data if isinstance(data, bytes) else data.encode()
     (tmp_path / name).write_bytes(raw)
-    return read_table(str(tmp_path / "d.toml"), TableSpec(name, stated or sha256(raw).hexdigest()), lattice)
+    spec = TableSpec(name, stated or sha256(raw).hexdigest())
+    return read_table(str(tmp_path / "d.toml"), spec, lattice, eta)
 
 
-def refused(tmp_path, data, lattice=SMALL, name="cells.csv"):
+def read(tmp_path, data, lattice=SMALL, name="cells.csv", stated=None):
+    found = table_of(tmp_path, data, lattice, name, stated)
+    assert found.etas is None
+    return found.deltas
+
+
+def refused(tmp_path, data, lattice=SMALL, name="cells.csv", eta=-1.0):
     with pytest.raises(DesignError) as caught:
-        read(tmp_path, data, lattice, name)
+        table_of(tmp_path, data, lattice, name, eta=eta)
     (mistake,) = caught.value.mistakes
     assert mistake.code == "CL124"
     assert str(mistake)
@@ -124,7 +130,7 @@ def test_an_array_is_taken_as_it_is_and_refused_where_it_is_another(tmp_path):
         (b"not a zip", "not an .npz archive"),
         (whole[:-30], "not an .npz archive"),
         (whole[:60] + b"\xff" * 40 + whole[100:], "delta"),
-        (whole + b"\0" * (2 << 20), "more than such an array has"),
+        (whole + b"\0" * (2 << 20), "more than such arrays have"),
     ):
         assert word in refused(tmp_path, data, name="t.npz").message
 
@@ -172,11 +178,63 @@ def test_too_many_cells_rows_or_bytes_are_refused_by_the_limit(tmp_path, monkeyp
         read(tmp_path, rows(SMALL))
 
 
-def test_a_column_of_eta_is_refused_saying_that_eta_is_one_for_all(tmp_path):
-    (tmp_path / "t.csv").write_text("i,j,delta_x,delta_y,eta_x\n0,0,0,0,-1\n")
-    with pytest.raises(DesignError) as caught:
-        TableFile(
-            str(tmp_path / "t.csv"), Lattice("square", (0.5, 0.5), (1, 1)), "law.varying.table"
-        ).deltas()
-    assert "law.eta" in caught.value.mistakes[0].hint
-    assert caught.value.mistakes[0].column == 21
+def with_etas(eta=lambda i, j: -1.0 - 0.1 * i - 0.01 * j):
+    head, *body = rows(SMALL).splitlines()
+    lines = [f"{line},{eta(*map(int, line.split(',')[:2]))!r}" for line in body]
+    return "\n".join([head + ",eta", *lines]) + "\n"
+
+
+def test_a_column_or_an_array_of_eta_is_taken_beside_delta(tmp_path):
+    etas = np.array([[-1.0 - 0.1 * i - 0.01 * j for j in range(3)] for i in range(2)])
+    for change in (str, lambda t: t.replace("\n", "\r\n"), lambda t: "\ufeff" + t):
+        made = table_of(tmp_path, change(with_etas()))
+        assert np.array_equal(made.etas, etas)
+        assert np.array_equal(made.deltas, read(tmp_path, rows(SMALL)))
+    made = table_of(tmp_path, npz(delta=np.zeros((2, 3, 2)), eta=etas), name="t.npz")
+    assert np.array_equal(made.etas, etas)
+
+
+def test_cells_that_an_outline_leaves_out_have_the_eta_of_the_law(tmp_path):
+    round_one = Lattice("square", (1.0, 1.0), (6, 6), Circle(6.0))
+    text = HEADER.replace("\n", ",eta\n") + "".join(
+        f"{i},{j},0,0,-2\n" for i, j in round_one.cells().tolist()
+    )
+    etas = table_of(tmp_path, text, round_one, eta=-0.5).etas
+    assert (etas == -2.0).sum() == round_one.cell_count
+    assert (etas == -0.5).sum() == 36 - round_one.cell_count
+    array = npz(delta=np.zeros((6, 6, 2)), eta=np.where(etas == -2.0, -2.0, np.nan))
+    assert np.array_equal(table_of(tmp_path, array, round_one, "t.npz", eta=-0.5).etas, etas)
+
+
+@pytest.mark.parametrize(
+    ("eta", "law", "allowed"),
+    [
+        ("nan", -1.0, "between -1e+06 and 0"), ("0", -1.0, "between -1e+06 and 0"), ("0.5", -1.0, "between -1e+06 and 0"),
+        ("-1e-7", -1.0, "|eta| >= 1e-06"), ("-inf", -1.0, "-1e+06"), ("1", 0.5, "between 0 and 1"), ("-0.5", 0.5, "between 0 and 1"),
+        ("2", 0.5, "between 0 and 1"), ("1", 2.0, "between 1 and 1e+06"), ("0.5", 2.0, "between 1 and 1e+06"),
+    ],
+)  # fmt: skip
+def test_an_eta_of_no_lens_or_of_lenses_bent_the_other_way_is_refused_at_its_place(
+    tmp_path, eta, law, allowed
+):
+    good = with_etas(lambda i, j: law)
+    text = good.replace(f"1,2,0.01,-0.04,{law!r}", f"1,2,0.01,-0.04,{eta}")
+    mistake = refused(tmp_path, text, eta=law)
+    assert (mistake.line, mistake.column) == (7, 16)
+    assert mistake.message == "eta is out of range"
+    assert allowed in mistake.allowed
+    assert f"law.eta = {law:g}" in mistake.allowed
+    etas = np.full((2, 3), law)
+    etas[1, 2] = float(eta)
+    array = refused(tmp_path, npz(delta=np.zeros((2, 3, 2)), eta=etas), name="t.npz", eta=law)
+    assert "eta[1, 2]" in array.message
+
+
+def test_a_table_with_another_kind_of_eta_is_refused_saying_what_is_taken(tmp_path):
+    mistake = refused(tmp_path, "i,j,delta_x,delta_y,eta_x\n0,0,0,0,-1\n")
+    assert "one number of a cell" in mistake.hint
+    assert mistake.column == 21
+    assert refused(tmp_path, "i,j,delta_x,eta,delta_y\n0,0,0,-1,0\n").column == 13
+    delta = np.zeros((2, 3, 2))
+    for wrong in (np.full((2, 3, 2), -1.0), np.full((2, 2), -1.0), np.full((2, 3), "x")):
+        assert "array 'eta' is" in refused(tmp_path, npz(delta=delta, eta=wrong), name="t.npz").message

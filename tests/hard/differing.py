@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-from clacad import Design, prescribe
+from clacad import Design, load, prescribe
 from clacad.sheet.cell_places import VertexChange
 
 BASE = {
@@ -24,13 +26,38 @@ FAR = [20_001, 20_001]
 def window_of(changes):
     """The sheet with some keys changed; `gradient` is that of the places of lenses 2, whatever the design makes."""
     keys = dict(changes)
-    gradient = keys.pop("gradient", None)
-    window = prescribe(Design.from_dict(BASE).replace(keys))
+    gradient, etas = keys.pop("gradient", None), keys.pop("etas", None)
+    window = prescribe(Design.from_dict(BASE).replace(keys)) if etas is None else tabled(keys, etas)
     if gradient is None:
         return window
     (body,) = window.bodies
     change = replace(body.back.change or VertexChange(), gradient=gradient)
     return replace(window, bodies=(replace(body, back=replace(body.back, change=change)),))
+
+
+def tabled(keys, etas):
+    """The sheet of a table whose cells (i, j) have the η, δx and δy that `etas` gives for them."""
+    with tempfile.TemporaryDirectory() as folder:
+        design = Design.from_dict(BASE).replace(keys)
+        cells = prescribe(design).lattice.cells().tolist()
+        rows = ["i,j,delta_x,delta_y,eta"]
+        for i, j in cells:
+            eta, x, y = etas(i, j)
+            rows.append(f"{i},{j},{x!r},{y!r},{eta!r}")
+        (Path(folder) / "cells.csv").write_text("\n".join(rows) + "\n")
+        text = design.canonical_toml().replace("[law]\n", '[law]\nvarying = {table = "cells.csv"}\n')
+        (Path(folder) / "design.toml").write_text(text)
+        return prescribe(load(Path(folder) / "design.toml"))
+
+
+def spread(low, high):
+    """η from one to the other over a sheet of 21 cells, δ from its middle."""
+    return lambda i, j: (low + (high - low) * (i + j) / 40.0, 2e-3 * (i - 10), -1e-3 * (j - 10))
+
+
+def one_beside(cell, eta, others=-1.0):
+    """η of one cell, and of all others."""
+    return lambda i, j: (eta if (i, j) == cell else others, 1e-3 * i, 0.0)
 
 
 @dataclass(frozen=True)
@@ -77,6 +104,7 @@ GLENS = {"law.varying": {"gradient": [[1e-12, 0.0], [0.0, 1e-12]]}}
 BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
 TABLED = {"law.varying": {"f_image": 200}, "pair.offset": "traced", "lattice.count": [41, 41]}
 LEANING = {"law.euler": [30, 3, 10], "law.varying": {"gradient": [[-5e-3, 0.0], [0.0, -5e-3]]}}
+OWN = {"etas": spread(-0.5, -2.0)}
 CURL = ((1e-3, -7e-3), (5e-3, 2e-3))
 CASES = [
     case("cell (10^4, 10^4) of an aimed sheet", "the middle, where every place is 0", aimed(-8e4, **WIDE), (10_000, 10_000)),
@@ -143,4 +171,23 @@ CASES = [
          off=(-0.04, 0.07)),
     case("kappa = 1e-12, tilted", "heights differ by 1e-12", {**LEANING, **GLENS}, (20, 20), off=(0.01, 0.02)),
     case("kappa = 5e-3, vertices traced, middle", "where the table has 0", TABLED, (20, 20)),
+    case("eta from -1/2 to -2, a corner cell", "radii from 2 to 4 times a cell, each pair's own", OWN, (0, 0)),
+    case("eta from -1/2 to -2, the other corner", "the other end", OWN, (20, 20)),
+    case("eta from -1/2 to -2, a ghost", "lens 2 of the next cell is another one", OWN, (7, 9), slope=(0.05, -0.02)),
+    case("eta from -1/2 to -2, hexagonal", "rows of the table begin elsewhere", {**OWN, "lattice.kind": "hexagonal"}, (12, 17)),
+    case("eta from -1/2 to -2, vertices traced", "moved as far as coma of that radius asks", {**OWN, "pair.offset": "traced"}, (3, 18)),
+    case("eta = -1 beside -1 (1 + 1e-12)", "sizes differ by 5e-13", {"etas": one_beside((4, 5), -1.0 - 1e-12)}, (4, 5)),
+    case("eta = -1 beside -1 (1 - 1e-12)", "the other way", {"etas": one_beside((4, 5), -1.0 + 1e-12)}, (4, 5)),
+    case("eta = -1/4 beside -1", "lens 1 is 1.6 and lens 2 .4 times as large", {"etas": one_beside((4, 5), -0.25)}, (4, 5), off=(0.05, -0.06)),
+    case("eta = -4 beside -1", "the other way", {"etas": one_beside((4, 5), -4.0)}, (4, 5), off=(0.05, -0.06)),
+    case("eta = -4, the cell beside that of eta = -1/4", "ghosts through the odd one's lens 2", {"etas": one_beside((4, 5), -0.25, -4.0)}, (3, 5),
+         off=(0.05, -0.06), slope=(0.05, 0.0)),
+    case("eta from 1/4 to 3/4, lens 2 concave", "no real focus", {"law.eta": [0.5, 0.5], "etas": spread(0.25, 0.75)}, (2, 17)),
+    case("eta from 3/2 to 3, lens 1 concave", "the other lens", {"law.eta": [2, 2], "etas": spread(1.5, 3.0)}, (2, 17)),
+    case("plano, eta from -1/2 to -2", "lenses of two bodies", {**OWN, **PLANO}, (17, 3)),
+    case("plano, curved inside, eta from -1/2 to -2", "faces towards one another", {**OWN, **PLANO, "pair.curved": "inside"}, (3, 17)),
+    case("biconvex, eta from -.8 to -1.2", "thick lenses of one thickness", {**BICONVEX, "etas": spread(-0.8, -1.2)}, (17, 3)),
+    case("biconvex, turned and tilted, eta from -.8 to -1.2", "figures lean, their sizes do not",
+         {**TILTED, "law.eta": [-1, -1], "etas": spread(-0.8, -1.2)}, (17, 3), off=(0.02, 0.01)),
+    case("conics, eta from -1/2 to -2", "biconic faces are figures too", {**OWN, "pair.surface": "biconic"}, (18, 2)),
 ]  # fmt: skip

@@ -93,7 +93,7 @@ def _first(window, face, position, ray, before, after):
         moved = _moved(window, face, cell)
         rise = sum(mpf(float(s)) * m for s, m in zip(face.change.slope, moved)) if face.change else mpf(0)
         apex = [*(c + m for c, m in zip(centre, moved)), rise]
-        met = _through(face, apex, position, ray, before, after, cell)
+        met = _through(face, apex, position, ray, before, after, cell, _size(window, face, cell))
         if met is None or not _kept(window, cell):
             continue
         place = [met[2][k] - shift[k] for k in (0, 1)]
@@ -102,13 +102,14 @@ def _first(window, face, position, ray, before, after):
     return min(found, key=lambda one: one[1]) if found else None
 
 
-def _through(face, centre, position, ray, before, after, cell):
+def _through(face, centre, position, ray, before, after, cell, size=1):
     kind = "biconic" if hasattr(face.surface, "conic_x") else "quadric"
     one = face.surface
+    cx, cy = (mpf(c) / size for c in (one.curvature_x, one.curvature_y))
     shape = (
-        (one.curvature_x, one.curvature_y, one.conic_x, one.conic_y, one.side)
+        (cx, cy, one.conic_x, one.conic_y, one.side)
         if kind == "biconic"
-        else (one.curvature_x, one.curvature_y, one.kappa, 0.0, one.side)
+        else (cx, cy, mpf(one.kappa) / size, 0.0, one.side)
     )
     vertex = [centre[k] + mpf(float(face.vertex[k])) for k in (0, 1, 2)]
     placed = surfaces.Face(kind, shape, (0.0, 0.0, 0.0), before, after, rotation=face.rotation)
@@ -136,6 +137,15 @@ def _moved(window, face, cell):
     i, j = cell
     place = i + j // 2 if window.lattice.kind == "hexagonal" else i
     return [m + mpf(float(t)) for m, t in zip(moved, face.change.table[place, j])]
+
+
+def _size(window, face, cell):
+    """How many times as large as the face's the lens of a cell is."""
+    if face.change is None or face.change.size is None or not _kept(window, cell):
+        return 1
+    i, j = cell
+    place = i + j // 2 if window.lattice.kind == "hexagonal" else i
+    return mpf(float(face.change.size[place, j]))
 
 
 def _turned(place, angle):

@@ -13,7 +13,7 @@ from mpmath import mp
 from oracle import varying as oracle
 
 import clacad
-from clacad.design.combinations import BUILT, FEATURES, REASONS, SHEETS, matrix
+from clacad.design.combinations import BUILT, ETAS, FEATURES, REASONS, SHEETS, matrix
 from clacad.imaging.best_point import best_point
 from clacad.optics.law.focusing import Glens
 from clacad.optics.rays import Fate
@@ -217,6 +217,8 @@ PRESENT = {
     "thin recipe": {"pair__form": "plano", "pair__confocal": "thin"},
     "confocal best": {"pair__confocal": "best"}, "field lens": {"pair__field_lens": True, "pair__surface": None},
     "plate with holes, corners or pins": {"body__border": 1, "body__corners": {"round": 0.5}}, "baffle": {"pair__form": "plano", "body__baffle": True, "body__baffle_wall": "50 um"},
+    "eta_x and eta_y that differ": {"law__eta": [-1.0, -0.9]}, "depth of a lens": {"pair__surface": None, "pair__depth": ["2.4 mm", "2.4 mm"]},
+    "biconvex of a thickness to be found": {"pair__form": "biconvex", "pair__surface": None, "pair__thickness": "auto"},
 }  # fmt: skip
 
 
@@ -274,10 +276,10 @@ def test_a_superlens_focuses_where_gabor_has_it_and_its_cells_share_one_law():
 
 def test_the_matrix_is_what_refuses():
     head, *rows = matrix()
-    assert head[1:] == list(SHEETS)
+    assert head[1:] == [*SHEETS, ETAS]
     for name, *cells in rows:
         for sheet, cell in zip(head[1:], cells):
-            itself = name in ITS_OWN[sheet]
+            itself = name in ITS_OWN[sheet if sheet in SHEETS else "law.varying"]
             assert cell == ("itself" if itself else REASONS.get((sheet, name), BUILT))
     assert {f.name for f in FEATURES} == set(PRESENT)
 

@@ -16,7 +16,16 @@ from pathlib import Path
 
 import pytest
 
-from clacad.storage.atomic import MANIFEST, Stage, file_hash, read_manifest, safe_name, sweep, write_file
+from clacad.storage.atomic import (
+    MANIFEST,
+    Stage,
+    file_hash,
+    read_manifest,
+    require_folder,
+    safe_name,
+    sweep,
+    write_file,
+)
 from clacad.storage.errors import CannotWrite, ExportRefused
 
 BODY = {"a.bin": b"a" * 300_000, "b.bin": b"b" * 200_000}
@@ -169,6 +178,25 @@ def test_folders_of_dead_processes_are_swept_and_those_of_living_ones_are_not(tm
     with Stage(tmp_path) as other:
         sweep(tmp_path)
         assert leftovers(tmp_path) == [other.path("x").parent.name]
+
+
+def test_killed_while_it_looks_whether_a_folder_can_be_written_it_leaves_what_the_next_one_removes(
+    tmp_path: Path,
+) -> None:
+    dies = (
+        "import os, signal, sys; from pathlib import Path; from clacad.storage.atomic import require_folder\n"
+        "Path.rmdir = lambda self: os.kill(os.getpid(), signal.SIGKILL)\nrequire_folder(sys.argv[1])"
+    )
+    for look_again in (
+        lambda: require_folder(tmp_path / "out"),
+        lambda: Stage(tmp_path).__enter__().__exit__(),
+    ):
+        assert (
+            subprocess.run([sys.executable, "-c", dies, str(tmp_path / "out")]).returncode == -signal.SIGKILL
+        )
+        assert len(leftovers(tmp_path)) == 1
+        look_again()
+        assert not leftovers(tmp_path)
 
 
 def test_two_exports_into_one_folder_at_once_do_not_mix(tmp_path: Path) -> None:

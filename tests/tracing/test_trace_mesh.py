@@ -86,22 +86,60 @@ def test_every_ray_does_what_all_triangles_together_say(name):
         bodies.append((corners, np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])))
     position, direction = beam(window, 250, 13, steepest=0.9, spread=-0.5)
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    result = trace(window, Rays(position, direction), rung="mesh", mesh=mesh)
-    wrong = []
-    for ray in range(250):
-        name_found, out = follow(bodies, [b.index for b in window.bodies], position[ray], direction[ray])
-        fate = Fate(result.fate[ray]).name
-        if name_found == "THROUGH":
-            same = fate in ("ALIVE", "GHOST", "LAND")
-            same &= bool(np.abs(out - result.direction[ray]).max() < 1e-7)
-        elif name_found == "PASSED":
-            same = fate in ("MISSED", "LAND")
-        else:
-            same = fate == name_found
-        if not same:
-            wrong.append((ray, name_found, fate))
-    # the mesh's land ring is a polygon where the outline is round
-    assert len(wrong) <= (2 if window.outline is not None else 0), wrong
+    indices = [b.index for b in window.bodies]
+    told = [follow(bodies, indices, position[ray], direction[ray]) for ray in range(250)]
+    for path in ("numba", "numpy"):
+        result = trace(window, Rays(position, direction), rung="mesh", mesh=mesh, path=path)
+        wrong = []
+        for ray, (name_found, out) in enumerate(told):
+            fate = Fate(result.fate[ray]).name
+            if name_found == "THROUGH":
+                same = fate in ("ALIVE", "GHOST", "LAND")
+                same &= bool(np.abs(out - result.direction[ray]).max() < 1e-7)
+            elif name_found == "PASSED":
+                same = fate in ("MISSED", "LAND")
+            else:
+                same = fate == name_found
+            if not same:
+                wrong.append((ray, name_found, fate))
+        # the mesh's land ring is a polygon where the outline is round
+        assert len(wrong) <= (2 if window.outline is not None else 0), wrong
+
+
+@pytest.mark.parametrize("name", WINDOWS)
+def test_numpy_and_kernels_find_the_same_among_facets(name):
+    window = WINDOWS[name]
+    steep, shallow = beam(window, 1500, 21), beam(window, 1500, 22, steepest=0.1)
+    position, direction = (np.concatenate(both) for both in zip(steep, shallow))
+    rays, mesh = Rays(position, direction), tessellate(window, quads=6)
+    for normals in ("facet", "vertex"):
+        one, other = (
+            trace(window, rays, rung="mesh", mesh=mesh, normals=normals, record=True, path=path)
+            for path in ("numpy", "numba")
+        )
+        for column in ("fate", "cell", "order", "surface"):
+            assert np.array_equal(getattr(one, column), getattr(other, column)), column
+        apart = np.abs(one.direction - other.direction).max(axis=1)
+        assert apart[1500:].max() <= 2e-15  # either is within 1e-15 of the truth
+        near_total_reflection = 1e-13
+        assert apart.max() <= (2e-15 if normals == "facet" else near_total_reflection)
+        for column in ("position", "hits", "directions"):
+            here, there = getattr(one, column), getattr(other, column)
+            assert np.abs(here - there).max() <= 1e-13 * max(1.0, np.abs(there).max())
+
+
+def test_few_rays_through_the_sheets_own_mesh_ask_for_no_kernel_where_their_number_decides(monkeypatch):
+    def asked(*_):
+        raise AssertionError("a kernel was asked for")
+
+    window = small(WINDOWS["paper base"])
+    rays = Rays(*beam(window, 500, 5))
+    known = trace(window, rays, rung="mesh", mesh=8, path="numpy")
+    monkeypatch.setattr("clacad.tracing.compiled.surfaces.trace_chunk", asked)
+    found = trace(window, rays, rung="mesh", mesh=8, path="size")
+    assert np.array_equal(found.direction, known.direction)
+    with pytest.raises(AssertionError, match="asked for"):
+        trace(window, rays, rung="mesh", mesh=8)
 
 
 def errors(window, normals, quads):

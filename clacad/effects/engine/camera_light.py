@@ -22,6 +22,7 @@ from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import Effect, trace_with
 from clacad.effects.engine.split_paths import reflected_paths
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.need_window import need_one_eta
 from clacad.sheet.window import Window
 
 MANY = 50_000
@@ -58,6 +59,8 @@ def light_reaching_camera(
     names = tuple(effect if isinstance(effect, str) else effect.name for effect in effects)
     result = trace_with(window, rays, rung, effects, setting=setting, **options)
     if rung == "law":
+        if "ghosts" in names:
+            need_one_eta(window, "ghosts on rung law")
         return law_light(window, rays, result, "ghosts" in names), result
     rows = np.flatnonzero(shining(result, names))
     light = LightRays(rows, result.position[rows], result.direction[rows], result.flux[rows])

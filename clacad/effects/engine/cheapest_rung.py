@@ -47,6 +47,8 @@ def choose_rung(situation: Situation, asked: str) -> tuple[Rung, str]:
 def homogeneous(situation: Situation) -> tuple[str, str]:
     """Why the homogeneous sheet would not do ("" where it does), and why it does."""
     window = situation.window
+    if window.many_sizes:
+        return "light of a cell that meets a neighbour's lens 2, of another size, obeys no law", ""
     pitch = max(window.lattice.pitch)
     covered = situation.pixel * situation.sheet_distance / pitch if situation.pixel > 0.0 else 0.0
     if covered < COVERED:

@@ -23,6 +23,8 @@ from clacad.sheet.vignetting import (
     off_partner,
     partner_step,
     partner_zone,
+    scale_of_image,
+    share_of_zone,
     thin_cells,
 )
 from clacad.sheet.window import Window
@@ -94,7 +96,11 @@ def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int], index: Ints
         shift = arrivals(cells, slopes) - cells.neighbour(order)
     else:
         shift = off_partner(cells, index, slopes) - partner_step(cells, order)
-    found = cells.part / polygon_area(cells.image) * overlap(cells.image, partner_zone(cells), shift)
+    ratio = None if index is None else scale_of_image(cells, index)
+    if ratio is None:
+        found = cells.part / polygon_area(cells.image) * overlap(cells.image, partner_zone(cells), shift)
+    else:
+        found = share_of_zone(cells, shift, ratio)
     if index is None or order == (0, 0):
         return np.asarray(found)
     return np.where(cells.window.lattice.contains(index + np.array(order)), found, 0.0)

@@ -18,8 +18,9 @@ from clacad.effects.engine.mirrored_window import mirrored
 from clacad.optics.rays import Rays
 from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
+from clacad.sheet.cell_places import LensPlaces
 from clacad.sheet.window import Window
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes, lay_out, sheet_position
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out, lenses, sheet_position
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import (
     ABOVE,
@@ -399,8 +400,8 @@ def normals_met(layout: Layout, body: BodyPlan, packet: Packet, event: Event) ->
     for kind, face in ((FRONT, body.front), (BACK, body.back)):
         on = event.kind == kind
         if face.array is not None and on.any():
-            apex = apexes(layout, face, event.cells[face.array][on])
-            normal[on] = lens_normals(face, points[face.array][on], z[on], apex)
+            places = lenses(layout, face, event.cells[face.array][on])
+            normal[on] = lens_normals(face, points[face.array][on], z[on], places)
     at_wall = event.kind == WALL
     if at_wall.any():
         xy = sheet_xy(layout, packet.beam) + step[:, :2]
@@ -426,15 +427,16 @@ def arrived(layout: Layout, body: BodyPlan, packet: Packet, event: Event, up: bo
     return replace(packet, beam=at, path=path, position=position, gated=gated)
 
 
-def lens_normals(face: FacePlan, local: Floats, z: Floats, apex: Floats | None = None) -> Floats:
+def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -> Floats:
     """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator.
 
-    apex : (m, 3) lengths or None
-        How far each ray's lens stands from the face's vertex, see `apexes`.
+    places : LensPlaces
+        Where each point's lens stands, see `clacad.tracing.layout.lenses`.
     """
-    point = np.column_stack([local, z]) - face.vertex
-    if apex is not None:
-        point = point - apex
+    vx, vy, vz = places.apex
+    point = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
+    if places.size is not None:
+        point = point / places.size[:, None]
     if face.rotation is None:
         return face.surface.normal(point[:, 0], point[:, 1])
     turned = point @ face.rotation

@@ -277,6 +277,8 @@ def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) ->
     threads, path = options.pop("threads", None), options.pop("path", None)
     if rung in ("law", "thin"):
         return 1, "numpy"
+    if rung == "mesh" and path is None:  # as a trace without effects
+        path = "numba"
     if not compiled_suits(rung, path, len(rays), 2 * len(window.bodies), lay_out(window)):
         return 1, "numpy"
     from clacad.tracing.compiled.threads import thread_count

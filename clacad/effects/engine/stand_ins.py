@@ -52,6 +52,10 @@ def worst_bound(situation: Situation, name: str, bound: Callable[[Situation], Bo
     i, j = situation.stand_ins[worst][0]
     counted = situation.share(COUNTED[name]) if name in COUNTED else 0.0
     radiance = max(one.radiance for one in every)
+    if (
+        name == "walls" and situation.window.many_sizes
+    ):  # steps between lenses of unlike sizes: equal cells have none
+        radiance = max(radiance, situation.most(counted))
     return Bound(
         max(one.angle for one in every),
         max(radiance, situation.most(counted)) if counted > 0.0 else radiance,
@@ -100,8 +104,11 @@ def _tried(window: Window, cells: Ints) -> list[int]:
     angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     ways = np.stack([np.cos(angle), np.sin(angle)])
     far = [window.centres(1, cells[rows]) - window.centres(0, cells[rows])]
-    far += [face.change.at(window.lattice, cells[rows]) for face in window.faces if face.change is not None]
-    outer = np.unique(np.concatenate([rows[np.argmax(moved @ ways, axis=0)] for moved in far]))
+    places = [window.lenses(face, cells[rows]) for face in window.faces]
+    far += [one.moved for one in places if one.moved is not None]
+    sizes = [sign * one.size for one in places if one.size is not None for sign in (1.0, -1.0)]
+    extreme = [rows[np.argmax(moved @ ways, axis=0)] for moved in far] + [rows[[np.argmax(k)]] for k in sizes]
+    outer = np.unique(np.concatenate(extreme))
     return [int(row) for row in dict.fromkeys([*outer, *rows[:SAMPLED]])]
 
 

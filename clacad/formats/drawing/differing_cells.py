@@ -15,6 +15,7 @@ from clacad.design.sections import AimedAt
 from clacad.formats.drawing.canvas import Canvas
 from clacad.formats.drawing.drawing_tables import table
 from clacad.formats.drawing.views import mm_text
+from clacad.optics.surface import principal_radii
 from clacad.sheet.bundle import central_cell
 from clacad.sheet.own_steps import greatest_steps
 from clacad.sheet.window import Face, Window
@@ -57,6 +58,7 @@ def cells_table(window: Window) -> Canvas:
     head = ["cell", "i, j"]
     for face in faces:
         head += [f"centre {_lens(face)} x, y", f"apex {_lens(face)} from it x, y", f"step {_lens(face)}"]
+        head += [f"radius {_lens(face)}"] if window.many_sizes else []
     rows = []
     for name, index in cells.items():
         row = [name, f"{index[0]}, {index[1]}"]
@@ -69,6 +71,9 @@ def cells_table(window: Window) -> Canvas:
                 for at in (window.centres(face.array, index), apex)
             ]
             row.append(mm_text(step * mm))
+            if window.many_sizes:
+                own = window.in_cell(face, index)
+                row.append(mm_text(own.side * principal_radii(own.surface)[0] * mm))
         rows.append(row)
     title = "cells that differ (mm; step: the highest to a neighbour; worst: the lens farthest from the middle of its cell)"
     return table(title, head, rows)

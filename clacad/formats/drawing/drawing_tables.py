@@ -78,6 +78,8 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
         for side, face in (("front", body.front), ("back", body.back)):
             half = 0.0 if face.array is None else TolerancesSpec.of_array(allowed.radius, face.array)
             radii = [_radius(face.side * r, mm, half) for r in principal_radii(face.surface)]
+            if face.change is not None and face.change.size is not None:
+                radii = ["by cell"] * 2
             conics = ["-" if k is None else f"{k:.5g}" for k in conic_constants(face.surface)]
             place = ", ".join(mm_text(v * mm) for v in face.vertex)
             if face.change is not None:  # each its own: see the table of cells
@@ -122,7 +124,8 @@ def sag_table(window: Window) -> Canvas:
         rows.append(
             [mm_text(at * mm), *(_sag(face, at, axis, mm) for _, face, _ in curved for axis in (0, 1))]
         )
-    return table("sag table (mm along lens x and y, height over the apex towards +z)", head, rows)
+    whose = ", lens of law.eta; of a cell both are times R over that lens's" if window.many_sizes else ""
+    return table(f"sag table (mm along lens x and y, height over the apex towards +z{whose})", head, rows)
 
 
 def _reach(window: Window) -> float:

@@ -33,6 +33,11 @@ HIGHER = (
 COLUMNS = ("face", "i", "j", "apex_x_mm", "apex_y_mm", "apex_z_mm", "phi_deg", "theta_deg", "psi_deg")
 
 
+def columns(window: Window) -> tuple[str, ...]:
+    """Head of the pose table; of lenses of many sizes with each one's size and apex radius, below 0 where concave."""
+    return (*COLUMNS, "size", "apex_radius_mm") if window.many_sizes else COLUMNS
+
+
 def surface_table(window: Window, scale: float) -> dict[str, Any]:
     """Everything about the faces in millimetres: equation, coefficients, pose in the cell, lattice.
 
@@ -80,6 +85,12 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
         found |= {
             "apex_in_cell_mm": [None, None, None if any(face.change.slope) else face.vertex[2] * scale],
             "apex": "cell by cell in the pose table",
+        }
+    if face.change is not None and face.change.size is not None:
+        found |= {
+            "apex_radius_x_mm": None,
+            "apex_radius_y_mm": None,
+            "size": "cell by cell in the pose table: the face of a cell is the one of these coefficients, all lengths times its size",
         }
     return found
 
@@ -130,7 +141,7 @@ def write_table_csv(window: Window, path: Path, scale: float) -> int:
     count = 0
     with path.open("w", encoding="ascii", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(columns(window))
         for line in pose_lines(
             window, scale, (window.lattice.row(j) for j in range(window.lattice.count[1]))
         ):
@@ -151,8 +162,19 @@ def pose_lines(window: Window, scale: float, rows: Iterable[Ints]) -> Iterator[l
                 apexes = np.asarray(face.vertex)
             places = (window.centres(face.array, row) + apexes[..., :2]) * scale + 0.0
             heights = np.broadcast_to(apexes[..., 2] * scale, len(row)).tolist()
-            for (i, j), (x, y), z in zip(row.tolist(), places.tolist(), heights):
-                yield [label, i, j, repr(x), repr(y), repr(z), *angles]
+            sizes = _sizes(window, face, row, scale)
+            for (i, j), (x, y), z, size in zip(row.tolist(), places.tolist(), heights, sizes, strict=True):
+                yield [label, i, j, repr(x), repr(y), repr(z), *angles, *size]
+
+
+def _sizes(window: Window, face: Face, row: Ints, scale: float) -> list[tuple[str, ...]]:
+    """Size and apex radius (mm) of the lens of each cell of a row (n, 2); nothing where all are alike."""
+    if not window.many_sizes:
+        return [()] * len(row)
+    size = window.lenses(face, row).size
+    each = np.ones(len(row)) if size is None else size
+    radius = scale * each / face.surface.curvature_x
+    return [(repr(k), repr(r)) for k, r in zip(each.tolist(), radius.tolist(), strict=True)]
 
 
 def euler_degrees(face: Face) -> tuple[float, float, float]:
@@ -204,7 +226,7 @@ def _check_pose(window: Window, face: Face, entry: dict[str, Any], row: dict[str
     z = lens_height(window.in_cell(face, index), x, y)
     points = np.column_stack([x + centre[0], y + centre[1], z])[np.isfinite(z)] * scale
     a, b, c = (np.radians(float(row[f"{k}_deg"])) for k in ("phi", "theta", "psi"))
-    local = (points - apex) @ (_turn_z(c) @ _turn_x(b) @ _turn_z(a))
+    local = (points - apex) @ (_turn_z(c) @ _turn_x(b) @ _turn_z(a)) / float(row.get("size") or 1.0)
     left = _equation(entry, local)
     if not len(points) or np.abs(left).max() > 1e-13 * max(float(np.abs(points).max()), reach * scale):
         raise FileDisagrees(

@@ -120,11 +120,13 @@ def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
     return found
 
 
-def read_stl(path: Path, heard: Overheard | None = None) -> FileMesh:
+def read_stl(path: Path, heard: Overheard | None = None, checked: bool = False) -> FileMesh:
     """Read an STL file, binary (streamed) or ASCII.
 
     heard : Overheard or None
         Told of the bytes as the triangles of a binary file are read.
+    checked : bool
+        Each facet that is read must be as this package writes it, see `check_facets`.
 
     Raises
     ------
@@ -133,13 +135,15 @@ def read_stl(path: Path, heard: Overheard | None = None) -> FileMesh:
         is read, as a slice of its triangles.
     OverBudget
         More bytes, facets or seconds than are read.
+    FileDisagrees
+        When they are read, if `checked`.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(HEADER + 4)
     count = int.from_bytes(head[HEADER:], "little") if len(head) == HEADER + 4 else -1
     if count >= 0 and size == stl_bytes(count):
-        return _read_binary(path, head, count, heard)
+        return _read_binary(path, head, count, heard, checked)
     if head.lstrip().lower().startswith(b"solid"):
         return _read_ascii(path)
     if count < 0:
@@ -149,7 +153,7 @@ def read_stl(path: Path, heard: Overheard | None = None) -> FileMesh:
     )
 
 
-def _read_binary(path: Path, head: bytes, count: int, heard: Overheard | None) -> FileMesh:
+def _read_binary(path: Path, head: bytes, count: int, heard: Overheard | None, checked: bool) -> FileMesh:
     name = re.sub(r"[^ -~]", "?", head[:HEADER].decode("latin-1")).strip("? ")
     unit = 1e-3 if "unit=mm" in name else None
     if count == 0:
@@ -158,7 +162,7 @@ def _read_binary(path: Path, head: bytes, count: int, heard: Overheard | None) -
     spent.count(count)
     if heard is not None:
         heard.hear(0, head)
-    return FileMesh("stl-binary", (Part("", soup=BinaryStl(path, count, spent, heard)),), unit, name)
+    return FileMesh("stl-binary", (Part("", soup=BinaryStl(path, count, spent, heard, checked)),), unit, name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +176,7 @@ class BinaryStl:
     count: int
     spent: Spending = field(repr=False, compare=False)
     heard: Overheard | None = field(default=None, repr=False, compare=False)
+    checked: bool = False
 
     def __len__(self) -> int:
         """Number of facets."""
@@ -186,6 +191,8 @@ class BinaryStl:
             One of them is not a number, or the file has become shorter.
         OverBudget
             What was read of the file until now took more seconds than that is given.
+        FileDisagrees
+            One is not as this package writes it, and they are `checked`.
         """
         start, stop, step = which.indices(self.count)
         with self.spent.working(f"at facet {start:,}"):
@@ -197,6 +204,8 @@ class BinaryStl:
             raise UnreadableFile(
                 f"{self.path.name}: it ends at facet {start + len(records)}, of {self.count}"
             )
+        if self.checked:
+            check_facets(records, f"{self.path.name}: a facet near number {start}")
         corners = np.asarray(records["corners"][::step])
         with np.errstate(invalid="ignore"):
             total = corners.sum(dtype=np.float64)  # of so many float32 it is infinite only if one of them is
@@ -249,21 +258,17 @@ def _read_ascii(path: Path) -> FileMesh:
     return FileMesh("stl-ascii", (Part("", soup=soup),), None, "")
 
 
-def check_stl_facets(path: Path) -> None:
-    """Compare each stored normal and attribute with what the corners say; a flipped bit shows here.
+def check_facets(records: NDArray[np.void], which: str) -> None:
+    """Compare stored normals and attributes of records of FACET with what their corners say; a flipped bit shows here.
 
     Raises
     ------
     FileDisagrees
+        `which`, as the message begins, disagrees.
     """
-    count = (path.stat().st_size - HEADER - 4) // FACET.itemsize
-    if count == 0:
-        return
-    for start in range(0, count, CHUNK):
-        block = read_facets(path, start, start + CHUNK)
-        try:
-            told = _records(block["corners"], 1.0)
-        except FileDisagrees:  # a flipped bit made a NaN
-            told = np.zeros((0, FACET.itemsize), dtype=np.uint8)
-        if block.tobytes() != told.tobytes():
-            raise FileDisagrees(f"{path.name}: a facet near number {start} disagrees with its own normal")
+    try:
+        told = _records(records["corners"], 1.0)
+    except FileDisagrees:  # a flipped bit made a NaN
+        told = np.zeros((0, FACET.itemsize), dtype=np.uint8)
+    if records.tobytes() != told.tobytes():
+        raise FileDisagrees(f"{which} disagrees with its own normal")

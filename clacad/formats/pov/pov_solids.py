@@ -59,7 +59,7 @@ def refuse(window: Window) -> None:
     ------
     NotForPov
         A face that is no quadric, as most biconic ones; opaque land of a web, which lies inside the glass; an array that is
-        turned, or lenses at heights of their own.
+        turned, or lenses at heights of their own or of many sizes.
     """
     why = ""
     if any(quadric_of(face) is None for face in window.faces):
@@ -67,7 +67,7 @@ def refuse(window: Window) -> None:
     elif window.land.opaque and any(body.columnar for body in window.bodies):
         why = "opaque land on a web"
     elif not window.level_and_straight:
-        why = "arrays that are turned, or lenses that stand at heights of their own"
+        why = "arrays that are turned, or lenses that stand at heights of their own or are of many sizes"
     if why:
         raise NotForPov(f"{window.name}: the POV-Ray scene cannot hold {why}; export its mesh instead")
 

@@ -99,10 +99,9 @@ def on_lenses(window: Window, place: Floats, outward: Floats) -> tuple[Floats, F
         chosen = np.flatnonzero((outward[:, 2] < 0.0) == (face.side > 0))
         at = place[chosen] / scale
         index, x, y = window.locate(face.array, at[:, 0], at[:, 1])
-        moved = np.zeros((len(at), 2)) if face.change is None else face.change.at(window.lattice, index)
-        z, expected = lens_height_and_normal(face, x - moved[:, 0], y - moved[:, 1])
-        z = z if face.change is None else z + face.change.rise(moved)
-        away = np.abs((at[:, 2] - z) * expected[:, 2]) * scale
+        places = window.lenses(face, index)
+        z, expected = lens_height_and_normal(face, *places.seen(x, y))
+        away = np.abs((at[:, 2] - places.raised(z)) * expected[:, 2]) * scale
         turned = np.linalg.norm(np.cross(expected, outward[chosen]), axis=1)
         with np.errstate(invalid="ignore"):
             closer = away < best[chosen]

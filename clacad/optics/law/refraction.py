@@ -1,4 +1,4 @@
-"""What the law does to directions, with one offset δ for all of them or one for each.
+"""What the law does to directions, with one offset δ and one η for all of them or one for each.
 
 Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed, so nothing is
 divided by m_z; the differences are compensated, so light that leaves along the axis because t ≈ δ keeps its
@@ -6,8 +6,6 @@ relative accuracy; powers of two are carried apart, so neither 1e±200 in d nor 
 """
 
 from __future__ import annotations
-
-from math import frexp
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,19 +17,19 @@ _HEADROOM = 500  # rows are scaled to 2**500: the rounding errors of tiny compon
 _BLOCK = 8192  # rows at a time: the temporaries stay in the cache
 
 
-def refracted(eta: Pair2, delta: Pair2 | Floats, turn: Floats, d: ArrayLike) -> Floats:
+def refracted(eta: Pair2 | Floats, delta: Pair2 | Floats, turn: Floats, d: ArrayLike) -> Floats:
     """Directions behind a sheet; `Law.refract` says when there is none.
 
     Parameters
     ----------
-    eta : (2,) numbers
-        η along the lens axes.
+    eta : (2,) numbers, or (n, 2) array
+        η along the lens axes: of the sheet, or of each direction.
     delta : (2,) numbers, or (n, 2) array
         δ along the lens axes: of the sheet, or of each direction.
     turn : (3, 3)
         Lens → sheet.
     d : (n, 3) array, or (..., 3) where δ is one
-        Directions in the sheet frame, any length > 0.
+        Directions in the sheet frame, any length > 0; (n, 3) also where η is of each.
 
     Returns
     -------
@@ -48,15 +46,16 @@ def refracted(eta: Pair2, delta: Pair2 | Floats, turn: Floats, d: ArrayLike) -> 
         raise ValueError(f"directions have shape {directions.shape}; the last dimension must be 3")
     rows = directions.reshape(-1, 3)
     out = np.empty(rows.shape)
-    each = np.asarray(delta, np.float64)
+    each, ratio = np.asarray(delta, np.float64), np.asarray(eta, np.float64)
     for start in range(0, len(rows), _BLOCK):
         block = slice(start, start + _BLOCK)
-        out[block] = _refract_rows(eta, (each if each.ndim == 1 else each[block]).T, turn, rows[block])
+        of_rows = [(one if one.ndim == 1 else one[block]).T for one in (ratio, each)]
+        out[block] = _refract_rows(of_rows[0], of_rows[1], turn, rows[block])
     return out.reshape(directions.shape)
 
 
-def _refract_rows(eta: Pair2, delta: Floats, r: Floats, directions: Floats) -> Floats:
-    """`refracted` for (n, 3) directions; δ is (2,) or (2, n)."""
+def _refract_rows(eta: Floats, delta: Floats, r: Floats, directions: Floats) -> Floats:
+    """`refracted` for (n, 3) directions; η and δ are (2,) or (2, n)."""
     # Scale rows by powers of two; rows without an answer travel along as the sheet's normal.
     largest = np.maximum(
         np.maximum(np.abs(directions[:, 0]), np.abs(directions[:, 1])), np.abs(directions[:, 2])
@@ -92,9 +91,9 @@ def _times(matrix: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Flo
     return a, b, c
 
 
-def _offset_and_divide(m: Floats, m_z: Floats, delta: Floats, eta: float) -> tuple[Floats, Cells]:
-    """(m − δ m_z)/η as q · 2**k, δ a number or (n,): returns q (n,) and k. The difference is compensated."""
-    eta_significand, eta_exponent = frexp(eta)
+def _offset_and_divide(m: Floats, m_z: Floats, delta: Floats, eta: Floats) -> tuple[Floats, Cells]:
+    """(m − δ m_z)/η as q · 2**k, δ and η a number or (n,): returns q (n,) and k. The difference is compensated."""
+    eta_significand, eta_exponent = np.frexp(eta)
     up: Cells = np.where(delta != 0.0, np.maximum(np.frexp(delta)[1], 0), 0)
     if np.any(delta):
         product, product_error = two_product(np.ldexp(delta, -up), m_z)

@@ -80,6 +80,19 @@ class VaryingLaw:
         return refract_each(self.law, self.deltas(places), d)
 
 
-def refract_each(law: Law, deltas: Floats, d: ArrayLike) -> Floats:
-    """Directions (n, 3) behind a sheet that turns each of (n, 3) with an offset (n, 2) of its own; else `Law.refract`."""
-    return refracted((law.eta_x, law.eta_y), deltas, law.rotation, d)
+def ratios_of(law: Law) -> Pair2:
+    """η = −f2/f1 along the lens axes."""
+    return law.eta_x, law.eta_y
+
+
+def with_ratios(law: Law, ratios: Floats) -> Law:
+    """The law with another η (2,) along the lens axes."""
+    eta_x, eta_y = ratios.tolist()
+    return replace(law, eta_x=eta_x, eta_y=eta_y)
+
+
+def refract_each(law: Law, deltas: Floats, d: ArrayLike, ratios: Floats | None = None) -> Floats:
+    """Directions (n, 3) behind a sheet that turns each of (n, 3) with an offset (n, 2), and perhaps an η (n, 2), of its own;
+    else `Law.refract`.
+    """
+    return refracted(ratios_of(law) if ratios is None else ratios, deltas, law.rotation, d)

@@ -43,6 +43,17 @@ def imaging_rows(
 ) -> list[tuple[str, ...]]:
     """Name, value, unit and meaning of each number; `of_length` writes lengths in the unit `name`; none where cells are alike."""
     laws = window.cell_laws
+    if laws is not None and laws.ratios is not None:
+        etas = laws.ratios_of(window.lattice, window.lattice.cells())
+        means = "of the cells; focal lengths and what follows from them are told of the middle one"
+        return [
+            (
+                "eta, least and greatest",
+                f"{digits(float(etas.min()))}, {digits(float(etas.max()))}",
+                "",
+                means,
+            )
+        ]
     if laws is None or laws.smooth is None:
         return []
     x, y = along_axes(laws.smooth, window.thin.separation)

@@ -8,6 +8,7 @@ stretch that differs from the ray's present state tells what was met: the crossi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.sheet.lattice import less_steps
 from clacad.sheet.plate_edges import next_crossing
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
 from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 
@@ -39,12 +40,15 @@ class Event:
     distance : (m,) lengths
     cells, starts : one (m, 2) array for each of the body's arrays
         The cell where it happened and the ray's starting point seen from there.
+    normal : (m, 3) or None
+        Of facets: towards +z, of any length; (0, 0, 1) where none was met.
     """
 
     kind: Kinds
     distance: Floats
     cells: dict[int, Ints]
     starts: dict[int, Floats]
+    normal: Floats | None = None
 
     def take(self, rows: NDArray[np.intp] | Bools) -> Event:
         """The events of chosen rays: row numbers, or which (m,)."""
@@ -53,10 +57,11 @@ class Event:
             self.distance[rows],
             {array: cell[rows] for array, cell in self.cells.items()},
             {array: start[rows] for array, start in self.starts.items()},
+            None if self.normal is None else self.normal[rows],
         )
 
 
-class _Grid(NamedTuple):
+class Grid(NamedTuple):
     """Rays in the cells of one array: base cell, local start, and whole steps walked since."""
 
     array: int
@@ -65,7 +70,7 @@ class _Grid(NamedTuple):
     steps: Ints
 
 
-class _Piece(NamedTuple):
+class Piece(NamedTuple):
     """Rays inside one column: for each array the present cell, the start seen from it, and whether it is kept."""
 
     starts: dict[int, Floats]
@@ -88,7 +93,7 @@ def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Ev
         past the body's highest point.
     """
     m, xy = len(beam), sheet_xy(layout, beam)
-    grids = [_grid(layout, beam, array) for array in body.arrays]
+    grids = [grid_of(layout, beam, array) for array in body.arrays]
     aside = np.maximum(box_span(layout, body, xy, beam.direction)[1], 0.0)
     above = np.full(m, np.inf) if inside else (body.high - beam.z) / beam.direction[:, 2]
     kind = np.full(m, ASIDE, dtype=np.int8)
@@ -99,8 +104,8 @@ def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Ev
     for _ in range(_most_columns(layout, body)):
         if not len(active):
             break
-        piece = _piece(layout, grids, beam, xy, active)
-        border, across = _next_border(layout, piece)
+        piece = piece_of(layout, grids, beam, xy, active)
+        border, across = next_border(layout, piece)
         if body.plate is not None:  # its edges end a piece too, but lead to no other column
             after = since[active] + layout.tiny
             edge = next_crossing(body.plate.edges, piece.xy, piece.direction[:, :2], after)
@@ -116,7 +121,7 @@ def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Ev
         since[active[gone]] = aside[active[gone]]
         on = ~(changed | risen | gone)
         active = active[on]
-        _step(layout, grids, active, across[on])
+        step_on(layout, grids, active, across[on])
     cells = {g.array: g.cell + g.steps for g in grids}
     starts = {g.array: less_steps(layout.lattices[g.array], g.local, g.steps) for g in grids}
     return Event(kind, since, cells, starts)
@@ -130,21 +135,23 @@ def _most_columns(layout: Layout, body: BodyPlan) -> int:
     return 64 + edges + 4 * len(body.arrays) * int((width + depth) / across + 4)
 
 
-def _grid(layout: Layout, beam: Beam, array: int) -> _Grid:
+def grid_of(layout: Layout, beam: Beam, array: int) -> Grid:
+    """Rays as they start, in the cells of one array."""
     if array == beam.array:
-        return _Grid(array, beam.cell, beam.local, np.zeros_like(beam.cell))
+        return Grid(array, beam.cell, beam.local, np.zeros_like(beam.cell))
     _, local, cell = cell_in(layout, beam.array, array, beam.cell, beam.local)
-    return _Grid(array, cell, local, np.zeros_like(cell))
+    return Grid(array, cell, local, np.zeros_like(cell))
 
 
-def _piece(layout: Layout, grids: list[_Grid], beam: Beam, xy: Floats, active: Rows) -> _Piece:
+def piece_of(layout: Layout, grids: list[Grid], beam: Beam, xy: Floats, active: Rows) -> Piece:
+    """The rays `active` (k,) in the columns they are in."""
     starts = {g.array: less_steps(layout.lattices[g.array], g.local[active], g.steps[active]) for g in grids}
     cells = {g.array: g.cell[active] + g.steps[active] for g in grids}
     kept = {array: layout.lattice.contains(cell) for array, cell in cells.items()}
-    return _Piece(starts, kept, cells, beam.z[active], beam.direction[active], xy[active])
+    return Piece(starts, kept, cells, beam.z[active], beam.direction[active], xy[active])
 
 
-def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
+def next_border(layout: Layout, piece: Piece) -> tuple[Floats, Ints]:
     """Distance to the next border of a column, and which: array, direction and sense in one number."""
     k = len(piece.z)
     nearest, across = np.full(k, np.inf), np.zeros(k, dtype=np.int64)
@@ -169,7 +176,7 @@ def along_normal(layout: Layout, array: int, n: int, rows: Floats) -> Floats:
     return np.asarray(ux * rows[:, 0] + uy * rows[:, 1])
 
 
-def _step(layout: Layout, grids: list[_Grid], active: Rows, across: Ints) -> None:
+def step_on(layout: Layout, grids: list[Grid], active: Rows, across: Ints) -> None:
     """Move rays into the next column."""
     borders = np.array(layout.lattice.steps)
     for g in grids:
@@ -178,29 +185,52 @@ def _step(layout: Layout, grids: list[_Grid], active: Rows, across: Ints) -> Non
 
 
 def _scan(
-    layout: Layout, body: BodyPlan, piece: _Piece, since: Floats, cause: Kinds, end: Floats, inside: bool
+    layout: Layout, body: BodyPlan, piece: Piece, since: Floats, cause: Kinds, end: Floats, inside: bool
 ) -> tuple[Floats, Kinds, Bools]:
-    """Go through the stretches of a column; return the last division passed, its cause, and who changed state.
-
-    Stretches shorter than `Layout.tiny` are joined to the next one: rounding alone decides there. Where a
-    border and a face are that close, the face is named.
-    """
+    """Go through the stretches of a column; see `first_stretch`."""
     times, causes = _divisions(layout, body, piece)
-    late = times >= np.maximum(since - layout.tiny, 0.0)
-    times = np.where(late & (times < end), np.maximum(times, since), np.inf)
+    kinds = np.broadcast_to(causes[:, None], times.shape)
+    span = np.maximum(since - layout.tiny, 0.0), end
+
+    def solid(pick: Rows, t: Floats) -> Bools:
+        return _solid(layout, body, piece, pick, t)
+
+    return first_stretch(layout.tiny, (times, kinds), span, (since, cause), inside, solid)
+
+
+def first_stretch(
+    tiny: float, divisions: tuple[Floats, Kinds], span: tuple[Floats, Floats], known: tuple[Floats, Kinds],
+    inside: bool, solid: Callable[[Rows, Floats], Bools],
+) -> tuple[Floats, Kinds, Bools]:  # fmt: skip
+    """Go through stretches of k rays; return the last division passed, its cause, and who changed state.
+
+    Stretches shorter than `tiny` are joined to the next one: rounding alone decides there. Where a
+    border and a face are that close, the face is named.
+
+    Parameters
+    ----------
+    divisions : (c, k) distances, and what each is
+    span : (k,) distances from and up to which divisions count
+    known : (k,) distance since when the present state is known, and why it began
+    inside : bool
+        The present state: in the material.
+    solid : callable
+        Of rays (p,) among the k and distances (p,): which lie in the material there.
+    """
+    (times, causes), (earliest, end), (since, cause) = divisions, span, known
+    times = np.where((times >= earliest) & (times < end), np.maximum(times, since), np.inf)
     turn = np.argsort(times, axis=0, kind="stable")
-    times = np.take_along_axis(times, turn, axis=0)
+    times, causes = np.take_along_axis(times, turn, axis=0), np.take_along_axis(causes, turn, axis=0)
     changed = np.zeros(len(end), dtype=bool)
     for c in range(len(times) + 1):
         to = np.minimum(times[c], end) if c < len(times) else end
         why = np.full(len(end), WALL, dtype=np.int8)
         if c < len(times):
-            why = np.where(times[c] < end, causes[turn[c]], why)
-        wide = ~changed & (to - since > layout.tiny)
+            why = np.where(times[c] < end, causes[c], why)
+        wide = ~changed & (to - since > tiny)
         pick = np.flatnonzero(wide)
         if len(pick):
-            solid = _solid(layout, body, piece, pick, 0.5 * (since[pick] + to[pick]))
-            changed[pick[solid != inside]] = True
+            changed[pick[solid(pick, 0.5 * (since[pick] + to[pick])) != inside]] = True
         moved = wide & ~changed
         named = moved | (~changed & (to < end) & (why != WALL))
         cause = np.where(named, why, cause)
@@ -208,7 +238,7 @@ def _scan(
     return since, cause, changed
 
 
-def _divisions(layout: Layout, body: BodyPlan, piece: _Piece) -> tuple[Floats, Kinds]:
+def _divisions(layout: Layout, body: BodyPlan, piece: Piece) -> tuple[Floats, Kinds]:
     """Distances (c, k) that divide rays into stretches, and what each is (c,)."""
     times: list[Floats] = []
     causes: list[int] = []
@@ -217,8 +247,8 @@ def _divisions(layout: Layout, body: BodyPlan, piece: _Piece) -> tuple[Floats, K
             times.append((face.vertex[2] - piece.z) / piece.direction[:, 2])
             causes.append(lens)
         else:
-            apex = apexes(layout, face, piece.cells[face.array])
-            times += lens_roots(face, piece.starts[face.array], piece.z, piece.direction, apex)
+            places = lenses(layout, face, piece.cells[face.array])
+            times += lens_roots(face, piece.starts[face.array], piece.z, piece.direction, places)
             causes += [lens, lens]
         if not np.isnan(face.land):
             times.append((face.land - piece.z) / piece.direction[:, 2])
@@ -226,7 +256,7 @@ def _divisions(layout: Layout, body: BodyPlan, piece: _Piece) -> tuple[Floats, K
     if layout.margin > 0.0:
         for array, start in piece.starts.items():
             times += _zone_borders(layout, array, start, piece.direction)
-    times += _outline_crossings(body, piece)
+    times += outline_crossings(body, piece)
     causes += [WALL] * (len(times) - len(causes))
     return np.array([np.where(np.isfinite(t), t, np.inf) for t in times]), np.array(causes, dtype=np.int8)
 
@@ -239,7 +269,8 @@ def _zone_borders(layout: Layout, array: int, start: Floats, direction: Floats) 
     return out
 
 
-def _outline_crossings(body: BodyPlan, piece: _Piece) -> list[Floats]:
+def outline_crossings(body: BodyPlan, piece: Piece) -> list[Floats]:
+    """Distances (k,) at which rays cross the outline, one or several."""
     shape, half_x, half_y = body.outline
     if shape in ("none", "plate"):
         return []
@@ -256,7 +287,7 @@ def _outline_crossings(body: BodyPlan, piece: _Piece) -> list[Floats]:
     return [c / q, q / a]
 
 
-def _solid(layout: Layout, body: BodyPlan, piece: _Piece, pick: Rows, t: Floats) -> Bools:
+def _solid(layout: Layout, body: BodyPlan, piece: Piece, pick: Rows, t: Floats) -> Bools:
     """Whether the points at distance t of the picked rays lie in the material."""
     direction = piece.direction[pick]
     z = piece.z[pick] + t * direction[:, 2]
@@ -282,8 +313,8 @@ def _lens_over(
     if face.array is None:
         return np.full(len(next(iter(points.values()))), face.vertex[2])
     local = points[face.array]
-    apex = apexes(layout, face, cells[face.array])
-    lens = np.where(kept[face.array], height(face, local, apex), np.nan)
+    places = lenses(layout, face, cells[face.array])
+    lens = np.where(kept[face.array], height(face, local, places), np.nan)
     if layout.margin > 0.0:
         lens = np.where(in_zone(layout, local, layout.margin, face.array), lens, np.nan)
     return lens

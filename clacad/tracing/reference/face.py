@@ -9,6 +9,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.optics.surface import Quadric, gradient, meet_at, refract
+from clacad.sheet.cell_places import LensPlaces
 from clacad.sheet.window import Face, lens_height
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
@@ -42,42 +43,33 @@ def cross(
     direction: Floats,
     n1: float,
     n2: float,
-    apex: Floats | None = None,
+    places: LensPlaces,
 ) -> Hit:
     """Meet a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's level.
 
-    apex : (m, 3) lengths or None, here and below
-        How far each ray's lens stands from the face's vertex, see `apexes`.
+    places : LensPlaces, here and below
+        Where each ray's lens stands, see `clacad.tracing.layout.lenses`.
     """
-    vx, vy, vz = _vertex(face, apex)
-    start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
     ray = to_surface(face.rotation, direction)
-    met, point = meet_at(face.surface, to_surface(face.rotation, start), ray)
+    met, point = meet_at(face.surface, to_surface(face.rotation, _start(places, local, z)), ray)
     out, _ = refract(ray, met.gradient, met.root, n1, n2)
-    point = to_sheet(face.rotation, point)
     upright = np.isfinite(met.distance)
     if face.rotation is not None:
         with np.errstate(invalid="ignore"):
             upright &= met.gradient @ face.rotation[2] > 0.0
-    return Hit(
-        local=np.column_stack([point[:, 0] + vx, point[:, 1] + vy]),
-        z=point[:, 2] + vz,
-        distance=met.distance,
-        direction=to_sheet(face.rotation, out),
-        upright=upright,
-    )
+    return _hit(places, to_sheet(face.rotation, point), met.distance, to_sheet(face.rotation, out), upright)
 
 
 def cross_at(
     face: FacePlan, local: Floats, z: Floats, direction: Floats, distance: Floats, n1: float, n2: float,
-    apex: Floats | None = None,
+    places: LensPlaces,
 ) -> Hit:  # fmt: skip
     """Refract at crossings (m,) that were found already, to be polished: `meet` gives the other one where a ray falls
     in the lens's frame while it rises in the sheet's.
     """
-    vx, vy, vz = _vertex(face, apex)
-    start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
-    start, ray = to_surface(face.rotation, start), to_surface(face.rotation, direction)
+    start, ray = to_surface(face.rotation, _start(places, local, z)), to_surface(face.rotation, direction)
+    if places.size is not None:
+        distance = distance / places.size
     for _ in range(2):
         point = start + distance[:, None] * ray
         normal, over = _upward(face, point)
@@ -86,20 +78,23 @@ def cross_at(
     normal, _ = _upward(face, point)
     root = (ray * normal).sum(axis=1)
     out, _ = refract(ray, normal, root, n1, n2)
-    point = to_sheet(face.rotation, point)
-    return Hit(
-        local=np.column_stack([point[:, 0] + vx, point[:, 1] + vy]),
-        z=point[:, 2] + vz,
-        distance=distance,
-        direction=to_sheet(face.rotation, out),
-        upright=root > 0.0,
-    )
+    return _hit(places, to_sheet(face.rotation, point), distance, to_sheet(face.rotation, out), root > 0.0)
 
 
-def _vertex(face: FacePlan, apex: Floats | None) -> tuple[float | Floats, float | Floats, float | Floats]:
-    """Apex of the lens of each ray, x, y and z: one or (m,)."""
-    x, y, z = face.vertex
-    return (x, y, z) if apex is None else (x + apex[:, 0], y + apex[:, 1], z + apex[:, 2])
+def _start(places: LensPlaces, local: Floats, z: Floats) -> Floats:
+    """Points (m, 3), sheet axes, from the apexes of the rays' lenses, in lengths of the face's one lens."""
+    vx, vy, vz = places.apex
+    start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
+    return start if places.size is None else start / places.size[:, None]
+
+
+def _hit(places: LensPlaces, point: Floats, distance: Floats, direction: Floats, upright: Bools) -> Hit:
+    """What was met, `point` (m, 3) and `distance` (m,) in lengths of the face's one lens."""
+    if places.size is not None:
+        point, distance = point * places.size[:, None], distance * places.size
+    vx, vy, vz = places.apex
+    local = np.column_stack([point[:, 0] + vx, point[:, 1] + vy])
+    return Hit(local, point[:, 2] + vz, distance, direction, upright)
 
 
 def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
@@ -120,17 +115,14 @@ def cross_land(direction: Floats, n1: float, n2: float) -> Floats:
     return refract(direction, gradient, direction[:, 2], n1, n2)[0]
 
 
-def height(face: FacePlan, local: Floats, apex: Floats | None = None) -> Floats:
+def height(face: FacePlan, local: Floats, places: LensPlaces) -> Floats:
     """Height (m,) of the lens over the body's level above points (m, 2) of the cell frame; NaN where there is none."""
     if face.array is None:
         return np.full(len(local), face.vertex[2])
-    if apex is not None:
-        local = local - apex[:, :2]
     lens = Face(face.surface, face.vertex) if face.rotation is None else Face(
         face.surface, face.vertex, face.rotation
     )  # fmt: skip
-    found = lens_height(lens, local[:, 0], local[:, 1])
-    return found if apex is None else found + apex[:, 2]
+    return places.raised(lens_height(lens, *places.seen(local[:, 0], local[:, 1])))
 
 
 def in_zone(layout: Layout, local: Floats, margin: float, array: int = 0) -> Bools:
@@ -155,17 +147,29 @@ def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
     return np.asarray((np.abs(x) <= half_x) & (np.abs(y) <= half_y))
 
 
+def well_inside(body: BodyPlan, xy: Floats) -> Bools:
+    """Which sheet points (m, 2) are certainly over the body: what lies between two of them is the body too."""
+    x, y = (xy - np.asarray(body.centre)).T
+    half_x, half_y, radius = body.inner
+    inside = (np.abs(x) < half_x) & (np.abs(y) < half_y)
+    return np.asarray(inside & (x * x + y * y < radius * radius) & (radius > 0.0))
+
+
 def lens_roots(
-    face: FacePlan, local: Floats, z: Floats, direction: Floats, apex: Floats | None = None
+    face: FacePlan, local: Floats, z: Floats, direction: Floats, places: LensPlaces
 ) -> tuple[Floats, Floats]:
     """Both distances (m,) at which rays cross the whole of a lens's surface; +inf where they do not.
 
     They only divide the ray into stretches; what each stretch is, is asked of the heights. So a root of
     the half beyond the equator does no harm.
     """
-    vx, vy, vz = _vertex(face, apex)
-    start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
-    p, d = to_surface(face.rotation, start), to_surface(face.rotation, direction)
+    p, d = to_surface(face.rotation, _start(places, local, z)), to_surface(face.rotation, direction)
+    one, other = _roots_of_one(face, p, d)
+    return (one, other) if places.size is None else (one * places.size, other * places.size)
+
+
+def _roots_of_one(face: FacePlan, p: Floats, d: Floats) -> tuple[Floats, Floats]:
+    """The same of rays in the frame of the face's one lens, points and directions (m, 3)."""
     surface = face.surface
     if isinstance(surface, Quadric):
         kappa = surface.kappa

@@ -1,4 +1,4 @@
-"""Rung "surfaces" in numpy: exact Snell at the exact surfaces, a block of rays at a time.
+"""Rung "surfaces" in numpy: exact Snell at the exact surfaces, a block of rays at a time; rung "mesh" by a mesh's tiles.
 
 Almost every ray stays in one cell from the plane below an array to the plane above it. Such rays are
 traced straight through (`in_cell`), and the conditions that make this right are checked on the way:
@@ -16,12 +16,14 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import Fate
 from clacad.optics.surface import ULP
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes, sheet_position
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
-from clacad.tracing.reference.face import cross, height, in_zone
+from clacad.tracing.reference.face import height, in_zone, well_inside
+from clacad.tracing.reference.facets import meet_face
 from clacad.tracing.reference.launch import Beam, launch, on_to, sheet_xy, to_array
 from clacad.tracing.reference.walk import walk
+from clacad.tracing.triangles.tiles import TiledFace
 
 BLOCK = 8192
 """Rays at a time: the temporaries of one block stay in the second-level cache."""
@@ -136,13 +138,14 @@ def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Throug
     good = layout.lattice.contains(beam.cell) & _steeper(beam.direction, front.slope)
     beam, first, ok = _through(layout, front, beam, 1.0, index)
     good &= ok & _steeper(beam.direction, max(front.slope, back.slope))
-    if not body.covered:
-        good &= height(back, beam.local, apexes(layout, back, beam.cell)) >= beam.z
+    by_heights = not (body.covered or isinstance(front, TiledFace))  # a facet is there only where it is met
+    if by_heights:
+        good &= height(back, beam.local, lenses(layout, back, beam.cell)) >= beam.z
     seen = [beam]
     beam, second, ok = _through(layout, back, beam, index, 1.0)
     good &= ok & _steeper(beam.direction, back.slope)
-    if not body.covered:
-        good &= height(front, beam.local, apexes(layout, front, beam.cell)) <= beam.z
+    if by_heights:
+        good &= height(front, beam.local, lenses(layout, front, beam.cell)) <= beam.z
     good &= in_zone(layout, _at(beam, body.high), 0.0, beam.array)
     seen.append(beam)
     return beam, (first, second), good, [beam.cell, beam.cell], seen
@@ -172,7 +175,7 @@ def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through
         else:
             before = np.zeros(len(beam))
         beam, length, ok = _through(layout, face, beam, n1, n2, within=structured)
-        good &= ok & _in_inner(layout, body, beam)
+        good &= ok & well_inside(body, sheet_xy(layout, beam))
         if structured:
             good &= _steeper(beam.direction, face.slope) & in_zone(
                 layout, _at(beam, face.high), layout.margin, beam.array
@@ -186,11 +189,11 @@ def _through(
     layout: Layout, face: FacePlan, beam: Beam, n1: float, n2: float, within: bool = True
 ) -> tuple[Beam, Floats, Bools]:
     """Cross one face; tell which rays met the lens itself, upright, in the cell's optical zone."""
-    hit = cross(face, beam.local, beam.z, beam.direction, n1, n2, apexes(layout, face, beam.cell))
+    hit = meet_face(face, beam.local, beam.z, beam.direction, n1, n2, lenses(layout, face, beam.cell))
     good = hit.upright & (hit.direction[:, 2] > 0.0)
     if within:
         good &= in_zone(layout, hit.local, layout.margin, beam.array)
-    if not face.whole and not np.isnan(face.land):
+    if not (face.whole or np.isnan(face.land) or isinstance(face, TiledFace)):
         good &= (hit.z - face.land) * face.surface.side <= 0.0
     return replace(beam, local=hit.local, z=hit.z, direction=hit.direction), hit.distance, good
 
@@ -204,14 +207,6 @@ def _steeper(direction: Floats, slope: float) -> Bools:
     """Whether rays climb faster than a face of that slope: then they cross it once at most."""
     lateral = direction[:, 0] ** 2 + direction[:, 1] ** 2
     return np.asarray(direction[:, 2] ** 2 >= slope * slope * lateral)
-
-
-def _in_inner(layout: Layout, body: BodyPlan, beam: Beam) -> Bools:
-    """Whether rays are certainly over the body: what lies between two such points is the body too."""
-    x, y = (sheet_xy(layout, beam) - np.asarray(body.centre)).T
-    half_x, half_y, radius = body.inner
-    inside = (np.abs(x) < half_x) & (np.abs(y) < half_y)
-    return np.asarray(inside & (x * x + y * y < radius * radius) & (radius > 0.0))
 
 
 def _sheet(layout: Layout, body: int, beam: Beam) -> Floats:

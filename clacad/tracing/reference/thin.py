@@ -15,7 +15,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
-from clacad.sheet.cell_places import CellPlacement, VertexChange, extreme_cells
+from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
 from clacad.sheet.lattice import Circle, Rectangle, less_steps
 from clacad.sheet.plate import Plate
 from clacad.tracing.layout import Layout, array_numbers, sheet_position
@@ -44,7 +44,7 @@ class ThinPatch:
     centre : (x, y)
         Of the window's outline, sheet frame.
     change : VertexChange or None
-        How far the lens of each cell stands from `vertex`.
+        How far the lens of each cell stands from `vertex`, and how large it is.
     """
 
     array: int
@@ -66,26 +66,25 @@ class ThinPatch:
         flat = self.power.index(0.0)
         return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))
 
-    def lens_centre(
-        self, layout: Layout, cell: Ints
-    ) -> tuple[float | Floats, float | Floats, float | Floats]:
-        """Centres of the lenses of cells (m, 2), x, y and z: one or (m,)."""
-        x, y, z = self.vertex
+    def lenses(self, layout: Layout, cell: Ints) -> LensPlaces:
+        """Where the lenses of cells (m, 2) stand and how large they are."""
         if self.change is None:
-            return x, y, z
-        moved = self.change.at(layout.lattice, cell)
-        return x + moved[:, 0], y + moved[:, 1], z + self.change.rise(moved)
+            return LensPlaces(self.vertex)
+        return self.change.places(self.vertex, layout.lattice, cell)
 
     def over(self, layout: Layout, cell: Ints, local: Floats, z: Floats) -> Floats:
         """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis."""
         axis = self.rotation[:, 2]
-        vx, vy, vz = self.lens_centre(layout, cell)
+        vx, vy, vz = self.lenses(layout, cell).apex
         return np.asarray((local[:, 0] - vx) * axis[0] + (local[:, 1] - vy) * axis[1] + (z - vz) * axis[2])
 
     def bend(self, layout: Layout, cell: Ints, local: Floats, z: Floats, direction: Floats) -> Floats:
         """Unit directions (m, 3) behind the lens of rays that meet it at the given points of their cells."""
-        vx, vy, vz = self.lens_centre(layout, cell)
+        places = self.lenses(layout, cell)
+        vx, vy, vz = places.apex
         p, q, _ = to_surface(self.rotation, np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])).T
+        if places.size is not None:
+            p, q = p / places.size, q / places.size
         x, y, along = to_surface(self.rotation, direction).T
         lens = np.stack([x - p * self.power[0] * along, y - q * self.power[1] * along, along], axis=-1)
         out = to_sheet(self.rotation, lens)
@@ -146,7 +145,7 @@ def thin_patches(layout: Layout) -> tuple[ThinPatch, ...]:
     pair = layout.window.thin
     second = (pair.offset[0] - pair.shift[0], pair.offset[1] - pair.shift[1], pair.offset[2])
     return (
-        _patch(layout, 0, (0.0, 0.0, 0.0), pair.focal_length[0]),
+        _patch(layout, 0, (0.0, 0.0, 0.0), pair.focal_length[0], pair.change_1),
         *(
             _patch(layout, 2 + k, (0.0, 0.0, float(pair.field_centre(lens)[2])), lens.focal_length)
             for k, lens in enumerate(pair.field)
@@ -184,7 +183,7 @@ def _patch(
         moved = change.at(layout.lattice, extreme_cells(change, layout.lattice))
         tile = (tile[None] - moved[:, None]).reshape(-1, 2)
     heights = -(tile @ axis[:2]) / axis[2]
-    if change is not None:
+    if change is not None:  # a plane has no size
         heights = heights + np.repeat(change.rise(moved), len(heights) // len(moved))
     pad = 1e-9 * layout.lattice.circumradius
     f_x, f_y = focal_length

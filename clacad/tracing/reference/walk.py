@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
-from clacad.optics.surface import ULP
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes, sheet_position
+from clacad.optics.surface import ULP, refract
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import (
@@ -26,9 +26,9 @@ from clacad.tracing.reference.column import (
     FRONT,
     FRONT_LAND,
     Event,
-    first_change,
 )
 from clacad.tracing.reference.face import Hit, cross, cross_at, cross_land, in_footprint
+from clacad.tracing.reference.facet_column import change
 from clacad.tracing.reference.launch import Beam, box_span, on_to, sheet_xy, to_array
 
 BEHIND = 8 * ULP
@@ -132,7 +132,7 @@ def _through_body(here: BodyWalk, walkers: Walkers, left: Walkers, gap: Floats) 
     """Enter, cross and leave one body; rays that end are written, the others returned."""
     entering, passing = _approach(here, walkers, left, gap)
     if len(entering):
-        event = first_change(here.layout, here.body, entering.beam, inside=True)
+        event = change(here.layout, here.body, entering.beam, inside=True)
         out = np.isin(event.kind, (BACK, BACK_LAND))
         stuck = np.flatnonzero(~out)
         _end_at(here, entering.take(stuck), event.take(stuck), here.index)
@@ -144,7 +144,7 @@ def _through_body(here: BodyWalk, walkers: Walkers, left: Walkers, gap: Floats) 
 def _approach(here: BodyWalk, walkers: Walkers, left: Walkers, gap: Floats) -> tuple[Walkers, Walkers]:
     """From the reference plane to the first face: those that enter, and those that pass through a hole."""
     body, layout = here.body, here.layout
-    event = first_change(layout, body, walkers.beam, inside=False)
+    event = change(layout, body, walkers.beam, inside=False)
     travelled = gap + event.distance
     missed = event.kind == ASIDE
     if here.number == 0:
@@ -207,14 +207,22 @@ def _cross_face(
     """Beams on the face, distances gone and directions behind it, for lens and land alike."""
     array = here.body.arrays[0] if face.array is None else face.array
     start = event.starts[array]
-    apex = apexes(here.layout, face, event.cells[array])
-    hit = cross(face, start, beam.z, beam.direction, n1, n2, apex)
-    other = on_lens & ~(np.abs(hit.distance - event.distance) <= SAME * here.layout.halves.max())
-    if other.any():
-        hit = _where(other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2, apex), hit)
+    flat = cross_land(beam.direction, n1, n2)
     land = start + event.distance[:, None] * beam.direction[:, :2]
     level = face.land if np.isfinite(face.land) else 0.0
-    flat = cross_land(beam.direction, n1, n2)
+    if event.normal is not None:
+        root = (beam.direction * event.normal).sum(axis=1)
+        bent, _ = refract(beam.direction, event.normal, root, n1, n2)
+        z = np.where(on_lens, beam.z + event.distance * beam.direction[:, 2], level)
+        on_face = Beam(beam.rows, array, event.cells[array], land, z, beam.direction)
+        return on_face, event.distance, np.where(on_lens[:, None], bent, flat)
+    places = lenses(here.layout, face, event.cells[array])
+    hit = cross(face, start, beam.z, beam.direction, n1, n2, places)
+    other = on_lens & ~(np.abs(hit.distance - event.distance) <= SAME * here.layout.halves.max())
+    if other.any():
+        hit = _where(
+            other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2, places), hit
+        )
     local = np.where(on_lens[:, None], hit.local, land)
     z = np.where(on_lens, hit.z, level)
     distance = np.where(on_lens, hit.distance, event.distance)
@@ -241,7 +249,7 @@ def _depart(here: BodyWalk, walkers: Walkers) -> Walkers:
     walkers = walkers.take(~backward)
     if not len(walkers):
         return walkers
-    event = first_change(here.layout, here.body, walkers.beam, inside=False)
+    event = change(here.layout, here.body, walkers.beam, inside=False)
     clear = np.isin(event.kind, (ABOVE, ASIDE))
     back = np.flatnonzero(~clear)
     _end_at(here, walkers.take(back), event.take(back), 1.0)

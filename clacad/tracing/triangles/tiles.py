@@ -7,7 +7,7 @@ walk's business, exactly as for smooth lenses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -72,6 +72,22 @@ class Tiles(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class TiledFace(FacePlan):
+    """A face that is the mesh's: bounds as of any face, the surface in the tiles.
+
+    tiles : Tiles
+    tile : int
+        Which of them; of a plane face that of its body, whose facets are level.
+    side : 0 or 1
+        Front or back.
+    """
+
+    tiles: Tiles = field(kw_only=True)
+    tile: int = field(kw_only=True)
+    side: int = field(kw_only=True)
+
+
+@dataclass(frozen=True, eq=False)
 class _Tile:
     """One tiling of one body, facets in the cell frame.
 
@@ -114,7 +130,23 @@ def lay_out_mesh(window: Window, mesh: Mesh, normals: Normals) -> tuple[Layout, 
         of.append([len(tiles) + k for k in sides])
         plans.append(_plan(plan, own, sides))
         tiles += own
-    return replace(exact, bodies=tuple(plans)), _joined(tiles, np.array(of))
+    joined = _joined(tiles, np.array(of))
+    bodies = (_tiled(plan, joined, one) for plan, one in zip(plans, of, strict=True))
+    return replace(exact, bodies=tuple(bodies)), joined
+
+
+def _tiled(plan: BodyPlan, tiles: Tiles, of: list[int]) -> BodyPlan:
+    """The body with faces that know their facets; `of` (2,): the tiles of front and back."""
+    front, back = (
+        TiledFace(
+            **{one.name: getattr(face, one.name) for one in fields(face)},
+            tiles=tiles,
+            tile=of[side],
+            side=side,
+        )
+        for side, face in enumerate((plan.front, plan.back))
+    )
+    return replace(plan, front=front, back=back)
 
 
 def _has(tile: _Tile, side: int) -> bool:

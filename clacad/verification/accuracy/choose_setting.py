@@ -128,7 +128,7 @@ def _probe(design: Design, window: Window) -> Probe:
     from clacad.tracing.trace import trace
 
     rays = bundle(window, RAYS, design.check.field, design.check.field_centre).rays
-    truth = trace(window, rays, path="numba")
+    truth = trace(window, rays, path="size")
     if not bool((truth.fate == Fate.ALIVE).any()):
         raise TargetOutOfReach("no ray gets through the design: there is no error to choose by")
     return probe(window, rays, truth)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, resized
 from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.turn import cosine_and_sine
 from clacad.sheet.window import Face, Window
@@ -114,6 +114,8 @@ def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
                 vertex = _added(vertex, _centre(window, i, j, face.array))
                 if face.change is not None:
                     vertex = _added(vertex, _moved(window, face.change, i, j))
+                    size = window.lenses(face, np.array([i, j])).size
+                    face = face if size is None else replace(face, surface=resized(face.surface, float(size)))
             turn = None
             if not face.untilted:
                 columns = face.rotation.T

@@ -159,6 +159,7 @@ class Probe:
             rung="mesh",
             mesh=mesh,
             normals="vertex" if normals == "vertex" else "facet",
+            path="size",
         )
 
     def error(self, found: TraceResult) -> float:

@@ -59,13 +59,13 @@ class TracedRays:
         return cls(window, rays, trace(window, rays, path="numba"), law.refract(rays.direction))
 
 
-def timed(run: Callable[[], TraceResult]) -> tuple[TraceResult, float, float]:
-    """Result, processor seconds (best of 3, warm) and seconds of the first call beyond that (compiling)."""
+def timed(run: Callable[[], TraceResult], repeats: int = REPEATS) -> tuple[TraceResult, float, float]:
+    """Result, processor seconds (best of those repeated, warm) and seconds of the first call beyond that (compiling)."""
     began = time.process_time()
     result = run()
     first = time.process_time() - began
     best = first
-    for _ in range(REPEATS if first < SLOW else 1):
+    for _ in range(repeats if first < SLOW else min(1, repeats)):
         began = time.process_time()
         result = run()
         best = min(best, time.process_time() - began)
@@ -83,11 +83,12 @@ def peak_memory(run: Callable[[], Any]) -> int:
 
 
 def row(
-    ladder: TracedRays, rung: str, setting: str, run: Callable[[], TraceResult], prepare: float = 0.0
-) -> AccuracyRow:
-    """Measure one rung: time, memory, errors against truth and law."""
-    result, seconds, compiling = timed(run)
-    memory = peak_memory(run)
+    ladder: TracedRays, rung: str, setting: str, run: Callable[[], TraceResult], prepare: float = 0.0,
+    repeats: int = REPEATS,
+) -> AccuracyRow:  # fmt: skip
+    """Measure one rung: time, memory, errors against truth and law; with no repeats once, and no memory."""
+    result, seconds, compiling = timed(run, repeats)
+    memory = peak_memory(run) if repeats else 0
     disagree = result.fate != ladder.truth.fate
     if rung != "law":  # the homogeneous law has no cells: every ray is of order 0
         disagree |= (result.order != ladder.truth.order).any(axis=1)

@@ -1,7 +1,8 @@
 """A small ladder of accuracy for the report: the same rays up every rung, each with its error and what it costs.
 
 Seconds change from run to run and a report must not, so the page shows a forecast of the time from the rates
-below; what was really measured goes to the run facts, and into the report only when asked for.
+below; what was really measured, once, goes to the run facts, and into the report only when asked for. So few rays are
+numpy's on every rung: to compile the kernels that would trace them takes longer than all the rest of a report.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
     for number, rung in enumerate(exact):
         progress("accuracy against time", 0.1 * number)
         found = measure_rungs.row(
-            ladder, rung, "exact", partial(trace, window, lit.rays, rung=rung, path="size")
+            ladder, rung, "exact", partial(trace, window, lit.rays, rung=rung, path="size"), repeats=0
         )
         rows.append(replace(found, model_rms=known) if rung == "surfaces" else found)
         forecast.append(MICROSECONDS[rung])
@@ -86,8 +87,8 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
         progress("accuracy against time", 0.3 + 0.7 * number / len(QUADS))
         mesh = tessellate(window, quads=quads)
         for normals in ("facet", "vertex"):
-            run = partial(trace, window, lit.rays, rung="mesh", mesh=mesh, normals=normals)
-            found = measure_rungs.row(ladder, "mesh", f"{quads} quads, {normals} normals", run)
+            run = partial(trace, window, lit.rays, rung="mesh", mesh=mesh, normals=normals, path="size")
+            found = measure_rungs.row(ladder, "mesh", f"{quads} quads, {normals} normals", run, repeats=0)
             rows.append(replace(found, quads=quads, normals=normals, triangles=mesh.facet_count))
             forecast.append(MICROSECONDS["mesh"] + MICROSECONDS["mesh, a quad of the side"] * quads)
     return Ladder(tuple(rows), tuple(forecast), known)

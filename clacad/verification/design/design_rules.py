@@ -58,9 +58,11 @@ def _in_outer_cells(design: Design, window: Window) -> tuple[Check, ...]:
     """The checks of a sheet whose cells differ: each in the worst of those cells whose lenses stand farthest out."""
     worst: dict[tuple[str, str], Check] = {}
     steps = {body.name: highest_step(window, body) for body in window.bodies}
+    fields = [min(feasibility(window).half_field)]
     for cell in outer_cells(window):
         like = like_cell(window, cell)
         facts = feasibility(like, *design.viewing_places)
+        fields += facts.half_field if window.many_sizes else ()
         bodies = tuple(replace(body, step=steps[body.name].height) for body in facts.bodies)
         for check in design_checks(design, like, replace(facts, bodies=bodies), solved=False):
             key, known = (check.id, check.subject), worst.get((check.id, check.subject))
@@ -69,7 +71,7 @@ def _in_outer_cells(design: Design, window: Window) -> tuple[Check, ...]:
                 named = f"in cell ({at[0]}, {at[1]}): {check.sentence}"
                 worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": at})
     found = [_priced(check) for check in worst.values() if check.id not in ("field", "allowance")]
-    reach, half = tan(design.check.field), min(feasibility(window).half_field)
+    reach, half = tan(design.check.field), min(fields)
     sentence = "each cell is for the light of its own place; the cone of test rays about it"
     inside = reach <= half
     found.append(

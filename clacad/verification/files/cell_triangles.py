@@ -325,12 +325,8 @@ def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Flo
     NaN where it has neither.
     """
     assert face.array is not None
-    local = points[:, :2] - window.centres(face.array, cells)
-    rise: Floats | float = 0.0
-    if face.change is not None:
-        moved = face.change.at(window.lattice, cells)
-        local, rise = local - moved, face.change.rise(moved)
-    above = points[:, 2] - (lens_height(face, local[:, 0], local[:, 1]) + rise)
+    local, places = points[:, :2] - window.centres(face.array, cells), window.lenses(face, cells)
+    above = points[:, 2] - places.raised(lens_height(face, *places.seen(*local.T)))
     above = np.where(window.lattice.contains(cells), above, np.nan)
     if face.land is None:
         return above

@@ -129,18 +129,17 @@ def _compare(
     if face.array is None:
         found.distance[rows], found.normal[rows] = points[:, 2] - face.vertex[2], [0.0, 0.0, 1.0]
         return
-    moved = np.zeros((len(points), 2)) if face.change is None else face.change.at(window.lattice, cell)
-    rise = np.zeros(len(points)) if face.change is None else face.change.rise(moved)
-    u, v = x - moved[:, 0], y - moved[:, 1]
+    places = window.lenses(face, cell)
     height = face_height(window, face, x, y, cell)
-    flat = ~(np.abs(height - (lens_height(face, u, v) + rise)) <= 1e-12 * window.lattice.circumradius)
+    own = places.raised(lens_height(face, *places.seen(x, y)))
+    flat = ~(np.abs(height - own) <= 1e-12 * window.lattice.circumradius)
     outside = ~window.lattice.contains(cell)
     if outside.any():  # plain border, or nothing
         height = np.where(outside, np.nan if face.land is None else face.land, height)
         flat |= outside
     back = np.zeros((len(points), 2)) if aside is None else aside[:, :2]
-    lens, normal = lens_height_and_normal(face, u - back[:, 0], v - back[:, 1])
-    lens = lens + rise
+    lens, normal = lens_height_and_normal(face, *places.seen(x - back[:, 0], y - back[:, 1]))
+    lens = places.raised(lens)
     height = np.where(flat | ~np.isfinite(lens), height, lens)
     normal = np.where(flat[:, None], [0.0, 0.0, 1.0], normal)
     normal[np.isnan(height)] = np.nan

@@ -239,12 +239,9 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
     for table in read_points(path):
         index, u, v = window.locate(face.array, table[:, 0] / scale, table[:, 1] / scale)
         z = face_height(window, face, u, v, index)
-        rise: Floats | float = 0.0
-        if face.change is not None:
-            moved = face.change.at(window.lattice, index)
-            (u, v), rise = (np.column_stack([u, v]) - moved).T, face.change.rise(moved)
-        lens, normal = lens_height_and_normal(face, u, v)
-        lens = lens + rise
+        places = window.lenses(face, index)
+        lens, normal = lens_height_and_normal(face, *places.seen(u, v))
+        lens = places.raised(lens)
         flat = ~(z == lens)
         normal = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), normal) * -face.side
         apart = np.abs(table[:, 2] - z * scale)

@@ -109,7 +109,8 @@ def checks_of_light(
     )  # fmt: skip
     rms, to_law, lost = np.array(list(_by_cell(asked, window, gathered, light, present))).T
     law, exact, passed = _fits(asked, window, gathered, held, present)
-    forecasts = np.array([forecast_rms(window, d) for d in off])
+    likes = (like_cell(window, np.array(cell, dtype=np.int64), widest=False) for cell in gathered.cells)
+    forecasts = np.array([forecast_rms(like, d) for like, d in zip(likes, off, strict=True)])
     evidence = MeshEvidence(
         found, gathered.cells, rms, light.rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost.tolist()}, gathered
     )  # fmt: skip

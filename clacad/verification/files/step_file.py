@@ -92,6 +92,9 @@ def gain(window: Window) -> float:
     """Direction error (rad) per slope error (rad) of the lens faces, all of them off by as much, in quadrature."""
     total = 0.0
     smallest = min(abs(m) for m in focal_ratio(window.thin))
+    laws = window.cell_laws
+    if laws is not None and laws.ratios is not None:
+        smallest = float(np.abs(laws.ratios_of(window.lattice, window.lattice.cells())).min())
     for body in window.bodies:
         for face in (body.front, body.back):
             if face.array in (

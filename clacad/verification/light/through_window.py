@@ -42,6 +42,8 @@ def _named(seen: SeenCell, check: Check) -> Check:
     words = f"in cell ({i}, {j}), the worst of {seen.tried} tried"
     if check.id in ("eta", "delta", "tilt"):
         words = f"over the light of {seen.tried} cells"
+        laws = seen.window.cell_laws
+        words += ", each taken by its own eta" if laws is not None and laws.ratios is not None else ""
     words += f": {check.sentence}"
     return replace(check, sentence=words, detail={**check.detail, "cell": [i, j], "tried": seen.tried})
 
@@ -61,9 +63,9 @@ def _fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Opt
 
 
 def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
-    """Light (n, 3) of cells that each have a δ of their own, as it would have to come for the law of the sheet's middle.
+    """Light (n, 3) of cells that each have a law of their own, as it would have to come for the law of the sheet's middle.
 
-    t' = (t − δ)/η, so what a cell does to slope t the middle does to t − δ + δ₀.
+    t' = (t − δ)/η, so what a cell does to slope t the middle does to (t − δ) η₀/η + δ₀.
     """
     law = tried[0].window.law
     if tried[0].window.cell_laws is None:
@@ -71,8 +73,14 @@ def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
     over = np.array(
         [[one.like.law.delta_x - law.delta_x, one.like.law.delta_y - law.delta_y] for one in tried]
     )
-    lens = direction @ law.rotation
-    lens[:, :2] -= np.repeat(over, len(direction) // len(tried), axis=0) * lens[:, 2:]
+    lens, each = direction @ law.rotation, len(direction) // len(tried)
+    if tried[0].window.cell_laws.ratios is None:
+        lens[:, :2] -= np.repeat(over, each, axis=0) * lens[:, 2:]
+    else:
+        ratio = np.array([[law.eta_x / one.like.law.eta_x, law.eta_y / one.like.law.eta_y] for one in tried])
+        shift = ratio * over + (ratio - 1.0) * (law.delta_x, law.delta_y)
+        ratio, shift = (np.repeat(rows, each, axis=0) for rows in (ratio, shift))
+        lens[:, :2] = ratio * lens[:, :2] - shift * lens[:, 2:]
     return np.asarray(lens @ law.rotation.T)
 
 

@@ -1,0 +1,353 @@
+"""Sheets whose cells have an η of their own: their lenses against paraxial matrices and closed forms, their light, what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.integrate import dblquad
+
+import clacad
+from clacad.design.combinations import ETAS, FEATURES, REASONS
+from clacad.mesh import check_closed, tessellate
+from clacad.mesh.cell_template import BACK, FRONT
+from clacad.optics.rays import Fate
+from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.own_steps import highest_step
+from clacad.sheet.vignetting import partner_share
+from clacad.sheet.volume_and_extent import body_volume
+from clacad.sheet.window import face_height
+
+BASE = {
+    "format": 1, "name": "own-eta", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+    "pair": {"form": "slab", "separation": 10.0, "material": "PMMA", "surface": "biconic"}, "lattice": {"pitch": 0.5, "count": [7, 6]},
+}  # fmt: skip
+
+
+def spread(low, high):
+    return lambda i, j: low + (high - low) * (i + j) / 11.0
+
+
+WIDELY = spread(-0.5, -2.0)
+
+
+def still(i, j):
+    return 0.0, 0.0
+
+
+def sloping(i, j):
+    return 0.003 * i - 0.008, 0.004 - 0.002 * j
+
+
+def design(folder, eta=WIDELY, delta=sloping, **changes):
+    """A design with a table beside it; η None: a table of δ alone."""
+    made = json.loads(json.dumps(BASE))
+    for key, value in changes.items():
+        section, _, name = key.partition("__")
+        if value is None:
+            made[section].pop(name, None)
+        else:
+            made.setdefault(section, {})[name] = value
+    plain = clacad.Design.from_dict(made)
+    lattice = clacad.prescribe(plain).lattice
+    rows = ["i,j,delta_x,delta_y" + ("" if eta is None else ",eta")]
+    for i, j in lattice.cells().tolist():
+        numbers = [*delta(i, j), *([] if eta is None else [eta(i, j)])]
+        rows.append(",".join([str(i), str(j), *map(repr, map(float, numbers))]))
+    (folder / "cells.csv").write_text("\n".join(rows) + "\n")
+    made["law"]["varying"] = {"table": "cells.csv"}
+    text = plain.canonical_toml().replace("[law]\n", '[law]\nvarying = {table = "cells.csv"}\n')
+    (folder / "design.toml").write_text(text)
+    return clacad.load(folder / "design.toml")
+
+
+def built(folder, *args, **changes):
+    return clacad.prescribe(design(folder, *args, **changes))
+
+
+FORMS = {
+    "slab": {}, "plano": {"pair__form": "plano", "pair__thickness": 1.0},
+    "plano, curved inside": {"pair__form": "plano", "pair__thickness": 1.0, "pair__curved": "inside"},
+    "biconvex": {"pair__form": "biconvex", "pair__thickness": 0.3, "pair__surface": None},
+    "hexagonal": {"lattice__kind": "hexagonal"}, "seam": {"lattice__seam": 0.05},
+}  # fmt: skip
+"""Kinds of sheet; of biconvex ones η changes little from cell to cell."""
+
+
+def of_form(folder, form, **more):
+    return built(folder, spread(-0.9, -1.3) if form == "biconvex" else WIDELY, **FORMS[form], **more)
+
+
+def matrix(window, cell):
+    """Ray-transfer matrix of one telescopelet from vertex to vertex, in the meridian x."""
+    total, before, z = np.eye(2), 1.0, None
+    for body in window.bodies:
+        for face, after in ((body.front, body.index), (body.back, 1.0)):
+            own = window.in_cell(face, np.array(cell))
+            if z is not None:
+                total = np.array([[1.0, own.vertex[2] - z], [0.0, 1.0]]) @ total
+            z, power = own.vertex[2], (after - before) * own.side * own.surface.curvature_x
+            total = np.array([[1.0, 0.0], [-power / after, before / after]]) @ total
+            before = after
+    return total
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_each_pair_is_afocal_with_exactly_its_own_eta(tmp_path, form):
+    window = of_form(tmp_path, form)
+    for cell in window.lattice.cells():
+        eta = window.law_at(cell).eta_x
+        (_, _), (bends, magnifies) = matrix(window, cell)
+        assert abs(bends) * 0.25 < 3e-14
+        assert magnifies == pytest.approx(1.0 / eta, rel=1e-12)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_ideal_lenses_obey_the_law_of_their_cell_and_real_ones_nearly(tmp_path, form):
+    window = of_form(tmp_path, form)
+    cells, rng = window.lattice.cells(), np.random.default_rng(2)
+    place = window.lattice.centres(cells) + rng.uniform(-0.06, 0.06, (len(cells), 2))
+    slope = (0.004, -0.003)
+    start = np.column_stack([place - np.array(slope), np.full(len(cells), -1.0)])
+    for rung, off in (("law", 1e-15), ("thin", 2e-14), ("surfaces", 4e-4)):
+        seen = clacad.trace(window, clacad.Rays(start, (*slope, 1.0)), rung=rung, path="numpy")
+        alive = np.flatnonzero(seen.fate == Fate.ALIVE)
+        assert len(alive) == len(cells)
+        for k in alive:
+            exact = window.law_at(seen.cell[k]).refract([*slope, 1.0])
+            assert np.abs(seen.direction[k] - exact).max() < off
+
+
+def test_radii_of_a_slab_are_as_its_formula_has_them(tmp_path):
+    window = built(tmp_path)
+    (body,) = window.bodies
+    for cell in window.lattice.cells():
+        eta = window.law_at(cell).eta_x
+        first, second = (window.in_cell(face, cell).surface for face in (body.front, body.back))
+        radius = (body.index - 1.0) * 10.0 / (1.0 - eta)
+        assert 1.0 / first.curvature_x == pytest.approx(radius, rel=4e-15)
+        assert 1.0 / second.curvature_y == pytest.approx(-eta * radius, rel=4e-15)
+        assert first.conic_x == second.conic_y == -1.0 / body.index**2
+
+
+def test_a_table_that_has_the_eta_of_the_law_in_every_cell_makes_the_sheet_of_that_law(tmp_path):
+    own, one = built(tmp_path, lambda i, j: -1.0), built(tmp_path, None)
+    assert own.many_sizes
+    assert not one.many_sizes
+    rng = np.random.default_rng(3)
+    rays = clacad.Rays(
+        np.column_stack([rng.uniform(-1.7, 1.7, (3000, 2)), np.full(3000, -1.0)]),
+        np.column_stack([rng.uniform(-0.06, 0.06, (3000, 2)), np.ones(3000)]),
+    )
+    for rung in ("law", "thin", "surfaces"):
+        a, b = (clacad.trace(window, rays, rung=rung, path="numpy") for window in (own, one))
+        assert (a.fate == b.fate).mean() > 0.999  # within rounding of a border
+        assert np.abs(a.direction - b.direction)[a.fate == b.fate].max() < 2e-15
+
+
+def test_the_law_of_a_cell_is_that_of_its_row_in_design_and_window(tmp_path):
+    made = design(tmp_path)
+    window = clacad.prescribe(made)
+    for cell in ((0, 0), (6, 5), (2, 4)):
+        law = made.law_at(cell)
+        assert law == window.law_at(cell)
+        assert (law.eta_x, law.eta_y) == (WIDELY(*cell),) * 2
+        assert (law.delta_x, law.delta_y) == sloping(*cell)
+    assert made.law.eta_x == window.law.eta_x == -1.0
+    small = window.with_cells((3, 2))
+    assert small.law_at((0, 0)) == window.law_at((2, 2))
+    assert (
+        small.in_cell(small.faces[0], np.array([0, 0])).surface
+        == window.in_cell(window.faces[0], np.array([2, 2])).surface
+    )
+    again = clacad.Design.from_dict(made.to_dict())
+    assert again == made
+
+
+def test_a_sheet_of_equal_cells_like_one_is_that_cell(tmp_path):
+    window = built(tmp_path)
+    cells = outer_cells(window)
+    assert {(0, 0), (6, 5)} <= {tuple(cell) for cell in cells.tolist()}  # the extremes of η
+    for cell in cells:
+        like = like_cell(window, cell)
+        eta = window.law_at(cell).eta_x
+        assert like.uniform
+        assert not like.many_sizes
+        assert like.thin.focal_length[0][0] == pytest.approx(10.0 / (1.0 - eta), rel=1e-15)
+        assert like.thin.focal_length[1][1] == pytest.approx(-eta * 10.0 / (1.0 - eta), rel=1e-15)
+
+
+def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path):
+    window = built(tmp_path, delta=still)
+    rng = np.random.default_rng(5)
+    for slope in ((0.0, 0.0), (0.012, -0.004)):
+        for cell in ((0, 0), (3, 2), (6, 5)):
+            place = window.lattice.centres(np.array(cell)) + rng.uniform(-0.25, 0.25, (20_000, 2))
+            rays = clacad.Rays(
+                np.column_stack([place, np.zeros(20_000)]) - np.array([*slope, 1.0]), (*slope, 1.0)
+            )
+            counted = (clacad.trace(window, rays, rung="thin").fate == Fate.ALIVE).mean()
+            found = partner_share(window, np.array([cell]), np.array([[*slope, 1.0]]))[0]
+            assert found == pytest.approx(counted, abs=0.015)
+
+
+def test_the_volume_is_that_of_its_columns_summed_cell_by_cell(tmp_path):
+    window = built(tmp_path, lattice__count=[3, 2])
+    (body,) = window.bodies
+    total = 0.0
+    for cell in window.lattice.cells():
+        front, back = (window.in_cell(face, cell) for face in (body.front, body.back))
+
+        def thick(y, x, front=front, back=back):
+            one, two = (
+                f.vertex[2] + float(f.surface.sag(x - f.vertex[0], y - f.vertex[1])) for f in (front, back)
+            )
+            return two - one
+
+        total += dblquad(thick, -0.25, 0.25, -0.25, 0.25, epsabs=1e-12)[0]
+    found = body_volume(window, body)
+    assert found.value == pytest.approx(total, abs=1e-9)
+
+
+def test_the_highest_step_is_found_where_radii_differ(tmp_path):
+    window = built(tmp_path, lambda i, j: -0.4 if (i, j) == (3, 2) else -1.0, still)
+    (body,) = window.bodies
+    step = highest_step(window, body)
+    along, worst = np.linspace(-0.25, 0.25, 4001), 0.0
+    for face in (body.front, body.back):
+        here, there = (
+            face_height(window, face, np.full(4001, x), along, np.broadcast_to(cell, (4001, 2)))
+            for x, cell in ((0.25, (2, 2)), (-0.25, (3, 2)))
+        )
+        worst = max(worst, float(np.abs(here - there).max()))
+    assert worst > 0.003
+    assert step.height == pytest.approx(worst, rel=1e-12)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_meshes_of_cells_of_many_sizes_are_closed_and_enclose_what_their_faces_do(tmp_path, form):
+    window = of_form(tmp_path, form, lattice__count=[4, 3])
+    some, many = (tessellate(window, quads=n) for n in (4, 8))
+    for body, one, other in zip(window.bodies, some.bodies, many.bodies, strict=True):
+        health = check_closed(lambda one=one: (rows.astype(np.float32) for rows in one.rows()), pieces=True)
+        assert health.closed
+        assert health.four_face_edges == health.degenerate == 0
+        exact = body_volume(window, body)
+        if exact is None:  # lenses that end inside their cells
+            continue
+        apart = [abs(mesh.volume() - exact.value) for mesh in (one, other)]
+        assert apart[0] < 0.03 * exact.value
+        assert apart[1] < 0.36 * apart[0] + 3.0 * exact.error
+
+
+def test_facets_of_every_cell_lie_on_the_sphere_of_its_own_radius(tmp_path):
+    """Sheet coordinates, and the radius of the formula alone."""
+    window = built(tmp_path, WIDELY, still, lattice__count=[4, 3], pair__surface=None)
+    (body,) = window.bodies
+    (mesh,) = tessellate(window, quads=6).bodies
+    for corners, (kinds, cells) in zip(mesh.rows(), mesh.tags(), strict=True):
+        for kind, face in ((FRONT, body.front), (BACK, body.back)):
+            at, cell = corners[kinds == kind], cells[kinds == kind]
+            eta = WIDELY(*cell.T)[:, None]
+            radius = (body.index - 1.0) * 10.0 / (1.0 - eta) * (1.0 if kind == FRONT else -eta)
+            x, y = (at[..., k] - (cell[:, k, None] - (n - 1) / 2) * 0.5 for k, n in ((0, 4), (1, 3)))
+            z = face.vertex[2] + face.side * (radius - np.sqrt(radius**2 - x**2 - y**2))
+            assert np.abs(at[..., 2] - z).max() < 6.0 * mesh.step
+
+
+# -- what is refused -----------------------------------------------------------------------------------
+
+PRESENT = {
+    "hexagonal cells": {"lattice__kind": "hexagonal"}, "seam": {"lattice__seam": 0.05}, "outline": {"lattice__outline": {"circle": 3}, "lattice__count": None},
+    "tilt": {"law__euler": [20, 3, 0]}, "plano": FORMS["plano"], "biconvex": FORMS["biconvex"], "slab": {}, "curved inside": FORMS["plano, curved inside"],
+    "thin recipe": {**FORMS["plano"], "pair__confocal": "thin"}, "tolerances": {"tolerances__index": 0.001}, "steered": {"lattice__aperture": [0.01, 0.0]},
+    "traced vertices": {"pair__offset": "traced"},
+    "given faces": {"pair__prescription": "given", "pair__face": [{"radius": 2.468}, {"radius": 2.468}], "pair__surface": None},
+    "eta_x and eta_y that differ": {"law__eta": [-1.0, -0.9]}, "depth of a lens": {"pair__surface": None, "pair__depth": [2.4, 2.4]},
+    "biconvex of a thickness to be found": {"pair__form": "biconvex", "pair__surface": None},
+}  # fmt: skip
+ELSEWHERE = {f.name for f in FEATURES} - set(PRESENT)
+"""What no table of cells stands beside is refused before it is read; law.delta and law.varying are its own."""
+
+
+@pytest.mark.parametrize("feature", PRESENT)
+def test_each_feature_beside_a_table_with_eta_works_or_is_refused_by_one_code(tmp_path, feature):
+    reason = REASONS.get((ETAS, feature))
+    made = design(tmp_path, spread(-0.9, -1.3), **PRESENT[feature])
+    if reason is not None:
+        with pytest.raises(clacad.DesignError) as caught:
+            clacad.prescribe(made)
+        (mistake,) = caught.value.mistakes
+        assert mistake.code == "CL125"
+        assert reason in mistake.message
+        assert mistake.line is not None
+        return
+    window = clacad.prescribe(made)
+    assert window.many_sizes
+    slope = np.divide(window.thin.shift, window.thin.offset[2])
+    cells = window.lattice.cells()
+    start = np.column_stack([window.lattice.centres(cells) + [0.02, 0.01] - slope, np.full(len(cells), -1.0)])
+    seen = clacad.trace(window, clacad.Rays(start, (*slope, 1.0)), path="numpy")
+    assert (seen.fate == Fate.ALIVE).all()
+    for k in range(len(cells)):
+        exact = window.law_at(seen.cell[k]).refract([*slope, 1.0])
+        assert np.abs(seen.direction[k] - exact).max() < 1e-3
+
+
+def test_what_no_table_stands_beside_has_the_same_reason_with_eta():
+    for name in ELSEWHERE:
+        assert REASONS.get((ETAS, name)) == REASONS.get(("law.varying", name))
+
+
+def test_biconvex_neighbours_too_unlike_are_refused_by_their_names(tmp_path):
+    made = design(tmp_path, lambda i, j: -1.2 if (i, j) == (3, 2) else -1.0, **FORMS["biconvex"])
+    with pytest.raises(clacad.DesignError) as caught:
+        clacad.prescribe(made)
+    (mistake,) = caught.value.mistakes
+    assert mistake.code == "CL125"
+    assert "(3, 2)" in mistake.message
+    assert "0.05" in mistake.message
+    clacad.prescribe(design(tmp_path, lambda i, j: -1.05 if (i, j) == (3, 2) else -1.0, **FORMS["biconvex"]))
+
+
+def test_a_lens_that_would_end_inside_its_cell_is_refused_with_the_pitch_that_works(tmp_path):
+    eta = lambda i, j: -0.05 if (i, j) == (2, 1) else -1.0  # noqa: E731
+    with pytest.raises(clacad.DesignError) as caught:
+        built(tmp_path, eta, still)
+    (mistake,) = caught.value.mistakes
+    assert mistake.code == "CL120"
+    assert "lens 2 of cell (2, 1)" in mistake.message
+    pitch = float(mistake.hint.split("pitch < ")[1].split(",")[0])
+    built(tmp_path, eta, still, lattice__pitch=0.9 * pitch, pair__offset="paraxial")
+
+
+def test_lenses_of_many_cells_are_moved_by_a_polynomial_as_by_each_trace(tmp_path, monkeypatch):
+    from clacad.prescription import traced_vertices
+
+    one = built(tmp_path, lattice__count=[7, 6])
+    monkeypatch.setattr(traced_vertices, "DIRECT", 10)
+    monkeypatch.setattr(traced_vertices, "OWN_LADDER", ((30, 2),))
+    monkeypatch.setattr(traced_vertices, "HELD_OUT", 6)
+    monkeypatch.setattr(traced_vertices, "FIT", 1e-3)
+    other = built(tmp_path, lattice__count=[7, 6])
+    a, b = (window.vertices(window.faces[1], window.lattice.cells()) for window in (one, other))
+    assert 0.0 < np.abs(a - b).max() < 1e-3 * 0.5
+
+
+def test_what_takes_lenses_of_one_size_says_so(tmp_path):
+    from clacad.effects.engine.camera_light import light_reaching_camera
+    from clacad.formats.pov.pov_solids import NotForPov, refuse
+
+    window = built(tmp_path)
+    rays = clacad.Rays(((0.0, 0.0, -1.0),), (0.0, 0.0, 1.0))
+    with pytest.raises(ValueError, match="CL139: ghosts on rung law"):
+        light_reaching_camera(window, rays, "law", ("ghosts",))
+    round_ones = built(tmp_path, lattice__count=[3, 3], pair__surface=None)
+    with pytest.raises(NotForPov, match="are of many sizes"):
+        refuse(round_ones)
+    made = design(tmp_path, lattice__count=[3, 3], pair__surface=None)
+    with pytest.raises(ValueError, match=r"CL139: format pov.*held by: step") as refused:
+        clacad.export(made, tmp_path / "out", formats=("pov",))
+    assert ", pov" not in str(refused.value)
+    assert not (tmp_path / "out").exists()
