@@ -142,6 +142,21 @@ def traced_moves(window: Window, slopes: Floats) -> Floats:
 
 def moves_of(window: Window, light: CellLight) -> Floats:
     """How far lens 2 must move from where paraxial rays have it, (m, 2), lengths; see `traced_moves`."""
+    if light.own is None:
+        return _moves_of(window, light)
+    moves = np.empty(light.first.shape)
+    whole = light.own.fill == 1.0
+    for rows in (
+        np.flatnonzero(whole),
+        np.flatnonzero(~whole),
+    ):  # where lens 2 takes a part the light of a cell is another
+        if len(rows):
+            moves[rows] = _moves_of(window, light.of(rows))
+    return moves
+
+
+def _moves_of(window: Window, light: CellLight) -> Floats:
+    """The same of light that moves are smooth functions of."""
     grid = GRID * min(window.lattice.pitch)
     if len(light.slopes) <= DIRECT:
         return np.asarray(np.rint(_solved(window, light) / grid) * grid)

@@ -225,7 +225,10 @@ def test_the_highest_step_is_found_where_radii_differ(tmp_path):
     assert step.height == pytest.approx(worst, rel=1e-12)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    "form",
+    [form if form in ("slab", "biconvex") else pytest.param(form, marks=pytest.mark.slow) for form in FORMS],
+)
 def test_meshes_of_cells_of_many_sizes_are_closed_and_enclose_what_their_faces_do(tmp_path, form):
     window = of_form(tmp_path, form, lattice__count=[4, 3])
     some, many = (tessellate(window, quads=n) for n in (4, 8))
@@ -333,6 +336,21 @@ def test_lenses_of_many_cells_are_moved_by_a_polynomial_as_by_each_trace(tmp_pat
     other = built(tmp_path, lattice__count=[7, 6])
     a, b = (window.vertices(window.faces[1], window.lattice.cells()) for window in (one, other))
     assert 0.0 < np.abs(a - b).max() < 1e-3 * 0.5
+
+
+@pytest.mark.slow
+def test_lenses_of_many_cells_stand_within_what_the_polynomial_owns_up_to_on_both_sides_of_eta_minus_one(
+    tmp_path, monkeypatch
+):
+    from clacad.prescription import traced_vertices
+
+    eta, delta = (lambda i, j: -0.5 - 0.015 * (i + j)), (lambda i, j: (1e-3 * (i - 20), 5e-4 * (20 - j)))
+    made = design(tmp_path, eta, delta, lattice__count=[41, 41])
+    one = clacad.prescribe(made)
+    monkeypatch.setattr(traced_vertices, "DIRECT", 10_000)
+    other = clacad.prescribe(made)
+    a, b = (window.vertices(window.faces[1], window.lattice.cells()) for window in (one, other))
+    assert 0.0 < np.abs(a - b).max() < 2e-9 * 0.5
 
 
 def test_what_takes_lenses_of_one_size_says_so(tmp_path):
