@@ -93,7 +93,7 @@ def _announced(
 
     rates = Rates.here()
     with ExitStack() as compiling:
-        if must_compile(scene, passage):
+        if must_compile(scene, passage, frames):
             takes = rates.span(COMPILED, COMPILING)
             say(
                 f"what draws it is compiled first, once on this machine: {takes} of processor time",
@@ -104,7 +104,7 @@ def _announced(
         else:
             progress("trying some pixels")
         modelled = picture_seconds(scene, passage, frames)
-    with forecast(task(scene), modelled, quiet=quiet) as span:
+    with forecast(task(scene, frames), modelled, quiet=quiet) as span:
         progress.expect(span.middle)
         yield
 
@@ -140,18 +140,28 @@ def _within_target(scene: Scene, text: str) -> Scene:
 
 
 def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bool, quiet: bool) -> int:
-    """Write all frames as a movie, print how many; return the exit status."""
-    from clacad.rendering.picture import render_movie
+    """Write all frames as a movie, print how many; return the exit status.
+
+    Where what draws them must be compiled first, the first frame is drawn coarsely by numpy, and stands there alone before that.
+    """
+    from clacad.rendering.coarse_first import BLOCK, must_compile, view_coarsely
+    from clacad.rendering.picture import checked_frames, render_movie
     from clacad.rendering.picture_files import write_movie
 
     assert scene.animation is not None
-    still = scene.at(0)
-    with _announced(still, _planned(still, progress), progress, scene.animation.frames, quiet=quiet):
+    still, count, fps = scene.at(0), scene.animation.frames, scene.animation.fps
+    passage = _planned(still, progress)
+    coarse = must_compile(still, passage, count)
+    if coarse:
+        checked_frames(scene)
+        first = view_coarsely(still, passage, progress=_coarsely(progress), frames=count)
+        write_movie([first.enlarged()], request.out, fps, overwrite=request.overwrite)
+        progress.say(
+            f"{request.out} is the first of {count} frames as yet, coarse, in blocks of {BLOCK} pixels; the movie takes its place"
+        )
+    with _announced(still, passage, progress, count, quiet=quiet):
         frames = write_movie(
-            render_movie(scene, progress=progress),
-            request.out,
-            scene.animation.fps,
-            overwrite=request.overwrite,
+            render_movie(scene, progress=progress), request.out, fps, overwrite=request.overwrite or coarse
         )
     progress.done()
     if json:

@@ -100,8 +100,8 @@ class CoarseView:
 
 
 def view_coarsely(
-    scene: Scene, passage: Passage, *, threads: int | None = None, progress: Progress | None = None
-) -> CoarseView:
+    scene: Scene, passage: Passage, *, threads: int | None = None, progress: Progress | None = None, frames: int = 1
+) -> CoarseView:  # fmt: skip
     """Draw a still small, with every effect; in numpy where compiled code would have to be compiled first.
 
     Parameters
@@ -112,17 +112,21 @@ def view_coarsely(
         As `sheet_passage.plan_passage` plans it.
     threads, progress
         As of `picture.render`.
+    frames : int
+        Of the movie that it is the first of.
     """
     width, height = (-(-n // BLOCK) for n in scene.camera.pixels)
     small = scene.replace("camera.pixels", [width, height])
-    fast = worth_compiling(scene) and not must_compile(scene, passage)
+    fast = worth_compiling(scene, frames) and not must_compile(scene, passage, frames)
     drawn = view_through(small, threads=threads, progress=progress, compiled=fast, passage=passage)
     return CoarseView(scene, passage, drawn, costly_and_weak(passage), fast)
 
 
-def must_compile(scene: Scene, passage: Passage) -> bool:
-    """Whether a still is drawn by compiled code that has to be compiled first: half a minute before its first pixel."""
-    if not worth_compiling(scene):
+def must_compile(scene: Scene, passage: Passage, frames: int = 1) -> bool:
+    """Whether a still, or so many frames like it, is drawn by compiled code that has to be compiled first: half a minute before
+    its first pixel.
+    """
+    if not worth_compiling(scene, frames):
         return False
     viewing = set_up(scene, prescribe(scene.design()), True, passage)
     return not kernels_are_kept(viewing, aim(scene.camera))

@@ -111,8 +111,7 @@ def render_movie(scene: Scene | str | os.PathLike[str], *, threads: int | None =
     if made.animation is None:
         raise ValueError(f"the scene {made.name} has no animation")
     stills = checked_frames(made)
-    width, height = made.camera.pixels
-    fast = len(stills) * width * height * made.camera.samples > SMALL_PICTURE
+    fast = worth_compiling(made, len(stills))
     for k, still in enumerate(stills):
 
         def tell(stage: str, share: float | None, k: int = k) -> None:
@@ -186,10 +185,10 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     return Picture(light, samples, error, still, viewing.passage, window)
 
 
-def worth_compiling(scene: Scene) -> bool:
-    """Whether a still has rays enough to load compiled code for them."""
+def worth_compiling(scene: Scene, frames: int = 1) -> bool:
+    """Whether a still, or so many frames like it, has rays enough to load compiled code for them."""
     width, height = scene.camera.pixels
-    return int(width * height * scene.camera.samples) > SMALL_PICTURE
+    return int(frames * width * height * scene.camera.samples) > SMALL_PICTURE
 
 
 def _tile_shape(view: View, samples: int, single: bool) -> tuple[int, int]:

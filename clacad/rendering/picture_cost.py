@@ -70,7 +70,7 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> Span:
     frames : int
     """
     view = aim(scene.camera)
-    viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene), passage)
+    viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene, frames), passage)
     least, most = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
     many = _again(viewing, scene, view) * view.width * view.height
     least *= _emptier(viewing, view)
@@ -148,10 +148,11 @@ def _patch(view: View, side: int, at: tuple[float, float]) -> Ints:
     return (y[:, None] * view.width + x).ravel().astype(np.int64)
 
 
-def task(scene: Scene) -> str:
-    """Name under which such a picture is noted: rung, effects and path decide what a ray costs."""
+def task(scene: Scene, frames: int = 1) -> str:
+    """Name under which such a picture, or so many frames like it, is noted: rung, effects and path decide what a ray costs."""
     rungs = "+".join(one.rung for one in scene.sheets)
-    return f"render {rungs} {scene.effects.mode} {_path(scene)}"
+    path = "compiled" if worth_compiling(scene, frames) else "numpy"
+    return f"render {rungs} {scene.effects.mode} {path}"
 
 
 ATLAS = "atlas"
@@ -179,7 +180,3 @@ def _drawn(stills: Sequence[Scene]) -> float:
 def _rays(scene: Scene) -> int:
     width, height = scene.camera.pixels
     return int(width * height * scene.camera.samples)
-
-
-def _path(scene: Scene) -> str:
-    return "compiled" if worth_compiling(scene) else "numpy"

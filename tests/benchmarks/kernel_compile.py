@@ -38,7 +38,7 @@ print(spent, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 TRACE = "trace(window, rays, threads=1, "
 KERNELS = {
     "surfaces": (TRACE + 'path="numba")', "trace of 750,000 rays or more; accuracy; scenes with many rays"),
-    "mesh": (TRACE + 'rung="mesh", mesh=mesh)', "rung mesh with the sheet's own mesh; report, accuracy"),
+    "mesh": (TRACE + 'rung="mesh", mesh=mesh)', "rung mesh with the sheet's own mesh; accuracy"),
     "triangles": (TRACE + 'rung="mesh", mesh=soup)', "rung mesh with a file"),
     "float32": (TRACE + 'precision="float32")', 'precision="float32"; accuracy'),
     "law": (TRACE + 'rung="law", path="numba")', "rung law, many rays"),

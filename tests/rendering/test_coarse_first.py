@@ -198,6 +198,41 @@ def test_a_scene_whose_kernels_must_be_compiled_is_there_coarsely_first(
     assert (tmp_path / "x.png").read_bytes() == whole
 
 
+def test_a_movie_whose_kernels_must_be_compiled_is_its_first_frame_before(
+    scene_file, monkeypatch, tmp_path, capsys
+):
+    film = tmp_path / "x.gif"
+    moving = (
+        '[animation]\nframes = 3\nfps = 5\n[[animation.move]]\nkey = "camera.position.0"\nfrom = 0\nto = 1\n'
+    )
+    scene_file.write_text(SCENE + moving)
+    words = ["render", str(scene_file), "-o", str(film)]
+    assert main(words) == 0
+    whole, _ = film.read_bytes(), capsys.readouterr()
+    seen, asked = {}, []
+
+    def forecast(*_):
+        with Image.open(film) as coarse:
+            seen["frames"], seen["size"] = getattr(coarse, "n_frames", 1), coarse.size
+            found = np.asarray(coarse.convert("RGB")).reshape(-1, 3)
+            seen["colours"] = len(np.unique(found, axis=0))
+        return Span(5.0, 9.0)
+
+    monkeypatch.setattr(coarse_first, "must_compile", lambda *given: asked.append(given[2:]) or True)
+    monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "picture_seconds", forecast)
+    assert main(words) == 4  # nothing is drawn over what stands there
+    assert film.read_bytes() == whole
+    film.unlink()
+    assert main(words) == 0
+    assert (seen["frames"], seen["size"]) == (1, (40, 30))
+    assert 1 < seen["colours"] <= 5 * 4  # blocks of 8 pixels a side
+    assert asked[0] == (3,)  # all frames together are what is worth compiling for
+    said = capsys.readouterr().err
+    assert "the first of 3 frames as yet" in said
+    assert "compiled first" in said
+    assert film.read_bytes() == whole
+
+
 @pytest.mark.parametrize("rung", ["surfaces", "law", "thin"])
 def test_kernels_are_asked_for_by_the_types_that_they_are_called_with(rung, scene_file, monkeypatch):
     from clacad.base import kernel_cache

@@ -118,11 +118,21 @@ def _measured(
     return AccuracyTable(name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
 
 
-OWN_SECONDS, OWN_SECONDS_A_RAY = 10.0, 2.0e-5
-"""Of the rows of a sheet whose cells differ: its worst cell found and 50 digits; each ray, mostly on rungs law and thin in numpy."""
+OWN_SECONDS, OWN_SECONDS_A_CELL, OWN_SECONDS_A_RAY = 2.3, 2.0e-5, 1.5e-5
+"""Of the rows of a sheet whose cells differ: 50 digits, cells built, and each ray on the rungs without facets."""
 
-OWN_SECONDS_A_FACET, OWN_SECONDS_A_RAY_A_GRID = 4.5e-3, 8.0e-5
-"""Of their facets: sorted, by quads squared; each ray through each grid, with facet and vertex normals."""
+OWN_SECONDS_A_FACET = 1.2e-3
+"""Of their facets: sorted, by quads squared."""
+
+THROUGH_FACETS, A_QUAD_OF_ONE_LATTICE, A_QUAD_OF_TWO = 2.5e-6, 0.36e-6, 1.2e-6
+"""A ray through such facets, and more for each quad of a cell side: where both arrays stand on one lattice, and where array 2 has
+its own, so that cells meet in steps all over and a ray is walked from facet to facet."""
+
+RIM_OF_TWO_SIDES, RIM_OF_ONE_SIDE = 4.2e-9, 1.4e-9
+"""Of the land about a body whose two arrays stand aside of each other, along both axes or one: by the square of its points."""
+
+RIMS_OF_FLOORS = 21_000
+"""Squares of the grids that are cut for the floors of formats, added up."""
 
 TASK = "accuracy"
 """Name under which the time it takes is noted."""
@@ -131,22 +141,47 @@ TASK = "accuracy"
 def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = None) -> float:
     """Processor seconds of the table, by a model of one reference machine (see `clacad.base.machine_rates`): the 50-digit
     trace and the STEP spot once; rays through every row, facets laid out and the floors of each pattern of cells that is
-    meshed. Hexagons have more facets a quad than squares, and cells with land are cut along their rims.
+    meshed. Hexagons have more facets a quad than squares, cells with land are cut along their rims, and turned lenses have no plane of
+    symmetry. A sheet whose cells differ
+    is measured itself besides.
     """
-    from clacad.verification.accuracy.measure_rungs import OWN_FINEST, QUADS
+    from clacad.verification.accuracy.measure_rungs import QUADS
 
     grids = tuple(quads or QUADS)
-    patterns = sum(2 if len({f.array for f in (b.front, b.back)} - {None}) == 2 and window.shifts[1] != (0.0, 0.0) else 1
-                   for b in window.bodies)  # fmt: skip
-    rough = 4.0 if window.lattice.hexagonal else 1.0
-    if window.outline is not None and patterns == len(window.bodies) and not window.lattice.hexagonal:
-        rough = 2.2
-    facets = 1.25e-4 * sum(q * q for q in grids) + 1.1
+    own_lattice = any(place.own for place in window.placements)
+    apart = own_lattice or window.shifts[1] != (0.0, 0.0)
+    split = sum(apart and len({f.array for f in (b.front, b.back)} - {None}) == 2 for b in window.bodies)
+    patterns = len(window.bodies) + split
+    turned = not all(face.untilted for face in window.faces)
+    rough, spot = 1.0, 1.1
+    if window.lattice.hexagonal:
+        rough = 5.0
+    elif window.outline is not None and not split:
+        rough = 3.0
+    elif turned:
+        rough, spot = 2.0, 2.8
+    facets = 3.0e-5 * sum(q * q for q in grids) + 1.15
+    traced = (1.7e-6 + 1.0e-6 * patterns) * rays * len(grids)
+    own = 0.0 if window.uniform else _own_seconds(rays, window, grids)
+    if split:
+        rim = RIM_OF_TWO_SIDES if own_lattice or 0.0 not in window.shifts[1] else RIM_OF_ONE_SIDE
+        points = 2.0 * sum(window.lattice.count)
+        own += rim * points**2 * (sum(q * q for q in grids) + RIMS_OF_FLOORS)
+    return own + spot + traced + patterns * (0.2 + rough * facets)
+
+
+def _own_seconds(rays: int, window: Window, grids: Sequence[int]) -> float:
+    """Of the rows of the sheet itself, where cells differ."""
+    from clacad.verification.accuracy.measure_rungs import OWN_FINEST, REPEATS, SLOW
+
     fit = [q for q in grids if q <= OWN_FINEST]
-    each = OWN_SECONDS_A_RAY + OWN_SECONDS_A_RAY_A_GRID * len(fit)
-    faceted = OWN_SECONDS_A_FACET * sum(q * q for q in fit)
-    own = 0.0 if window.uniform else OWN_SECONDS + faceted + each * rays
-    return own + 2.0 + patterns * (0.6 + 3.3e-6 * rays * len(grids) + rough * facets)
+    quad = A_QUAD_OF_TWO if any(place.own for place in window.placements) else A_QUAD_OF_ONE_LATTICE
+    found = OWN_SECONDS + OWN_SECONDS_A_CELL * window.lattice.cell_count + OWN_SECONDS_A_RAY * rays
+    for q in fit:
+        once = rays * (THROUGH_FACETS + quad * q)
+        runs = 2 + (REPEATS if once < SLOW else 1)  # the first, the repeats, and one for memory
+        found += OWN_SECONDS_A_FACET * q * q + 2.0 * runs * once  # facet and vertex normals
+    return found
 
 
 def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
