@@ -11,8 +11,17 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.prescription.radii import NoSuchLens
-from clacad.sheet.cell_places import extreme_cells
-from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
+from clacad.sheet.outermost_cells import level_point, outermost_cells
+from clacad.sheet.window import (
+    Body,
+    Face,
+    Window,
+    column,
+    face_height,
+    in_optical_tile,
+    lens_height,
+    optical_tile,
+)
 
 BORDER_SAMPLES = 65
 GRID = 33
@@ -103,42 +112,26 @@ def _level_point(window: Window, face: Face) -> Floats:
     """Height of the extreme point of the lens if it lies in the zone, else nothing, (0 or 1,)."""
     if face.untilted:
         return np.array([face.vertex[2]])
-    # follow the slope: Newton on the height's gradient, which is small and smooth on a lenslet
-    x, y = face.vertex[0], face.vertex[1]
-    from clacad.sheet.window import in_optical_tile, lens_height_and_normal
-
-    step = 1e-5 * window.lattice.circumradius
-    for _ in range(8):
-        px = x + np.array([0.0, step, -step, 0.0, 0.0])
-        py = y + np.array([0.0, 0.0, 0.0, step, -step])
-        _, normal = lens_height_and_normal(face, px, py)
-        slope = -normal[:, :2] / normal[:, 2:]
-        jacobian = np.stack([slope[1] - slope[2], slope[3] - slope[4]], axis=1) / (2.0 * step)
-        if not np.isfinite(jacobian).all() or abs(np.linalg.det(jacobian)) < 1e-300:
-            return np.empty(0)
-        dx, dy = np.linalg.solve(jacobian, -slope[0])
-        x, y = x + float(dx), y + float(dy)
-    at = np.array([x]), np.array([y])
-    if not (np.isfinite([x, y]).all() and in_optical_tile(window, *at)[0]):
+    found = level_point(window, face)
+    if found is None or not in_optical_tile(window, np.array([found[0]]), np.array([found[1]]))[0]:
         return np.empty(0)
-    z = lens_height(face, *at)
-    return z[np.isfinite(z)]
+    return np.array([found[2]])
 
 
 def faces_that_differ(window: Window, face: Face) -> list[Face]:
     """The face as it stands in the cells where its lens is farthest out; the face itself where all cells are alike."""
     if face.change is None:
         return [face]
-    cells = extreme_cells(face.change, window.lattice)
+    cells = outermost_cells(window, face)
     return [window.in_cell(face, cell) for cell in cells]
 
 
 def _bodies_that_differ(window: Window, body: Body) -> list[Body]:
     """The body as it stands in the cells where one of its lenses is farthest out."""
-    changes = [face.change for face in (body.front, body.back) if face.change is not None]
-    if not changes:
+    faces = [face for face in (body.front, body.back) if face.change is not None]
+    if not faces:
         return [body]
-    cells = np.concatenate([extreme_cells(change, window.lattice) for change in changes])
+    cells = np.concatenate([outermost_cells(window, face) for face in faces])
     return [
         replace(body, front=window.in_cell(body.front, cell), back=window.in_cell(body.back, cell))
         for cell in np.unique(cells, axis=0)

@@ -44,7 +44,8 @@ DIRECT = 400
 LADDER = ((260, 11), (700, 17))
 """Slopes through which a polynomial goes, and its degree in both together: the second where the first misses."""
 
-OWN_LADDER = ((700, 8), (1800, 12))
+OWN_DIRECT = 2000
+OWN_LADDER = ((1000, 9), (1900, 12))
 """The same of lenses of many sizes, where moves are functions of η too."""
 
 HELD_OUT = 40
@@ -142,8 +143,23 @@ def traced_moves(window: Window, slopes: Floats) -> Floats:
 
 def moves_of(window: Window, light: CellLight) -> Floats:
     """How far lens 2 must move from where paraxial rays have it, (m, 2), lengths; see `traced_moves`."""
+    if light.own is None:
+        return _moves_of(window, light)
+    moves = np.empty(light.first.shape)
+    whole = light.own.fill == 1.0
+    for rows in (
+        np.flatnonzero(whole),
+        np.flatnonzero(~whole),
+    ):  # where lens 2 takes a part the light of a cell is another
+        if len(rows):
+            moves[rows] = _moves_of(window, light.of(rows))
+    return moves
+
+
+def _moves_of(window: Window, light: CellLight) -> Floats:
+    """The same of light that moves are smooth functions of."""
     grid = GRID * min(window.lattice.pitch)
-    if len(light.slopes) <= DIRECT:
+    if len(light.slopes) <= (DIRECT if light.own is None else OWN_DIRECT):
         return np.asarray(np.rint(_solved(window, light) / grid) * grid)
     for nodes, degree in LADDER if light.own is None else OWN_LADDER:
         moves, missed = _by_polynomial(window, light, nodes, degree)
@@ -161,14 +177,16 @@ def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) ->
     order = np.argsort(sobol(len(variable), 1)[:, 0], kind="stable")
     middle, reach = variable.mean(axis=0), np.ptp(variable, axis=0) / 2.0
     reach = np.where(reach == 0.0, 1.0, reach) if light.own is not None else reach.max() or 1.0
-    outer = np.argsort(-((variable - middle) ** 2).sum(axis=1), kind="stable")[: count // 5]
+    far = variable - middle if light.own is None else (variable - middle) / reach
+    outer = np.argsort(-(far**2).sum(axis=1), kind="stable")[: count // 5]
     nodes = np.unique(np.concatenate([outer, order[: count - len(outer)]]))
     held = np.setdiff1d(order[count : count + 2 * HELD_OUT], nodes)[:HELD_OUT]
     solved = _solved(window, light.of(np.concatenate([nodes, held])))
     scaled = (variable - middle) / reach
     terms, *_ = np.linalg.lstsq(_powers(scaled[nodes], degree), solved[: len(nodes)], rcond=None)
     moves = np.asarray(_powers(scaled, degree) @ terms)
-    return moves, float(np.abs(moves[held] - solved[len(nodes) :]).max(initial=0.0))
+    judged = held if light.own is None else np.concatenate([nodes, held])
+    return moves, float(np.abs(moves[judged] - solved[len(solved) - len(judged) :]).max(initial=0.0))
 
 
 def _powers(t: Floats, degree: int) -> Floats:

@@ -70,7 +70,7 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
 
 
 def outer_cells(window: Window) -> Ints:
-    """Cells (m, 2) whose lenses stand farthest from where others have them, in four directions, or are the smallest and largest."""
+    """Cells (m, 2) whose lenses stand farthest from where others have them, in four directions, or are the smallest, the largest and the steepest."""
     changes = [face.change for face in window.faces if face.change is not None]
     if not changes:  # arrays of two pitches alone
         return np.asarray(sampled_cells(window, SIDES))
@@ -86,7 +86,8 @@ def outer_cells(window: Window) -> Ints:
         found.append(cells[[int(np.argmax(np.hypot(*places.T)))]])
         size = window.lenses(face, cells).size
         if size is not None:
-            found.append(cells[[int(np.argmin(size)), int(np.argmax(size))]])
+            steep = (lattice.circumradius + np.hypot(*places.T)) / size
+            found.append(cells[[int(np.argmin(size)), int(np.argmax(size)), int(np.argmax(steep))]])
     return np.unique(np.concatenate(found), axis=0)
 
 

@@ -43,10 +43,10 @@ def need_equal_cells(window: Window, what: str, instead: str = "") -> None:
         raise CellsDiffer(what, instead)
 
 
-def need_one_eta(window: Window, what: str) -> None:
+def need_one_eta(window: Window, what: str, instead: str) -> None:
     """Refuse a window whose cells have an η of their own; `CellsDiffer`, as `need_equal_cells`."""
     if window.many_sizes:
-        raise CellsDiffer(what, "cells may differ in their offsets")
+        raise CellsDiffer(what, instead)
 
 
 def equal_cells(window: Window, what: str, instead: str = "") -> Window:

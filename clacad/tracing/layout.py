@@ -15,8 +15,9 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import sharpest_bend
-from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, LensPlaces, VertexChange, extreme_cells
+from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, LensPlaces, VertexChange
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
+from clacad.sheet.outermost_cells import outermost_cells
 from clacad.sheet.plate import Plate
 from clacad.sheet.turn import turned
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
@@ -311,11 +312,7 @@ def _covered(gap: Floats, bend: float, spacing: float) -> bool:
 
 def _farthest_cells(window: Window, body: Body) -> Ints | None:
     """Cells (m, 2) whose lenses stand farthest from where the faces have them; None where all stand alike."""
-    found = [
-        extreme_cells(face.change, window.lattice)
-        for face in (body.front, body.back)
-        if face.change is not None
-    ]
+    found = [outermost_cells(window, face) for face in (body.front, body.back) if face.change is not None]
     return np.unique(np.concatenate(found), axis=0) if found else None
 
 

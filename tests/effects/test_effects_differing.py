@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,12 +32,30 @@ KINDS = {
     "turned": {"lattice.rotation_2": "0.3 deg"},
     "varying": {"law.varying": {"f_image": 300}},
 }
+OWN_ETA = "an eta of its own"
 EACH = ["aimed", *(pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS if kind != "aimed")]
+ALL = [*EACH, pytest.param(OWN_ETA, marks=pytest.mark.slow)]
+"""Also a sheet in which light that meets a neighbour's lens 2 obeys no law: ghosts of the law are not for it."""
+FOLDER = tempfile.TemporaryDirectory()
 SETTING = Setting(extinction=1e-8, roughness=2e-9, slope_rms=1e-4, wavelengths=(450e-9, 650e-9))
 
 
 def design_of(kind):
+    if kind == OWN_ETA:
+        return tabled_design(Path(FOLDER.name))
     return clacad.Design.from_dict(BASE).replace(KINDS[kind])
+
+
+def tabled_design(folder):
+    """41 x 41 cells, eta from -0.6 to -1.8 over the sheet."""
+    cells = [(i, j) for i in range(41) for j in range(41)]
+    rows = [
+        f"{i},{j},{0.001 * (i - 20)!r},{-0.0005 * (j - 20)!r},{-0.6 - 0.015 * (i + j)!r}" for i, j in cells
+    ]
+    (folder / "cells.csv").write_text("\n".join(["i,j,delta_x,delta_y,eta", *rows]) + "\n")
+    text = clacad.Design.from_dict(BASE).canonical_toml()
+    (folder / "design.toml").write_text(text.replace("[law]\n", '[law]\nvarying = {table = "cells.csv"}\n'))
+    return clacad.load(folder / "design.toml")
 
 
 def built(kind):
@@ -53,7 +73,7 @@ def rays_into(window, cell, count=300, spread=0.004, seed=1):
 
 @pytest.mark.parametrize("name", ["fresnel", "absorption", "polarisation", "scatter", "diffraction"])
 @pytest.mark.parametrize("rung", ["law", "thin", "surfaces"])
-@pytest.mark.parametrize("kind", EACH)
+@pytest.mark.parametrize("kind", ALL)
 def test_an_effect_changes_light_of_a_cell_as_of_a_sheet_of_cells_like_it(kind, rung, name):
     window, cell = built(kind), np.array([33, 6])
     like, rays = like_cell(window, cell, widest=False), rays_into(window, np.array([33, 6]))
@@ -71,7 +91,7 @@ def test_an_effect_changes_light_of_a_cell_as_of_a_sheet_of_cells_like_it(kind, 
     assert (away <= turned + 1e-12)[both].all()
 
 
-@pytest.mark.parametrize("kind", EACH)
+@pytest.mark.parametrize("kind", ALL)
 def test_light_split_at_lenses_goes_the_ways_of_a_sheet_of_cells_like_it(kind):
     window, cell = built(kind), np.array([20, 8])
     like, rays = like_cell(window, cell, widest=False), rays_into(window, cell, 60, 0.001)
@@ -81,13 +101,16 @@ def test_light_split_at_lenses_goes_the_ways_of_a_sheet_of_cells_like_it(kind):
         for one in (window, like)
     )
     flux, expected = (np.bincount(light.parent, light.flux, minlength=60) for light in (own, equal))
-    assert np.median(np.abs(flux - expected)) < 1e-12  # but where light sent back leaves by a neighbour
+    slack = (
+        1e-7 if kind == OWN_ETA else 1e-12
+    )  # light sent back leaves by a neighbour, here of another radius
+    assert np.median(np.abs(flux - expected)) < slack
     back, there = (light.direction[light.direction[:, 2] < 0.0] for light in (own, equal))
     assert len(back) >= 60
     assert abs(len(back) - len(there)) <= 6
 
 
-@pytest.mark.parametrize("kind", EACH)
+@pytest.mark.parametrize("kind", ALL)
 def test_no_light_is_lost_on_any_way_through_cells_that_differ(kind):
     window = built(kind)
     x0, x1, y0, y1 = window.lattice.extent()
@@ -151,7 +174,7 @@ def test_a_plan_is_bounded_on_the_worst_of_cells_tried_and_says_so():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", EACH)
+@pytest.mark.parametrize("kind", ALL)
 def test_what_an_effect_changes_in_the_whole_sheet_is_within_the_bound_of_its_worst_cell(kind):
     from clacad.effects.engine.passes import module_of
     from clacad.effects.engine.stand_ins import worst_bound

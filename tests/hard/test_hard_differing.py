@@ -61,14 +61,18 @@ def beside_border(case, window):
     return sent(case, window, (low - 4e-15 if case.off == "below" else high + 4e-15, 0.03))
 
 
-EVERYDAY = ("above a border of the aimed array", "below a border of the wider array")
+EVERYDAY = (
+    "above a border of the aimed array", "below a border of the wider array",
+    "-2, a corner cell", "-2, a ghost", "(1 + 1e-12)", "-1/4 beside -1", "lens 2 concave", "plano, eta from -1/2 to -2", "biconvex, eta from -.8 to -1.2",
+)  # fmt: skip
 
 
 def marks(case):
     """Sheets of 4·10⁸ cells take seconds to make, borders of arrays fifty rays in sixty digits to find."""
     large = dict(case.changes).get("lattice.count", (0, 0))[0] >= FAR[0]
     border = "a few last bits" in case.name and not case.name.endswith(EVERYDAY)
-    return [pytest.mark.slow] if large or border else []
+    figures = "etas" in dict(case.changes) and not case.name.endswith(EVERYDAY)
+    return [pytest.mark.slow] if large or border or figures else []
 
 
 @pytest.mark.parametrize("path", ["numpy", pytest.param("numba", marks=pytest.mark.slow)])

@@ -17,7 +17,8 @@ from clacad.sheet.like_cell import like_cell, outer_cells
 from clacad.sheet.own_steps import highest_step
 from clacad.sheet.vignetting import partner_share
 from clacad.sheet.volume_and_extent import body_volume
-from clacad.sheet.window import face_height
+from clacad.sheet.window import face_height, lens_height_and_normal
+from clacad.tracing.layout import lay_out
 
 BASE = {
     "format": 1, "name": "own-eta", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
@@ -178,6 +179,34 @@ def test_a_sheet_of_equal_cells_like_one_is_that_cell(tmp_path):
         assert like.thin.focal_length[1][1] == pytest.approx(-eta * 10.0 / (1.0 - eta), rel=1e-15)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_bounds_of_a_face_hold_every_lens_of_a_sheet_drawn_at_random(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    etas, deltas = -np.exp(rng.uniform(-0.7, 0.7, (7, 6))), rng.uniform(-0.02, 0.02, (7, 6, 2))
+    kind = ({}, {"lattice__kind": "hexagonal"}, {"law__euler": [20, 4, 10]}, {"pair__surface": None})[seed]
+    row = (lambda i, j: i + j // 2) if seed == 1 else (lambda i, j: i)
+    window = built(
+        tmp_path,
+        lambda i, j: etas[row(i, j), j],
+        lambda i, j: deltas[row(i, j), j],
+        pair__offset="paraxial",
+        **kind,
+    )
+    (plan,) = lay_out(window).bodies
+    corners = window.lattice.tile()
+    t = np.linspace(0.0, 1.0, 41)[:, None, None]
+    sides = ((1.0 - t) * corners + t * np.roll(corners, -1, axis=0)).reshape(-1, 2)
+    points = np.concatenate([sides * k for k in np.linspace(0.0, 1.0, 21)])
+    for face, known in ((window.bodies[0].front, plan.front), (window.bodies[0].back, plan.back)):
+        for cell in window.lattice.cells():
+            z, normal = lens_height_and_normal(window.in_cell(face, cell), *points.T)
+            assert known.low - 1e-12 <= z.min() - plan.level
+            assert z.max() - plan.level <= known.high + 1e-12
+            assert (np.hypot(*normal.T[:2]) / normal.T[2]).max() <= known.slope
+            assert window.z_range[0] - 1e-9 <= z.min()
+            assert z.max() <= window.z_range[1] + 1e-9
+
+
 def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path):
     window = built(tmp_path, delta=still)
     rng = np.random.default_rng(5)
@@ -225,7 +254,10 @@ def test_the_highest_step_is_found_where_radii_differ(tmp_path):
     assert step.height == pytest.approx(worst, rel=1e-12)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    "form",
+    [form if form in ("slab", "biconvex") else pytest.param(form, marks=pytest.mark.slow) for form in FORMS],
+)
 def test_meshes_of_cells_of_many_sizes_are_closed_and_enclose_what_their_faces_do(tmp_path, form):
     window = of_form(tmp_path, form, lattice__count=[4, 3])
     some, many = (tessellate(window, quads=n) for n in (4, 8))
@@ -326,13 +358,28 @@ def test_lenses_of_many_cells_are_moved_by_a_polynomial_as_by_each_trace(tmp_pat
     from clacad.prescription import traced_vertices
 
     one = built(tmp_path, lattice__count=[7, 6])
-    monkeypatch.setattr(traced_vertices, "DIRECT", 10)
+    monkeypatch.setattr(traced_vertices, "OWN_DIRECT", 10)
     monkeypatch.setattr(traced_vertices, "OWN_LADDER", ((30, 2),))
     monkeypatch.setattr(traced_vertices, "HELD_OUT", 6)
     monkeypatch.setattr(traced_vertices, "FIT", 1e-3)
     other = built(tmp_path, lattice__count=[7, 6])
     a, b = (window.vertices(window.faces[1], window.lattice.cells()) for window in (one, other))
     assert 0.0 < np.abs(a - b).max() < 1e-3 * 0.5
+
+
+@pytest.mark.slow
+def test_lenses_of_many_cells_stand_within_what_the_polynomial_owns_up_to_on_both_sides_of_eta_minus_one(
+    tmp_path, monkeypatch
+):
+    from clacad.prescription import traced_vertices
+
+    eta, delta = (lambda i, j: -0.5 - 0.01 * (i + j)), (lambda i, j: (5e-4 * (i - 35), 3e-4 * (35 - j)))
+    made = design(tmp_path, eta, delta, lattice__count=[71, 71])
+    one = clacad.prescribe(made)
+    monkeypatch.setattr(traced_vertices, "OWN_DIRECT", 10_000)
+    other = clacad.prescribe(made)
+    a, b = (window.vertices(window.faces[1], window.lattice.cells()) for window in (one, other))
+    assert 0.0 < np.abs(a - b).max() < 2e-9 * 0.5
 
 
 def test_what_takes_lenses_of_one_size_says_so(tmp_path):

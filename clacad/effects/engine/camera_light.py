@@ -60,7 +60,11 @@ def light_reaching_camera(
     result = trace_with(window, rays, rung, effects, setting=setting, **options)
     if rung == "law":
         if "ghosts" in names:
-            need_one_eta(window, "ghosts on rung law")
+            need_one_eta(
+                window,
+                "ghosts on rung law",
+                "rungs thin and surfaces trace those of cells with an eta of their own",
+            )
         return law_light(window, rays, result, "ghosts" in names), result
     rows = np.flatnonzero(shining(result, names))
     light = LightRays(rows, result.position[rows], result.direction[rows], result.flux[rows])
