@@ -8,7 +8,8 @@ import numpy as np
 
 from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
-from clacad.exporting.compare_instances import measure_mesh, standing
+from clacad.exporting.compare_instances import standing
+from clacad.exporting.measure_instances import measure_mesh
 from clacad.formats.mesh.closed_stream import Measure, edge_times
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.mesh.saddle_bevel import in_corners

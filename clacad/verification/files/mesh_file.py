@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats, Progress
-from clacad.exporting.compare_instances import Standing, joined, measure_repeated, standing
+from clacad.exporting.compare_instances import Standing, standing
+from clacad.exporting.measure_instances import joined, measure_repeated
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.feasibility import body_range

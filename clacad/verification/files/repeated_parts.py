@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.exporting.compare_instances import MOST_KINDS, PartPlaces, RowPlaces, Standing
+from clacad.exporting.compare_instances import PartPlaces, RowPlaces, Standing
+from clacad.exporting.measure_instances import MOST_KINDS
 from clacad.formats.mesh.file_mesh import Part, kinds
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gatherer
