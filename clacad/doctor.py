@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from hashlib import sha1
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -292,9 +293,20 @@ def kernel_cache() -> tuple[Path | None, list[Path]]:
     )  # "~" without one
     for place in (Path(named),) if named else (beside, Path(home) / "numba"):
         if _writable(place):
-            kept = sorted(place.rglob("*.nbc")) if place.is_dir() else []
-            return place, [path for path in kept if "clacad" in str(path)]
+            ours = [place] if place == beside else [place / name for name in _folders_of_package()]
+            return place, sorted(path for folder in ours for path in folder.glob("*.nbc"))
     return None, []
+
+
+def _folders_of_package() -> list[str]:
+    """What the compiler calls the folders of this package's kernels in a place that packages share."""
+    home = Path(__file__).resolve().parent
+    folders = [
+        folder for folder in (home, *home.rglob("*")) if folder.is_dir() and folder.name != "__pycache__"
+    ]
+    return [
+        f"{folder.name}_{sha1(str(folder).encode(), usedforsecurity=False).hexdigest()}" for folder in folders
+    ]
 
 
 def _writable(folder: Path) -> bool:

@@ -186,3 +186,21 @@ def test_processes_that_compile_at_once_find_their_own_code(source: Path) -> Non
     assert told == [["6.0", "6j"], ["6j", "6.0"]] * 2
     assert started("[2.0, 2j]").communicate(timeout=120)[0].split() == ["6.0", "6j", "2"]
     assert len(list((source.parent / "kept").rglob("*.*"))) == 2
+
+
+def test_kernels_kept_in_a_place_that_packages_share_are_known_for_ours(tmp_path, monkeypatch):
+    from numba.core.caching import UserProvidedCacheLocator
+
+    from clacad.doctor import kernel_cache
+    from clacad.formats.mesh import compiled_measure
+
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert kernel_cache() == (tmp_path, [])
+    folder = tmp_path / UserProvidedCacheLocator.get_suitable_cache_subpath(compiled_measure.__file__)
+    for place, name in (
+        (folder, "compiled_measure.add_facets-1.py311.0.nbc"),
+        (tmp_path / "other_1", "f.nbc"),
+    ):
+        place.mkdir()
+        (place / name).write_bytes(b"")
+    assert [path.name for path in kernel_cache()[1]] == ["compiled_measure.add_facets-1.py311.0.nbc"]

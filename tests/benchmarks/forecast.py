@@ -54,8 +54,12 @@ def commands(out: Path) -> list[tuple[str, str, list[Command], Command]]:
     def verify(rays: int, *files: str) -> Command:
         return ("verify", design, "-q", "--rays", str(rays), *files)
 
-    def accuracy(name: str, rays: int) -> Command:
-        return ("accuracy", str(DESIGNS / f"{name}.toml"), "-q", "--rays", str(rays))
+    def accuracy(name: str, rays: int, *changes: str) -> Command:
+        keys = [word for change in changes for word in ("--set", change)]
+        return ("accuracy", str(DESIGNS / f"{name}.toml"), "-q", "--rays", str(rays), *keys)
+
+    aimed = ("lattice.aperture={point=[0,0,-400]}", "lattice.count=[30,30]", "check.process='none'")
+    glens = ("law.varying={f_image=300}", "pair.offset='traced'", "check.process='none'")
 
     def render(pixels: int) -> Command:
         return ("render", str(SCENE), "-o", str(out / "p.png"), "--overwrite", "-q", "--pixels", str(pixels))
@@ -79,6 +83,8 @@ def commands(out: Path) -> list[tuple[str, str, list[Command], Command]]:
          verify(65536, *files)),
         ("accuracy", "accuracy", [accuracy("plano", 5000)], accuracy("plano", 40000)),
         ("accuracy, another design", "accuracy", [accuracy("plano", 5000)], accuracy("paper-a-covered", 20000)),
+        ("accuracy, aimed cells", "accuracy", [accuracy("plano", 5000)], accuracy("window-100mm", 20000, *aimed)),
+        ("accuracy, a glens", "accuracy", [accuracy("plano", 5000)], accuracy("window-100mm", 20000, *glens)),
         ("render, small", drawn(120), [render(60), render(120)], render(200)),
         ("render, large", drawn(360), [render(360)], render(440)),
         ("trace, exact surfaces", traced("surfaces", 1_000_000), [trace("surfaces", 1_000_000)], trace("surfaces", 4_000_000)),
@@ -127,7 +133,7 @@ HEAD = """# Seconds forecast and seconds taken
 
 Made by `python tests/benchmarks/forecast.py` on {cores} x86-64 cores shared with other work (load {load:.0f}). The cache of rates
 starts empty and has seen each task at smaller sizes only; *forecast* is what is said before the run, *off* its
-middle against the run. "accuracy, another design" has seen the row before it, and a slab only. Off by more than 30 %: {far}.
+middle against the run. "accuracy, another design" and those below it have seen the rows before them, of equal cells and two bodies. Off by more than 30 %: {far}.
 
 | task | runs seen | forecast | taken, s | off | in the range |
 |---|---|---|---|---|---|
