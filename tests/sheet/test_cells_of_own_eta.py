@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import dblquad
 
 import clacad
+from clacad.base.sobol import sobol
 from clacad.design.combinations import ETAS, FEATURES, REASONS
 from clacad.mesh import check_closed, tessellate
 from clacad.mesh.cell_template import BACK, FRONT
@@ -365,6 +366,20 @@ def test_lenses_of_many_cells_are_moved_by_a_polynomial_as_by_each_trace(tmp_pat
     other = built(tmp_path, lattice__count=[7, 6])
     a, b = (window.vertices(window.faces[1], window.lattice.cells()) for window in (one, other))
     assert 0.0 < np.abs(a - b).max() < 1e-3 * 0.5
+
+
+def test_the_mean_of_the_light_that_lens_2_of_a_cell_can_take_leaves_by_its_law(tmp_path):
+    window = built(tmp_path)
+    quarter = window.lattice.over_cell(sobol(64, 2))
+    points = np.concatenate([quarter * signs for signs in ((1, 1), (-1, 1), (1, -1), (-1, -1))])
+    for cell in window.lattice.cells()[::7]:
+        law = window.law_at(cell)
+        place = window.lattice.centres(cell) + min(1.0, -1.0 / law.eta_x) * points
+        rays = clacad.Rays(np.column_stack([place, np.full(256, -1.0)]), (0.0, 0.0, 1.0))
+        mean = clacad.trace(window.with_cells(window.lattice.count), rays, path="numpy").direction.mean(
+            axis=0
+        )
+        assert np.abs(mean / np.linalg.norm(mean) - law.refract([0.0, 0.0, 1.0])).max() < 1e-12
 
 
 @pytest.mark.slow
