@@ -163,6 +163,11 @@ def test_the_law_of_a_cell_is_that_of_its_row_in_design_and_window(tmp_path):
         small.in_cell(small.faces[0], np.array([0, 0])).surface
         == window.in_cell(window.faces[0], np.array([2, 2])).surface
     )
+    start = np.column_stack([small.lattice.centres(small.lattice.cells()) + [0.03, -0.02], np.full(6, -1.0)])
+    for rung in ("law", "thin"):
+        seen = clacad.trace(small, clacad.Rays(start, (0.0, 0.0, 1.0)), rung=rung)
+        exact = [small.law_at(cell).refract([0.0, 0.0, 1.0]) for cell in seen.cell]
+        assert np.abs(seen.direction - exact).max() < 1e-14
     again = clacad.Design.from_dict(made.to_dict())
     assert again == made
 
