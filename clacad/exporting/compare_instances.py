@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
+from clacad.base.unique_rows import unique_rows
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds, kinds_and_ends
 from clacad.formats.placements import fill
@@ -385,8 +386,8 @@ def _covered(
     for part in parts:
         for corners, _ in part.pairs_at(place):
             for side, index, flat in _lying(corners * factor, window):
-                cells, which = np.unique(index, axis=0, return_inverse=True)
-                for cell, size in zip(cells.tolist(), np.bincount(which.ravel(), weights=flat), strict=True):
+                cells, which = unique_rows(index)
+                for cell, size in zip(cells.tolist(), np.bincount(which, weights=flat), strict=True):
                     key = (side, (cell[0], cell[1]))
                     area[key] = area.get(key, 0.0) + float(size)
     whole = window.lattice.cell_area

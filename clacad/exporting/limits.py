@@ -200,6 +200,40 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
         )
 
 
+def refuse_many_places(window: Window, format: str, in_one_node: bool) -> None:
+    """Refuse a file of repeated cells that lists more of them than its reader takes; forcing it does not help.
+
+    Parameters
+    ----------
+    window : Window
+    format : str
+        "glb" or "3mf"; others list no places.
+    in_one_node : bool
+        GLB: all cells of a body in one node.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    bodies, cells = len(window.bodies), window.lattice.cell_count
+    if format == "glb" and not in_one_node:
+        from clacad.formats.mesh.glb import MOST_NODES as MOST
+
+        listed, what, way = bodies * (cells + 1) + 1, "nodes", "--gpu-instancing, --format step"
+    elif format == "3mf":
+        from clacad.formats.mesh.threemf import MOST_PLACES as MOST
+
+        listed, what, way = bodies * (cells + max(500, window.lattice.count[1])), "places", "--format step"
+    else:
+        return
+    if listed > MOST:
+        side = isqrt((MOST - 1000 * bodies) // bodies)
+        raise LimitRefused(
+            f"{format}: {count_text(listed)} {what} are more than the {count_text(MOST)} that are read back; use {way} or "
+            f"--cells {side}x{side}"
+        )
+
+
 def _smaller(row: Forecast, window: Window) -> str:
     if row.format == "step":
         return "use --step instanced, or --cells 50x50"

@@ -161,6 +161,10 @@ def _forecast(
         require_folder(where[0])
     grader = Grader.of(meshes, design)
     refused = Refusals() if where is None else _impossible(design, meshes.window, formats, request, where[1])
+    for name in () if where is None else formats:
+        with refused.of(name):
+            if meshes.repeats(name):
+                limits.refuse_many_places(meshes.window, name, request.gpu_instancing)
     rows = _priced(grader, tuple(name for name in formats if name not in refused), request, refused)
     if where is not None and not request.force:
         for row in rows:

@@ -52,6 +52,21 @@ def test_solids_of_too_many_cells_are_refused_before_the_other_files(tmp_path):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.parametrize(
+    ("format", "limit"), [("glb", "formats.mesh.glb.MOST_NODES"), ("3mf", "formats.mesh.threemf.MOST_PLACES")]
+)
+def test_a_file_of_more_places_than_its_reader_takes_is_refused_before_it_is_written(
+    tmp_path, monkeypatch, format, limit
+):
+    """With the reader's own limit made as small: what it does not take is refused, even if forced; what is not, is read."""
+    monkeypatch.setattr(f"clacad.{limit}", 2200)
+    with pytest.raises(LimitRefused, match=r"(nodes|places) are more than the 2,200 .*--cells (\d+)x\2"):
+        export(plano(), tmp_path / "x", (format,), quads=2, cells=(50, 30), force=True)
+    assert not (tmp_path / "x").exists()
+    export(plano(), tmp_path / "x", (format,), quads=2, cells=(10, 10))
+    export(plano(), tmp_path / "y", ("glb",), quads=2, cells=(50, 30), gpu_instancing=True)
+
+
 def test_a_dry_run_tells_all_refusals_at_once(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(import_module("clacad.formats.maps.gds"), "find_spec", lambda name: None)
     asked = ["export", PLANO, "-o", str(tmp_path / "x"), "--format", "table,gds,baffle,frame,marked,brep,stl", "--quads",

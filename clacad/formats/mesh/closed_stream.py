@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Words
+from clacad.base.types import Floats, Ints, Words
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +86,18 @@ def crowded_edges(corners: Floats) -> int:
 
     `measure` lets an edge pass that four facets share (a saddle that touches itself); strict slicers do not.
     """
-    _, index = welded(corners)
-    edges = np.concatenate([index[:, [0, 1]], index[:, [1, 2]], index[:, [2, 0]]])
-    edges.sort(axis=1)
-    _, times = np.unique(edges[:, 0] * np.int64(index.max() + 1) + edges[:, 1], return_counts=True)
-    return int(np.count_nonzero(times != 2))
+    return int(np.count_nonzero(edge_times(welded(corners)[1]) != 2))
+
+
+def edge_times(facets: Ints) -> Ints:
+    """How many of the facets (t, 3), numbers of vertices, walk each undirected edge, (e,)."""
+    if not len(facets):
+        return np.zeros(0, dtype=np.int64)
+    start, end = facets.ravel(), facets[:, [1, 2, 0]].ravel()
+    edges = np.minimum(start, end) * np.int64(facets.max() + 1) + np.maximum(start, end)
+    edges.sort()
+    last = np.append(np.flatnonzero(edges[1:] != edges[:-1]), len(edges) - 1)
+    return np.diff(last, prepend=-1)
 
 
 def vertex_hashes(corners: Floats) -> Words:
@@ -104,11 +111,17 @@ def vertex_hashes(corners: Floats) -> Words:
 
 def welded(corners: Floats) -> tuple[Floats, NDArray[np.int64]]:
     """Corners (t, 3, 3) that agree in all bits made one: vertices (v, 3), and facets (t, 3) of their numbers."""
-    flat = corners.reshape(-1, 3) + 0.0
-    _, first, index = np.unique(vertex_hashes(corners).ravel(), return_index=True, return_inverse=True)
-    if not np.array_equal(
-        flat[first][index.ravel()], flat
-    ):  # two places of one hash: by the coordinates themselves
+    vertices, index = welded_points(corners.reshape(-1, 3))
+    return vertices, index.reshape(-1, 3)
+
+
+def welded_points(points: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Points (n, 3) that agree in all bits made one: vertices (v, 3), and the number of each point's, (n,)."""
+    flat = points + 0.0
+    threes = np.concatenate([flat, np.zeros((-len(flat) % 3, 3))]).reshape(-1, 3, 3)  # as corners of facets
+    hashes = vertex_hashes(threes).ravel()[: len(flat)]
+    _, first, index = np.unique(hashes, return_index=True, return_inverse=True)
+    if not np.array_equal(flat[first][index], flat):  # two places of one hash: by the coordinates themselves
         words = np.ascontiguousarray(flat).view([("", np.uint64, 3)]).ravel()
         _, first, index = np.unique(words, return_index=True, return_inverse=True)
-    return flat[first], index.reshape(-1, 3).astype(np.int64)
+    return flat[first], index.astype(np.int64)

@@ -10,7 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Floats, Ints
+from clacad.formats.mesh.closed_stream import welded, welded_points
 from clacad.formats.placements import ALONE, Placements
 from clacad.storage.errors import UnreadableFile
 
@@ -125,9 +126,30 @@ class Part:
             found[mine] = self.corners(int(k) * CHUNK, (int(k) + 1) * CHUNK)[facets[mine] - k * CHUNK]
         return found
 
+    def welded(self) -> tuple[Floats, Ints]:
+        """Vertices (v, 3) of its facets before placing, those that agree in all bits once, and facets (t, 3) of their numbers."""
+        if self.soup is not None:
+            return welded(self.corners(0, self.facet_count))
+        assert self.vertices is not None
+        assert self.triangles is not None
+        used = self._used()
+        vertices, index = welded_points(np.asarray(self.vertices[used], dtype=np.float64))
+        return vertices, index[(np.cumsum(used) - 1)[self.triangles]]
+
+    def _used(self) -> Bools:
+        """Which of its vertices (v,) are corners of facets."""
+        assert self.vertices is not None
+        used = np.zeros(len(self.vertices), dtype=np.bool_)
+        used[self.triangles] = True
+        return used
+
     def own_box(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner of its facets before placing, (3,) each."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        if self.soup is None and self.facet_count:
+            assert self.vertices is not None
+            corners = np.asarray(self.vertices[self._used()], dtype=np.float64)
+            return corners.min(axis=0), corners.max(axis=0)
         for start in range(0, self.facet_count, CHUNK):
             corners = self.corners(start, start + CHUNK)
             low = np.minimum(low, corners.min(axis=(0, 1)))

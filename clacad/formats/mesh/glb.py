@@ -26,7 +26,7 @@ from clacad.storage.spending import Spending
 _MAGIC = b"glTF"
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _LONGEST_JSON = 1 << 27
-_MOST_NODES = 2_000_000
+MOST_NODES = 2_000_000
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _PLACED = 5
@@ -306,8 +306,8 @@ def _scene(file: _Buffers) -> FileMesh:
         raise UnreadableFile(f"needs the extensions {document['extensionsRequired']}, which are not read")
     if any("uri" in buffer for buffer in document["buffers"]) or len(document["buffers"]) != 1:
         raise UnreadableFile("its data lie in another file")
-    if len(document["nodes"]) > _MOST_NODES:
-        raise UnreadableFile(f"{len(document['nodes'])} nodes are more than the {_MOST_NODES} allowed")
+    if len(document["nodes"]) > MOST_NODES:
+        raise UnreadableFile(f"{len(document['nodes'])} nodes are more than the {MOST_NODES} allowed")
     scene = document["scenes"][document.get("scene", 0)]
     places = _places(file, [int(n) for n in scene["nodes"]])
     parts = [
@@ -379,7 +379,7 @@ def _instances(file: _Buffers, node: dict[str, Any]) -> Floats:
     if set(attributes) != {"TRANSLATION"}:
         raise UnreadableFile("instances that are turned or scaled are not read")
     offsets = _accessed(file, attributes["TRANSLATION"], 3).astype(np.float64)
-    if len(offsets) > _MOST_NODES or not np.isfinite(offsets).all():
+    if len(offsets) > MOST_NODES or not np.isfinite(offsets).all():
         raise UnreadableFile("its instances are too many, or stand nowhere")
     file.spent.count(_PLACED * len(offsets))
     return _translations(offsets)[::-1]

@@ -392,7 +392,7 @@ def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Pl
         raise model.fail(f"object {number} is used and not defined")
     if found.triangles:
         places.setdefault(number, []).append(put(place[None]))
-    _spend(model, found, 1, budget)
+    _spend(model, max(500, len(found.components)), budget)  # a level of its own is dearer than a leaf
     leaves: dict[str, list[Floats]] = {}
     for child, run in groupby(found.components, key=itemgetter(0)):
         inside = model.objects.get(child)
@@ -400,7 +400,7 @@ def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Pl
         if inside is not None and not inside.components:
             leaves.setdefault(child, []).extend(standing)
         elif inside is not None and len(above) < 16 and not inside.triangles and _holds_leaves(model, inside):
-            _spend(model, inside, len(standing), budget)
+            _spend(model, len(inside.components) * len(standing), budget)
             rows = put(_composed(np.stack(standing), place)).outer
             for leaf, cells in _by_object(inside).items():
                 places.setdefault(leaf, []).append(Placements(rows).within(put(np.stack(cells)).outer))
@@ -412,9 +412,9 @@ def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Pl
             places.setdefault(child, []).append(put(_composed(np.stack(inner_places), place)))
 
 
-def _spend(model: _Model, found: _Object, times: int, budget: list[int]) -> None:
-    """Take an object's components, as often as it stands, out of the budget; a level of its own is dearer than a leaf."""
-    budget[0] -= max(500, len(found.components)) * times
+def _spend(model: _Model, count: int, budget: list[int]) -> None:
+    """Take so many places out of the budget."""
+    budget[0] -= count
     if budget[0] < 0:
         raise OverBudget(f"{model.spent.name}: more than {MOST_PLACES:,} places of its parts")
 

@@ -26,6 +26,7 @@ from clacad.verification.files.mesh_wholeness import (
     closed_check,
     counted_on_the_way,
     holding,
+    part_counts,
     pieces_check,
     scale_check,
 )
@@ -56,11 +57,12 @@ def judge_mesh(
     counted = counted_on_the_way(mesh) if places is None else None
     found = _measured(mesh, factor, _Lookers(gatherer, counted), places, asked.progress)
     gathered = gatherer.result
-    pieces = pieces_check(held, found, mesh, name, asked.stated, counted)
+    counts = part_counts(mesh)
+    pieces = pieces_check(held, found, mesh, name, asked.stated, counts, counted)
     shells = int(pieces[0].value) if found.closed and isinstance(pieces[0].value, float) else None
     holds = holding(mesh, shells)
     checks = [
-        closed_check(found, gathered, mesh, name, holds),
+        closed_check(found, gathered, mesh, name, holds, counts),
         scale_check(design, held, found, name),
         *pieces,
     ]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.formats.mesh.closed_stream import Measure, crowded_edges, vertex_hashes, welded
+from clacad.base.unique_rows import distinct
+from clacad.formats.mesh.closed_stream import Measure, edge_times, vertex_hashes, welded
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.pieces_and_holes import connect
@@ -55,12 +57,47 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class PartCount:
+    """What is counted in a part at all of its places (its copies may touch), and at one of them.
+
+    Parameters
+    ----------
+    pieces : int
+        Connected ones, at all places.
+    holes : float
+        Half the sum of the missing Euler numbers, at all places.
+    crowded : int
+        Edges walked by other than two facets, at one place.
+    """
+
+    pieces: int
+    holes: float
+    crowded: int
+
+    @classmethod
+    def of(cls, part: Part) -> PartCount:
+        """Count a part that fits in memory."""
+        vertices, facets = part.welded()
+        pieces = len(distinct(connect(len(vertices), facets[:, [0, 1, 0, 2]].reshape(-1, 2))))
+        edges, times = edge_times(facets), len(part.places)
+        euler = len(vertices) - len(edges) + len(facets)
+        return cls(pieces * times, (pieces - euler / 2) * times, int(np.count_nonzero(edges != 2)))
+
+
+def part_counts(mesh: FileMesh) -> list[PartCount] | None:
+    """Counts of every part; None for a file with more facets than are counted so."""
+    return [PartCount.of(part) for part in mesh.parts] if mesh.stored_count <= COUNTED_FACETS else None
+
+
 def closed_check(
-    found: Measure, gathered: CellFacets, mesh: FileMesh, name: str, holds: Mapping[str, Any]
-) -> Check:
+    found: Measure, gathered: CellFacets, mesh: FileMesh, name: str, holds: Mapping[str, Any],
+    counts: Sequence[PartCount] | None,
+) -> Check:  # fmt: skip
     """Judge whether the surface is closed and consistently wound; where it is not, say where.
 
     holds : from `holding`, goes into the check's detail
+    counts : from `part_counts`
     """
     common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
     if found.facets == 0:
@@ -73,8 +110,8 @@ def closed_check(
     }
     if found.closed:
         sentence = f"every edge of {found.facets} facets is met once in each direction"
-        if mesh.stored_count <= COUNTED_FACETS:
-            crowded = sum(crowded_edges(part.corners(0, part.facet_count)) for part in mesh.parts)
+        if counts is not None:
+            crowded = sum(count.crowded for count in counts)
             facts["crowded_edges"] = crowded
             if crowded:
                 sentence += (
@@ -117,9 +154,9 @@ def _open_edges(corners: Floats) -> tuple[int, Floats]:
 
 def pieces_check(
     window: Window, found: Measure, mesh: FileMesh, name: str, stated: Mapping[str, Any],
-    counted: PieceCount | None = None,
+    counts: Sequence[PartCount] | None, counted: PieceCount | None = None,
 ) -> list[Check]:  # fmt: skip
-    """Count connected pieces and holes of the file itself; `counted`: as its facets were measured."""
+    """Say how many connected pieces and holes the file itself has; `counted`: as its facets were measured."""
     common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
     if found.facets == 0:
         return [not_run("pieces", "the file holds no triangles", **common)]
@@ -135,26 +172,14 @@ def pieces_check(
         expected = {int(stated["solids"])}
     wanted = " or ".join(str(n) for n in sorted(expected))
     holes: float | None = None
-    if mesh.stored_count <= COUNTED_FACETS:
-        counts = [_counted(part) for part in mesh.parts]
-        pieces, holes = sum(count[0] for count in counts), sum(count[1] for count in counts)
+    if counts is not None:
+        pieces, holes = sum(count.pieces for count in counts), sum(count.holes for count in counts)
         sentence = f"{pieces} connected pieces with {holes:g} holes; {wanted} pieces are expected"
     else:
         pieces = counted.pieces if counted else sum(connected(p) * len(p.places) for p in mesh.parts)
         sentence = f"{pieces} connected pieces; {wanted} pieces are expected"
     state: State = "pass" if pieces in expected else "fail"
     return [Check("pieces", state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
-
-
-def _counted(part: Part) -> tuple[int, float]:
-    """Pieces and holes of a part; one that stands at several places is counted at each (its copies may touch)."""
-    vertices, facets = welded(part.corners(0, part.facet_count))
-    pieces = len(np.unique(connect(len(vertices), facets[:, [0, 1, 0, 2]].reshape(-1, 2))))
-    edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
-    count = len(np.unique(edges[:, 0] * np.int64(len(vertices)) + edges[:, 1]))
-    euler = len(vertices) - count + len(facets)
-    times = len(part.places)
-    return pieces * times, (pieces - euler / 2) * times
 
 
 def connected(part: Part) -> int:
