@@ -393,8 +393,9 @@ def test_lenses_of_many_cells_stand_within_what_the_polynomial_owns_up_to_on_bot
 ):
     from clacad.prescription import traced_vertices
 
-    eta, delta = (lambda i, j: -0.5 - 0.01 * (i + j)), (lambda i, j: (5e-4 * (i - 35), 3e-4 * (35 - j)))
-    made = design(tmp_path, eta, delta, lattice__count=[71, 71])
+    eta, delta = (lambda i, j: -0.5 - 0.01 * (i + j)), (lambda i, j: (5e-4 * (i - 25), 3e-4 * (25 - j)))
+    made = design(tmp_path, eta, delta, lattice__count=[51, 51])
+    monkeypatch.setattr(traced_vertices, "OWN_DIRECT", 1000)
     one = clacad.prescribe(made)
     monkeypatch.setattr(traced_vertices, "OWN_DIRECT", 10_000)
     other = clacad.prescribe(made)
