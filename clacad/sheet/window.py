@@ -430,10 +430,12 @@ class Window:
                 replace(body, front=fewer(body.front), back=fewer(body.back)) for body in self.bodies
             ),
         )
-        if self.thin.change is not None:
-            small = replace(
-                small, thin=replace(self.thin, change=self.thin.change.of_middle(self.lattice, count))
-            )
+        changes = {"change": self.thin.change, "change_1": self.thin.change_1}
+        fewer_thin = {
+            name: one.of_middle(self.lattice, count) for name, one in changes.items() if one is not None
+        }
+        if fewer_thin:
+            small = replace(small, thin=replace(self.thin, **fewer_thin))
         if self.cell_laws is not None:
             small = replace(small, cell_laws=self.cell_laws.of_middle(self.lattice, count))
         return replace(small, outline=side_outline(small))

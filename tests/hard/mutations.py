@@ -77,6 +77,8 @@ DIFFERING = "tests/hard/test_hard_differing.py"
 FAR_OUT, ROWS = (
     f"{DIFFERING} -m '' -k '({chosen}) and numpy'" for chosen in ("2e4 and 8000", "kappa or curl")
 )
+OWN_ETA, SIZES = "tests/sheet/test_cells_of_own_eta.py", "clacad/prescription/cell_sizes.py"
+FIGURES = f"{DIFFERING} -m '' -k 'numpy and eta'"
 ALIKE, ITS_KERNEL = (
     f"{DIFFERING} -k 'like_one or wide_as or farthest'",
     f"{DIFFERING} -m '' -k 'numba and (kappa or curl or hexagonal or .9975)'",
@@ -93,7 +95,7 @@ MUTATIONS = [
     Mutation("places: the first cell of each row alone", PLACES, "row[[0, -1]]", "row[[0, 0]]", ALIKE),
     Mutation("like a cell: the law of the middle", LIKE, "law=window.law_at(index)", "law=window.law", ALIKE),
     Mutation("like a cell: thin lens 2 where the middle has it", LIKE, "+= apart - np.asarray(window.thin.shift)", "+= 0.0 * apart", ALIKE),
-    Mutation("like a cell: thin lens 2 not moved in its cell", LIKE, "+= [*moved, float(window.thin.change.rise(moved))]", "+= 0.0 * moved[0]", ALIKE),
+    Mutation("like a cell: thin lens 2 not moved in its cell", LIKE, "+= [float(v) for v in thin_lenses[1].apex]", "+= 0.0 * apart[0]", ALIKE),
     Mutation("like a cell: cells 2 of thin lenses in the middle's place", LIKE, "shift=_pair(apart), pitch=None", "pitch=None", ALIKE),
     Mutation("like a cell: lenses where the middle has them", LIKE, "back=window.in_cell(body.back, index)", "back=replace(body.back, change=None)", ALIKE),
     Mutation("like a cell: partners in the middle's place", LIKE, "_pair(window.centres(k, index) - first)", "window.shifts[k]", ALIKE),
@@ -106,6 +108,16 @@ MUTATIONS = [
     Mutation("kernel: hexagons' centres by columns of squares", OWN, "return (i - grid.across) + grid.skew * j, j", "return i - grid.across, j", ITS_KERNEL),
     Mutation("kernel: another pitch as if it were the same", BLOCKS, "two_sum(one.pitch, -two.pitch)", "(0.0, 0.0)", ITS_KERNEL),
     Mutation("kernel: cells of lens 1 in every array", BLOCKS, "cell[i] += a", "cell[i] += 0.0 * a", ITS_KERNEL),
+    Mutation("sizes: a lens seen from a larger one", PLACES, "vx + (x - vx) / self.size", "vx + (x - vx) * self.size", OWN_ETA),
+    Mutation("sizes: heights of the face's one lens", PLACES, "(z - self.vertex[2]) * self.size", "(z - self.vertex[2])", OWN_ETA),
+    Mutation("sizes: rays start as the sheet has them", "clacad/tracing/reference/face.py", "start / places.size[:, None]", "start", FIGURES),
+    Mutation("sizes: rays end where the face's one lens has them", "clacad/tracing/reference/face.py", "distance * places.size\n", "distance\n", FIGURES),
+    Mutation("sizes: thin lenses of one focal length", "clacad/tracing/reference/thin.py", "p / places.size, q / places.size", "p, q", OWN_ETA),
+    Mutation("sizes: lens 2 as large as lens 1", SIZES, "first * (etas / eta)", "first", OWN_ETA),
+    Mutation("sizes: thick lenses as thin ones", SIZES, 'and design.pair.confocal == "exact"', "and False", OWN_ETA),
+    Mutation("sizes: neighbours in one direction", SIZES, "lattice.steps[: len(lattice.steps) // 2]", "lattice.steps[:0]", OWN_ETA),
+    Mutation("sizes: the law of the sheet in every cell", "clacad/sheet/cell_laws.py", "index), d, own)", "index), d)", OWN_ETA),
+    Mutation("sizes: one light for every cell", "clacad/prescription/varying_cells.py", "np.minimum(1.0, 1.0 / np.abs(etas[:, 0]))", "np.ones(len(etas))", f"{OWN_ETA} -k mean_of_the_light"),
     Mutation("vertex: given up where the first step is too long", "clacad/prescription/traced_vertices.py",
              "step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)", "step = np.where(beyond, np.nan, step)", f"{DIFFERING} -k bracket"),
     # -- what aimed sheets are made of, and their triangles

@@ -76,7 +76,7 @@ def endless_layout(layout: Layout) -> Layout:
             placements=tuple(CellPlacement(place.shift) for place in window.placements),
             lattice=replace(window.lattice, count=(ENDLESS, ENDLESS), outline=None),
             outline=None,
-            thin=replace(window.thin, pitch=None, turn=0.0, change=None),
+            thin=replace(window.thin, pitch=None, turn=0.0, change=None, change_1=None),
             cell_laws=None,
         )
     )
