@@ -430,12 +430,12 @@ class Window:
                 replace(body, front=fewer(body.front), back=fewer(body.back)) for body in self.bodies
             ),
         )
-        changes = {"change": self.thin.change, "change_1": self.thin.change_1}
-        fewer_thin = {
-            name: one.of_middle(self.lattice, count) for name, one in changes.items() if one is not None
-        }
-        if fewer_thin:
-            small = replace(small, thin=replace(self.thin, **fewer_thin))
+        first, second = (
+            None if one is None else one.of_middle(self.lattice, count)
+            for one in (self.thin.change_1, self.thin.change)
+        )
+        if first is not None or second is not None:
+            small = replace(small, thin=replace(self.thin, change_1=first, change=second))
         if self.cell_laws is not None:
             small = replace(small, cell_laws=self.cell_laws.of_middle(self.lattice, count))
         return replace(small, outline=side_outline(small))
