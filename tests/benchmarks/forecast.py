@@ -89,7 +89,8 @@ def commands(out: Path) -> list[tuple[str, str, list[Command], Command]]:
         ("render, large", drawn(360), [render(360)], render(440)),
         ("trace, exact surfaces", traced("surfaces", 1_000_000), [trace("surfaces", 1_000_000)], trace("surfaces", 4_000_000)),
         ("trace, few rays", traced("surfaces", 50_000), [trace("surfaces", 50_000)], trace("surfaces", 300_000)),
-        ("trace, facets", traced("mesh", 200_000), [trace("mesh", 200_000)], trace("mesh", 2_000_000)),
+        ("trace, facets", traced("mesh", 2_000_000), [trace("mesh", 1_000_000)], trace("mesh", 2_000_000)),
+        ("trace, facets, few rays", traced("mesh", 50_000), [trace("mesh", 50_000)], trace("mesh", 300_000)),
     ]  # fmt: skip
 
 
