@@ -91,6 +91,10 @@ def _deflated(lines: Iterable[str]) -> int:
     return len(zlib.compress("".join(lines).encode(), 6))
 
 
+GLB_PLACE_IN_ARRAY = 12
+"""Bytes of a place in a GLB file whose cells are one node: three numbers of single precision."""
+
+
 def glb_place_bytes(window: Window) -> float:
     """Bytes of one node of a GLB file, from the cells of one row."""
     row = window.lattice.row(window.lattice.count[1] // 2)

@@ -147,7 +147,7 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAUL
         row = _forecast_stl(name, meshes.facets(quads), files, quads, exact=window.uniform)
         return _of_own_cells(window, row, quads)
     if name in WELDED_FORMATS:
-        return _of_own_cells(window, _forecast_welded(meshes, name, quads), quads)
+        return _of_own_cells(window, _forecast_welded(meshes, name, quads, asked.gpu_instancing), quads)
     if name == "step":
         return _forecast_step(window, asked.step, asked.pcurves)
     if name == "drawing":
@@ -207,9 +207,14 @@ def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -
     return Forecast(name, size, exact, facets, quads, costs.stl_seconds(facets), (80_000_000, 400_000_000))
 
 
-def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
-    """Price of a mesh of shared vertices: PLY, GLB or 3MF."""
-    from clacad.exporting.file_sizes import glb_place_bytes, threemf_bytes, threemf_place_bytes
+def _forecast_welded(meshes: Meshes, name: str, quads: int, in_one_node: bool = False) -> Forecast:
+    """Price of a mesh of shared vertices: PLY, GLB (in_one_node: its cells are one node a body) or 3MF."""
+    from clacad.exporting.file_sizes import (
+        GLB_PLACE_IN_ARRAY,
+        glb_place_bytes,
+        threemf_bytes,
+        threemf_place_bytes,
+    )
     from clacad.formats.mesh.ply import ply_bytes
 
     window = meshes.window
@@ -224,7 +229,8 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     if name == "ply":
         size = ply_bytes(int(vertices), held, header=300)
     elif name == "glb":
-        nodes = int(glb_place_bytes(window) * places) if places else 0
+        each = GLB_PLACE_IN_ARRAY if in_one_node else glb_place_bytes(window)
+        nodes, listed = int(each * places), len(window.bodies) if places and in_one_node else places
         size = int(24 * vertices + 12 * held + nodes + 2500)
     else:
         nodes = threemf_place_bytes(window) if places else 0

@@ -353,6 +353,13 @@ def test_bytes_of_3mf_and_glb_are_forecast_within_a_fifth(tmp_path, name, cells,
         assert row.bytes == pytest.approx(manifest.path(row.format).stat().st_size, rel=0.2), row.format
 
 
+def test_bytes_of_a_glb_whose_cells_are_one_node_are_forecast(tmp_path):
+    design = design_of("slab", (90, 90))
+    (row,) = forecast(Meshes(clacad.prescribe(design)), ("glb",), 2, Request(gpu_instancing=True))
+    manifest = export(design, tmp_path, ("glb",), quads=2, gpu_instancing=True)
+    assert row.bytes == pytest.approx(manifest.path("glb").stat().st_size, rel=0.05)
+
+
 def test_bytes_of_a_whole_sheet_of_repeated_cells_are_forecast_within_a_fifth(tmp_path):
     from clacad.formats.mesh.glb import write_glb
     from clacad.formats.mesh.threemf import write_threemf
