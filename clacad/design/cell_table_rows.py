@@ -175,6 +175,11 @@ class TableFile:
             )
         if deltas is None:
             self.refuse(f"no array {ARRAY!r} in the archive", allowed=self._shapes())
+        others = [name for name in names if name.removesuffix(".npy") not in (ARRAY, ETA)]
+        if others:  # silence would say that it is built
+            self.refuse(
+                f"{printable(others[0])[:100]} is none of the arrays that are read", allowed=self._shapes()
+            )
         bad = ~(np.abs(deltas) <= LARGEST)
         if bad.any():
             i, j, axis = (int(v[0]) for v in np.nonzero(bad))

@@ -122,6 +122,7 @@ def test_an_array_is_taken_as_it_is_and_refused_where_it_is_another(tmp_path):
     whole = npz(delta=delta)
     for data, word in (
         (npz(other=delta), "no array"),
+        (npz(delta=delta, eta_x=delta[..., 0]), "eta_x.npy is none of the arrays that are read"),
         (npz(delta=delta[:, :2]), "(2, 2, 2)"),
         (npz(delta=np.full((2, 3, 2), None)), "pickled objects are not read"),
         (npz(delta=np.where(delta == 7, np.nan, delta)), "delta[1, 0, 1]"),
