@@ -173,7 +173,9 @@ def _body(window: Window, body: BodyFacts, mm: float) -> list[FabricationLine]:
 def _smallest(report: Report, mm: float) -> list[FabricationLine]:
     """Least radius and least feature of the whole part: what a tool, a voxel or a pixel must reach."""
     facts = report.facts
-    radii = [abs(r) for lens in facts.lenses for r in lens.radii if isfinite(r)]
+    # checks look at the extreme cells of a sheet whose lenses are of many sizes, facts are of the cell that it is judged by
+    told = [check.value for check in report.checks if check.id == "radius" and isinstance(check.value, float)]
+    radii = [abs(r) for r in (*told, *(r for lens in facts.lenses for r in lens.radii)) if isfinite(r)]
     features = {
         "pitch": min(report.window.lattice.pitch),
         **{f"edge of {b.name}": b.edge for b in facts.bodies},

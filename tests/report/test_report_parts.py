@@ -50,6 +50,7 @@ class Shown:
 
     def __init__(self, design, window):
         self.design, self.window, self.facts, self.evidence = design, window, feasibility(window), None
+        self.checks = ()
 
 
 @pytest.fixture(scope="module", params=list(FORMS))

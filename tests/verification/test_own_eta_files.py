@@ -11,6 +11,7 @@ from sheet.test_cells_of_own_eta import WIDELY, design
 
 import clacad
 from clacad.exporting.step_record import write
+from clacad.report.fabrication import fabrication
 
 STEEP = 0.006
 """Slope of the light sent through each cell, either way."""
@@ -68,6 +69,13 @@ def test_a_file_is_judged_by_the_eta_of_each_cell_and_one_cell_that_is_two_perce
         clacad.export(made, folder / "out", formats=("step",))
     good = clacad.verify(right, files=folders[0] / "out")
     assert good.passed
+    (least,) = (
+        line.value for line in fabrication(good) if (line.about, line.name) == ("smallest", "apex radius")
+    )
+    radius = (
+        0.5 * (good.window.bodies[0].index - 1.0) * 10.0 / 1.5
+    )  # lens 2 of the cell of the least |η|, wherever the worst is
+    assert least == (pytest.approx(radius, rel=1e-12),)
     strange = tmp_path / "strange"
     strange.mkdir()
     shutil.copy(folders[1] / "out" / "own-eta.step", strange)
