@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
 from clacad.base.types import Progress
+from clacad.sheet.feasibility import feasibility
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy.report_ladder import Ladder, climb
 from clacad.verification.light.caustic import MeridianFocus, foci
@@ -110,7 +111,10 @@ def of_worst_cell(report: Report) -> tuple[Report, str]:
         f"Every cell of this sheet differs. What is drawn and told below is of a sheet of equal cells like cell ({i}, {j}), "
         "by which the sheet is judged, but for what one eye gets of the whole sheet"
     )
-    return replace(report, window=seen.buildable), words
+    facts = feasibility(seen.buildable, *report.design.viewing_places)
+    steps = {body.name: body.step for body in report.facts.bodies}  # those of the whole sheet
+    bodies = tuple(replace(body, step=steps[body.name]) for body in facts.bodies)
+    return replace(report, window=seen.buildable, facts=replace(facts, bodies=bodies)), words
 
 
 def _attributions(report: Report) -> tuple[Attribution, ...]:

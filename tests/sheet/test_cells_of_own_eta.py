@@ -14,6 +14,7 @@ from clacad.design.combinations import ETAS, FEATURES, REASONS
 from clacad.mesh import check_closed, tessellate
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate
+from clacad.sheet.feasibility import feasibility
 from clacad.sheet.like_cell import like_cell, outer_cells
 from clacad.sheet.own_steps import highest_step
 from clacad.sheet.vignetting import partner_share
@@ -258,6 +259,9 @@ def test_the_highest_step_is_found_where_radii_differ(tmp_path):
         worst = max(worst, float(np.abs(here - there).max()))
     assert worst > 0.003
     assert step.height == pytest.approx(worst, rel=1e-12)
+    assert (
+        feasibility(window).bodies[0].step == step.height
+    )  # what tables say of the body, not of its middle cell
 
 
 @pytest.mark.parametrize(

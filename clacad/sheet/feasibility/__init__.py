@@ -6,6 +6,7 @@ the window's unit unless a name ends in `_m` (metres); angles in radians; slopes
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -33,6 +34,7 @@ from clacad.sheet.feasibility.lenses import (
 )
 from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
 from clacad.sheet.like_cell import like_cell
+from clacad.sheet.own_steps import highest_step
 from clacad.sheet.vignetting import (
     aperture_slope,
     focal_ratio,
@@ -51,14 +53,14 @@ __all__ = [
 
 
 def feasibility(window: Window, viewer: float | None = None, distance: float | None = None) -> Feasibility:
-    """Derive all numbers of a window: of its central cell, where cells differ.
+    """Derive all numbers of a window: of its central cell, where cells differ, but for the steps between them.
 
     Parameters
     ----------
     viewer, distance : float, metres, optional
         From the sheet to the eye before it (1 m), and to what is looked at behind it (ten separations).
     """
-    window = like_cell(window, np.array(central_cell(window)))
+    whole, window = window, like_cell(window, np.array(central_cell(window)))
     cells = thin_cells(window)
     wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
     width = [float(np.ptp(cells.zone[:, k])) for k in (0, 1)]
@@ -66,6 +68,10 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
     lit = equivalent_widths(zone)
     offset = window.thin.offset
     bodies = tuple(body_facts(window, body) for body in window.bodies)
+    if not whole.uniform:
+        bodies = tuple(
+            replace(one, step=highest_step(whole, body).height) for one, body in zip(bodies, whole.bodies)
+        )
     fresnel = fresnel_numbers(cells, wave)
     eye = viewing(
         focal_ratio(window.thin),

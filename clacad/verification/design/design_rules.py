@@ -42,7 +42,7 @@ def design_checks(
         Whether a lens that does not cover its cell is said which thickness, index or pitch would: a second's work.
     """
     if not window.uniform:
-        return _in_outer_cells(design, window)
+        return _in_outer_cells(design, window, facts)
     found: list[Check] = [_one_piece(body) for body in facts.bodies]
     found += [_cover(design, window, lens, solved=solved) for lens in facts.lenses]
     found += [_graph(design, lens) for lens in facts.lenses]
@@ -54,11 +54,11 @@ def design_checks(
     return accepted(found, design)
 
 
-def _in_outer_cells(design: Design, window: Window) -> tuple[Check, ...]:
+def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple[Check, ...]:
     """The checks of a sheet whose cells differ: each in the worst of those cells whose lenses stand farthest out."""
     worst: dict[tuple[str, str], Check] = {}
     steps = {body.name: highest_step(window, body) for body in window.bodies}
-    fields = [min(feasibility(window).half_field)]
+    fields = [min(whole.half_field)]
     for cell in outer_cells(window):
         like = like_cell(window, cell)
         facts = feasibility(like, *design.viewing_places)
