@@ -10,7 +10,7 @@ from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.exporting.compare_instances import standing
 from clacad.exporting.measure_instances import measure_mesh
-from clacad.formats.mesh.closed_stream import Measure, edge_times
+from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.mesh.saddle_bevel import in_corners
 from clacad.sheet.volume_and_extent import Integral, distance_to_face, least_extent, whole_extent
@@ -104,7 +104,7 @@ def compare_mesh(
         exact = _compare_volume(found, window, promise, chord, slack, volume, name)
     crowded = None
     if found.facets <= EDGE_COUNT_LIMIT and not any(part.repeated for part in mesh.parts):
-        crowded = sum(int(np.count_nonzero(edge_times(part.welded()[1]) != 2)) for part in mesh.parts)
+        crowded = sum(crowded_edges(edge_times(part.welded()[1])) for part in mesh.parts)
     checks = ("closed", "shape") if exact is None else ("closed", "volume", "shape")
     return Verdict(found.volume, exact, crowded, checks)
 

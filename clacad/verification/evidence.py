@@ -111,10 +111,8 @@ def of_worst_cell(report: Report) -> tuple[Report, str]:
         f"Every cell of this sheet differs. What is drawn and told below is of a sheet of equal cells like cell ({i}, {j}), "
         "by which the sheet is judged, but for what one eye gets of the whole sheet"
     )
-    facts = feasibility(seen.buildable, *report.design.viewing_places)
-    steps = {body.name: body.step for body in report.facts.bodies}  # those of the whole sheet
-    bodies = tuple(replace(body, step=steps[body.name]) for body in facts.bodies)
-    return replace(report, window=seen.buildable, facts=replace(facts, bodies=bodies)), words
+    facts = feasibility(seen.buildable, *report.design.viewing_places).with_steps_of(report.facts)
+    return replace(report, window=seen.buildable, facts=facts), words
 
 
 def _attributions(report: Report) -> tuple[Attribution, ...]:

@@ -281,7 +281,7 @@ class _Board:
         held = {names[face] for face in counted}
         asked = [face for face in lens if names[face] in held]
         right = dict.fromkeys(lens, 0)
-        missing, doubled = _Places(), _Places()
+        missing, doubled = _Tally(), _Tally()
         for face in asked:
             whole = self._whole(face)
             if whole is None:
@@ -303,18 +303,18 @@ class _Board:
 
 
 @dataclass(frozen=True)
-class _Places:
+class _Tally:
     """How many (cell, lens) there are of a kind, and the first: the body's name and the cell."""
 
     count: int = 0
     first: list[Any] | None = None
 
-    def with_those(self, body: str, where: NDArray[np.bool_], cells: Ints) -> _Places:
+    def with_those(self, body: str, where: NDArray[np.bool_], cells: Ints) -> _Tally:
         """These, and those of the cells for which `where` (cells,) holds."""
         found = np.flatnonzero(where)
         if not len(found):
             return self
-        return _Places(self.count + len(found), self.first or [body, *map(int, cells[found[0]])])
+        return _Tally(self.count + len(found), self.first or [body, *map(int, cells[found[0]])])
 
 
 def _share(part: int, whole: int) -> float:

@@ -6,7 +6,7 @@ Lengths in the window's unit unless a name says metres; angles in radians; slope
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from clacad.base.even_orders import A4, A6, A8
 from clacad.base.types import Pair2
@@ -197,6 +197,11 @@ class Feasibility:
     fresnel_number: float
     viewing: EyeAdvice
     wavelength: float
+
+    def with_steps_of(self, whole: Feasibility) -> Feasibility:
+        """These numbers of one cell's like, with the steps between the cells of the whole sheet."""
+        bodies = tuple(replace(one, step=of.step) for one, of in zip(self.bodies, whole.bodies, strict=True))
+        return replace(self, bodies=bodies)
 
 
 def two(values: Iterable[float]) -> Pair2:

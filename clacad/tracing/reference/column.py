@@ -61,7 +61,7 @@ class Event:
         )
 
 
-class Grid(NamedTuple):
+class RaysInArray(NamedTuple):
     """Rays in the cells of one array: base cell, local start, and whole steps walked since."""
 
     array: int
@@ -70,7 +70,7 @@ class Grid(NamedTuple):
     steps: Ints
 
 
-class Piece(NamedTuple):
+class RaysInColumn(NamedTuple):
     """Rays inside one column: for each array the present cell, the start seen from it, and whether it is kept."""
 
     starts: dict[int, Floats]
@@ -135,23 +135,23 @@ def _most_columns(layout: Layout, body: BodyPlan) -> int:
     return 64 + edges + 4 * len(body.arrays) * int((width + depth) / across + 4)
 
 
-def grid_of(layout: Layout, beam: Beam, array: int) -> Grid:
+def grid_of(layout: Layout, beam: Beam, array: int) -> RaysInArray:
     """Rays as they start, in the cells of one array."""
     if array == beam.array:
-        return Grid(array, beam.cell, beam.local, np.zeros_like(beam.cell))
+        return RaysInArray(array, beam.cell, beam.local, np.zeros_like(beam.cell))
     _, local, cell = cell_in(layout, beam.array, array, beam.cell, beam.local)
-    return Grid(array, cell, local, np.zeros_like(cell))
+    return RaysInArray(array, cell, local, np.zeros_like(cell))
 
 
-def piece_of(layout: Layout, grids: list[Grid], beam: Beam, xy: Floats, active: Rows) -> Piece:
+def piece_of(layout: Layout, grids: list[RaysInArray], beam: Beam, xy: Floats, active: Rows) -> RaysInColumn:
     """The rays `active` (k,) in the columns they are in."""
     starts = {g.array: less_steps(layout.lattices[g.array], g.local[active], g.steps[active]) for g in grids}
     cells = {g.array: g.cell[active] + g.steps[active] for g in grids}
     kept = {array: layout.lattice.contains(cell) for array, cell in cells.items()}
-    return Piece(starts, kept, cells, beam.z[active], beam.direction[active], xy[active])
+    return RaysInColumn(starts, kept, cells, beam.z[active], beam.direction[active], xy[active])
 
 
-def next_border(layout: Layout, piece: Piece) -> tuple[Floats, Ints]:
+def next_border(layout: Layout, piece: RaysInColumn) -> tuple[Floats, Ints]:
     """Distance to the next border of a column, and which: array, direction and sense in one number."""
     k = len(piece.z)
     nearest, across = np.full(k, np.inf), np.zeros(k, dtype=np.int64)
@@ -176,7 +176,7 @@ def along_normal(layout: Layout, array: int, n: int, rows: Floats) -> Floats:
     return np.asarray(ux * rows[:, 0] + uy * rows[:, 1])
 
 
-def step_on(layout: Layout, grids: list[Grid], active: Rows, across: Ints) -> None:
+def step_on(layout: Layout, grids: list[RaysInArray], active: Rows, across: Ints) -> None:
     """Move rays into the next column."""
     borders = np.array(layout.lattice.steps)
     for g in grids:
@@ -185,7 +185,13 @@ def step_on(layout: Layout, grids: list[Grid], active: Rows, across: Ints) -> No
 
 
 def _scan(
-    layout: Layout, body: BodyPlan, piece: Piece, since: Floats, cause: Kinds, end: Floats, inside: bool
+    layout: Layout,
+    body: BodyPlan,
+    piece: RaysInColumn,
+    since: Floats,
+    cause: Kinds,
+    end: Floats,
+    inside: bool,
 ) -> tuple[Floats, Kinds, Bools]:
     """Go through the stretches of a column; see `first_stretch`."""
     times, causes = _divisions(layout, body, piece)
@@ -238,7 +244,7 @@ def first_stretch(
     return since, cause, changed
 
 
-def _divisions(layout: Layout, body: BodyPlan, piece: Piece) -> tuple[Floats, Kinds]:
+def _divisions(layout: Layout, body: BodyPlan, piece: RaysInColumn) -> tuple[Floats, Kinds]:
     """Distances (c, k) that divide rays into stretches, and what each is (c,)."""
     times: list[Floats] = []
     causes: list[int] = []
@@ -269,7 +275,7 @@ def _zone_borders(layout: Layout, array: int, start: Floats, direction: Floats) 
     return out
 
 
-def outline_crossings(body: BodyPlan, piece: Piece) -> list[Floats]:
+def outline_crossings(body: BodyPlan, piece: RaysInColumn) -> list[Floats]:
     """Distances (k,) at which rays cross the outline, one or several."""
     shape, half_x, half_y = body.outline
     if shape in ("none", "plate"):
@@ -287,7 +293,7 @@ def outline_crossings(body: BodyPlan, piece: Piece) -> list[Floats]:
     return [c / q, q / a]
 
 
-def _solid(layout: Layout, body: BodyPlan, piece: Piece, pick: Rows, t: Floats) -> Bools:
+def _solid(layout: Layout, body: BodyPlan, piece: RaysInColumn, pick: Rows, t: Floats) -> Bools:
     """Whether the points at distance t of the picked rays lie in the material."""
     direction = piece.direction[pick]
     z = piece.z[pick] + t * direction[:, 2]

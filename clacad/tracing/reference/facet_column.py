@@ -23,9 +23,9 @@ from clacad.tracing.reference.column import (
     FRONT_LAND,
     WALL,
     Event,
-    Grid,
     Kinds,
-    Piece,
+    RaysInArray,
+    RaysInColumn,
     first_change,
     first_stretch,
     grid_of,
@@ -49,12 +49,12 @@ NO_STEP = -2
 def change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Event:
     """Find where each ray first enters the body's material, or leaves it: see `column.first_change`; its facets, if it has them."""
     if isinstance(body.front, TiledFace) and isinstance(body.back, TiledFace):
-        return _Search.begun(layout, body, (body.front, body.back), beam, inside).found()
+        return _FacetSearch.begun(layout, body, (body.front, body.back), beam, inside).found()
     return first_change(layout, body, beam, inside)
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _FacetSearch:
     """m rays on their way through the facets of one body; what is (m,) long is changed in place.
 
     limit, above, aside : how far they go until they are above or beside the body
@@ -69,7 +69,7 @@ class _Search:
     beam: Beam
     inside: bool
     xy: Floats
-    grids: list[Grid]
+    grids: list[RaysInArray]
     above: Floats
     aside: Floats
     facet: dict[int, Ints]
@@ -82,7 +82,7 @@ class _Search:
     @classmethod
     def begun(
         cls, layout: Layout, body: BodyPlan, faces: tuple[TiledFace, TiledFace], beam: Beam, inside: bool
-    ) -> _Search:
+    ) -> _FacetSearch:
         """Rays at their starts."""
         m, xy = len(beam), sheet_xy(layout, beam)
         above = np.full(m, np.inf) if inside else (body.high - beam.z) / beam.direction[:, 2]
@@ -135,7 +135,7 @@ class _Search:
         """The first face in the cells of an array."""
         return next(face for face in self.faces if face.array == array)
 
-    def _look_up(self, piece: Piece, active: Rows) -> None:
+    def _look_up(self, piece: RaysInColumn, active: Rows) -> None:
         """Find the facets of rays that came into other cells."""
         for array, facet in self.facet.items():
             fresh = np.flatnonzero(facet[active] == NOT_LOOKED_UP)
@@ -149,7 +149,7 @@ class _Search:
             face = self._face_of(array)
             facet[active[fresh]] = facets_over(face.tiles, face.tile, point)
 
-    def _next_edge(self, piece: Piece, active: Rows, limit: Floats) -> tuple[Floats, Ints, Ints, Ints]:
+    def _next_edge(self, piece: RaysInColumn, active: Rows, limit: Floats) -> tuple[Floats, Ints, Ints, Ints]:
         """Where rays leave the first of their facets: how far, by which border of which cell, or edge of the facet of which array."""
         border, across = next_border(self.layout, piece)
         end, across = np.minimum(border, limit), np.where(border < limit, across, NO_STEP)
@@ -174,7 +174,7 @@ class _Search:
             edge = np.where(closer, -1, edge)
         return end, across, edge, of
 
-    def _levels(self, piece: Piece, active: Rows, face: TiledFace) -> tuple[Floats, Floats, Kinds]:
+    def _levels(self, piece: RaysInColumn, active: Rows, face: TiledFace) -> tuple[Floats, Floats, Kinds]:
         """Height of a face at the starts and its rise along the rays, NaN for none, (k,) each, and which crossing it is."""
         k = len(active)
         lens, land = (FRONT, FRONT_LAND) if face.side == 0 else (BACK, BACK_LAND)
@@ -188,7 +188,7 @@ class _Search:
         rise = np.where(none | (part == VOID), 0.0, rise)
         return low, rise, np.where(none | (part == LAND), land, lens).astype(np.int8)
 
-    def _scan(self, piece: Piece, active: Rows, end: Floats) -> tuple[Floats, Kinds, Bools]:
+    def _scan(self, piece: RaysInColumn, active: Rows, end: Floats) -> tuple[Floats, Kinds, Bools]:
         """Go through the stretches of a piece; see `column.first_stretch`."""
         (low, low_rise, front), (high, high_rise, back) = (
             self._levels(piece, active, face) for face in self.faces
@@ -213,7 +213,7 @@ class _Search:
             (self.since[active], self.cause[active]), self.inside, solid,
         )  # fmt: skip
 
-    def _note_met(self, piece: Piece, active: Rows, changed: Bools) -> None:
+    def _note_met(self, piece: RaysInColumn, active: Rows, changed: Bools) -> None:
         """Note what changed the state of rays, and the normals of facets that did."""
         self.kind[active[changed]] = self.cause[active[changed]]
         for face, lens in zip(self.faces, (FRONT, BACK), strict=True):

@@ -16,7 +16,7 @@ from clacad.design.process_profiles import profile
 from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell, outer_cells
-from clacad.sheet.own_steps import OwnStep, highest_step
+from clacad.sheet.own_steps import highest_step
 from clacad.sheet.window import Window
 from clacad.verification.checks import NEAR, Check, State, accepted, judge, not_run
 from clacad.verification.design.process_rules import making_checks, process_limit
@@ -57,17 +57,16 @@ def design_checks(
 def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple[Check, ...]:
     """The checks of a sheet whose cells differ: each in the worst of those cells whose lenses stand farthest out."""
     worst: dict[tuple[str, str], Check] = {}
-    steps = {body.name: highest_step(window, body) for body in window.bodies}
+    highest = max((highest_step(window, body) for body in window.bodies), key=lambda step: step.height)
     fields = [min(whole.half_field)]
     for cell in outer_cells(window):
         like = like_cell(window, cell)
-        facts = feasibility(like, *design.viewing_places)
+        facts = feasibility(like, *design.viewing_places).with_steps_of(whole)
         fields += facts.half_field if window.many_sizes else ()
-        bodies = tuple(replace(body, step=steps[body.name].height) for body in facts.bodies)
-        for check in design_checks(design, like, replace(facts, bodies=bodies), solved=False):
+        for check in design_checks(design, like, facts, solved=False):
             key, known = (check.id, check.subject), worst.get((check.id, check.subject))
             if known is None or _worse(check, known):
-                at = cell.tolist() if check.id != "wall" else list(_highest(steps).cell)
+                at = cell.tolist() if check.id != "wall" else list(highest.cell)
                 named = f"in cell ({at[0]}, {at[1]}): {check.sentence}"
                 worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": at})
     found = [_priced(check) for check in worst.values() if check.id not in ("field", "allowance")]
@@ -81,11 +80,6 @@ def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple
         )
     )  # fmt: skip
     return accepted(found, design)
-
-
-def _highest(steps: dict[str, OwnStep]) -> OwnStep:
-    """Of the highest steps of all bodies the highest."""
-    return max(steps.values(), key=lambda step: step.height)
 
 
 def _priced(check: Check) -> Check:

@@ -10,7 +10,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.unique_rows import distinct
-from clacad.formats.mesh.closed_stream import Measure, edge_times, vertex_hashes, welded
+from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes, welded
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.pieces_and_holes import connect
@@ -82,7 +82,7 @@ class PartCount:
         pieces = len(distinct(connect(len(vertices), facets[:, [0, 1, 0, 2]].reshape(-1, 2))))
         edges, times = edge_times(facets), len(part.places)
         euler = len(vertices) - len(edges) + len(facets)
-        return cls(pieces * times, (pieces - euler / 2) * times, int(np.count_nonzero(edges != 2)))
+        return cls(pieces * times, (pieces - euler / 2) * times, crowded_edges(edges))
 
 
 def part_counts(mesh: FileMesh) -> list[PartCount] | None:
