@@ -11,7 +11,7 @@ from clacad.config.compound_kinds import Several
 from clacad.config.edit_text import value_text
 from clacad.config.quantities import Quantity
 from clacad.design.given_faces import FaceSpec, face_table
-from clacad.design.keys import FORMAT, SECTIONS, Key
+from clacad.design.keys import CHECK, FORMAT, SECTIONS, Key
 from clacad.design.plate_keys import CornersSpec, HoleSpec, PinsSpec, hole_table, vertex_lists
 from clacad.design.search_record import SearchRecord
 from clacad.design.sections import (
@@ -51,8 +51,19 @@ def to_dict(design: Design) -> dict[str, Any]:
             values |= {name: values[name][0] for name in ("pitch", "pitch_2") if name in values}
         if section == "lattice" and not design.lattice.rotation_2:
             del values["rotation_2"]  # a later key at its default has no place in the text
+        if section == "check":
+            _keep_as_before(values, design)
         made[section] = values
     return made
+
+
+def _keep_as_before(values: dict[str, Any], design: Design) -> None:
+    """Write [check] so that hashes of earlier designs stay: no `viewed` at its default, distances with their unit."""
+    if design.check.viewed == CHECK["viewed"].default:
+        del values["viewed"]
+    for name in ("viewer", "object"):
+        if name in values:
+            values[name] = _with_unit(values[name], design.unit)
 
 
 OF_RECIPES = ("confocal", "surface", "conic", "depth")

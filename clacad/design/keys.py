@@ -116,7 +116,6 @@ _NO_ANGLE = Quantity("angle", "an angle >= 0 and below 90 deg", least=0.0, most=
 _DIOPTRES = Quantity("ratio", "a number > 0, in dioptres (1/m)", above=0.0)
 _PART_FROM_0 = Quantity("ratio", "a number >= 0, at most 1", least=0.0, most=1.0)
 _LIMIT_LENGTH = Quantity("length", "a length >= 0", least=0.0, bare=False)
-_DISTANCE = Quantity("length", "a length > 0", above=0.0, bare=False)
 _PART = Quantity("ratio", "a number > 0, at most 1", above=0.0, most=1.0)
 _FACTOR = Quantity("ratio", "a number > 0, at most 1000", above=0.0, most=1000.0)
 _LATERAL = Quantity("length", "a length")
@@ -278,8 +277,13 @@ CHECK: Final[dict[str, Key]] = {
     "pose": Key(_PART, "limit of a returned file's pose residual over the pitch", 0.05),
     "scale": Key(_PART, "limit of a returned file's shrink", 0.001),
     "fresnel_number": Key(_FACTOR, "Fresnel number below which a warning is given", 10.0),
-    "viewer": Key(_DISTANCE, "distance of the eye before array 1 (1 m)"),
-    "object": Key(_DISTANCE, "distance behind the sheet of what is looked at (ten separations)"),
+    "viewed": Key(
+        _PART, "least share of the viewer's light that must obey the law over the whole sheet", 0.9
+    ),
+    "viewer": Key(
+        _ABOVE_0, "distance of the eye before array 1 (1 m); where written, the check viewed judges"
+    ),
+    "object": Key(_ABOVE_0, "distance behind the sheet of what is looked at (ten separations)"),
     "allow": Key(
         ListOf(
             InlineTable(

@@ -289,8 +289,10 @@ class CheckSpec:
         Name of the process profile.
     confocality : float
         Afocal defect over the separation; default .002 for exact recipes, .02 for thin, best and given faces.
+    viewed : float
+        Least share of the viewer's light that must obey the law, mean over the whole sheet.
     viewer, object : float, lengths
-        From the sheet to the eye before array 1, and to what it looks at behind array 2; for advice on the pitch.
+        From the sheet to the eye before array 1, whose light the check `viewed` judges, and to what it looks at behind array 2.
     allow : tuple of Allowed
         Accepted warnings.
     """
@@ -326,6 +328,7 @@ class CheckSpec:
     pose: float
     scale: float
     fresnel_number: float
+    viewed: float
     viewer: float | None
     object: float | None
     allow: tuple[Allowed, ...]

@@ -76,12 +76,14 @@ CHECKS: dict[str, Text] = {
         "A smaller pitch until diffraction is as wide; a longer focal length; other conic constants (pair.conic).",
     ),
     "viewed": (
-        "Mean over the whole sheet of the share of one eye's light that leaves through the partner of the lenslet it entered: of an eye "
-        "at [check] viewer on the axis, of the point that the sheet is aimed at, or 1 m before it. Rays from there over all cells are "
-        "traced through the exact surfaces; in brackets the closed form of thin lenses, cell by cell.",
-        "A cell's field is ± p (1 + |η|)/(2 s) in slope. A sheet wider than that times the distance shows the law in its middle alone.",
-        "⟨ALIVE/launched⟩ over the sheet,  a(C) = (C − P_xy)/(−z_P);  a warning below 0.95",
-        "lattice.aperture = {point = [x, y, z]} with the eye's place; or a smaller sheet, a viewer farther away, a larger p/s.",
+        "Mean over the whole sheet of the share of one eye's light that leaves through the partner of the lenslet it entered. The eye is "
+        "at check.viewer on the axis; where the design states none, at the point that the sheet is aimed at, or 1 m before it. Rays from "
+        "there over all cells are traced through the exact surfaces; in brackets the closed form of thin lenses, cell by cell.",
+        "A cell's field is ± p (1 + |η|)/(2 s) in slope. A sheet wider than that times the distance shows the law in its middle alone. "
+        "Below its limit a viewer that the design states fails, in `check` and in `verify`; an assumed one is warned of.",
+        "⟨ALIVE/launched⟩ over the sheet,  a(C) = (C − P_xy)/(−z_P);  limit check.viewed (0.9)",
+        "lattice.aperture = {point = [x, y, z]} with the eye's place, or pair.field_lens = true; or a viewer farther away, a smaller sheet, "
+        "a larger p/s. `clacad explain combinations` lists what aimed cells and field lenses can be combined with.",
     ),
     "residual": (
         "Error and decollimation the recipe leaves along the axis ray, before any aberration.", "It is what no lens shape can mend.",

@@ -6,7 +6,7 @@ lenslets than the partner. Traced through the exact surfaces, and in the closed 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,17 +19,13 @@ from clacad.sheet.feasibility.pitch_for_eye import VIEWING_DISTANCE
 from clacad.sheet.vignetting import partner_share
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
-from clacad.verification.checks import Check, State
-from clacad.verification.limit_sources import other
+from clacad.verification.checks import Check, judge
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
 RAYS = 8192
 """Sobol rays over the whole sheet: the mean is within .004 (an rms of .5/√8192 if they were drawn by chance)."""
-
-ENOUGH = 0.95
-"""Mean share below which a warning is given."""
 
 PLACES = 48
 """Cells a side of the map over the sheet."""
@@ -113,21 +109,29 @@ def share_map(
 
 
 def viewed_check(design: Design, window: Window) -> Check:
-    """Does the light of the eye obey the law, over the whole sheet?"""
+    """Judge the share of the viewer's light that obeys the law: a stated viewer fails below the limit, an assumed one warns."""
     found = viewed(window, viewer_of(design))
-    x, y, z = viewer = found.viewer
-    where = f"at ({x:.4g}, {y:.4g}, {z:.4g}) {design.unit}"
-    sentence = (
-        f"of the light of an eye {where}, {100.0 * found.traced:.3g} % over the whole sheet obeys the law"
-    )
-    state: State = "pass" if found.traced >= ENOUGH else "warn"
-    if state == "warn":
-        sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %), the rest meets other lenslets: {_cure(design, viewer, found)}"
-    return Check(
-        "viewed", state, sentence, found.traced, ENOUGH, relation=">=", where="surfaces", required=False,
-        bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0", limit_source=other("fixed: 19 of 20 parts"),
-        detail={"viewer": viewer, "thin": found.thin},
+    stated, limit = design.check.viewer is not None, design.check.viewed
+    sentence = f"{100.0 * found.traced:.3g} % of the light of {_eye(design, found.viewer)} obeys the law over the whole sheet"
+    if not found.traced >= limit:
+        sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %), the rest meets other lenslets: {_cure(design, found.viewer, found)}"
+    check = judge(
+        "viewed", found.traced, limit, sentence, relation=">=", where="surfaces", required=stated,
+        bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0",
+        detail={"viewer": found.viewer, "thin": found.thin, "stated": stated},
     )  # fmt: skip
+    return replace(check, state="warn") if check.state == "fail" and not stated else check
+
+
+def _eye(design: Design, viewer: tuple[float, float, float]) -> str:
+    """Say where the eye is and who says so."""
+    x, y, z = viewer
+    where = f"at ({x:.4g}, {y:.4g}, {z:.4g}) {design.unit}"
+    if design.check.viewer is not None:
+        return f"the eye of check.viewer {where}"
+    if isinstance(design.lattice.aperture, AimedAt):
+        return f"the eye {where} that the cells are aimed at"
+    return f"an assumed eye {where} (check.viewer states one)"
 
 
 def _cure(design: Design, viewer: tuple[float, float, float], found: Viewed) -> str:
