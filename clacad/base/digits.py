@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping
 from decimal import Decimal
-from math import ceil, floor, isfinite, isnan, log10
+from math import ceil, floor, isfinite, isinf, isnan, log10
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -20,6 +20,9 @@ SHOWN_IN = {"rad": (1000, "mrad")}
 
 DIGITS = 5
 """Significant digits of a value beside its limit, unless more are needed to tell them apart."""
+
+NO_LIMIT = "no limit"
+"""Text of an infinite limit."""
 
 MOST = 17
 """Digits that tell any two float64 numbers apart."""
@@ -62,7 +65,7 @@ def shown(
     Parameters
     ----------
     value, limit : float, text or None
-        None is "–"; an infinite limit is "none". Angles in rad are shown in mrad.
+        None is "–"; an infinite limit is "no limit". Angles in rad are shown in mrad.
     relation : "<=", "<", ">=", ">" or a word
         The sense in which the value is held against the limit.
     state : "pass", "fail", another, or ""
@@ -76,7 +79,10 @@ def shown(
     factor, name = SHOWN_IN.get(unit, (1, unit))
     holds = HOLDS.get(relation)
     if holds is None or not (_finite(value) and _finite(limit)):
-        return Shown(_text(value, factor, DIGITS), _text(limit, factor, DIGITS), name)
+        unbound = _infinite(limit)
+        return Shown(
+            _text(value, factor, DIGITS), NO_LIMIT if unbound else _text(limit, factor, DIGITS), name
+        )
     truth = holds(value, limit)
     if 0.0 < abs(value) < NOTHING * abs(limit) and holds(0.0, limit) == truth:  # type: ignore[arg-type]
         return shown(0, limit, relation, unit, state)
@@ -97,6 +103,15 @@ UNBOUND = " (for comparison)"
 
 def _finite(value: object) -> bool:
     return isinstance(value, Real) and isfinite(value)
+
+
+def _infinite(value: object) -> bool:
+    return isinstance(value, Real) and isinf(value)
+
+
+def bound(relation: str, limit: str, unit: str = "") -> str:
+    """Write a limit as `shown` has it with its sense and unit: "<= 3 mrad", "no limit"."""
+    return limit if limit == NO_LIMIT else f"{relation} {limit} {unit}".rstrip()
 
 
 def _exactly(value: Any, factor: int) -> str:

@@ -29,6 +29,11 @@ def near(word: str, words: Iterable[str], cutoff: float = 0.6, most: int = 1) ->
     return get_close_matches(word, list(words), n=most, cutoff=cutoff)
 
 
+def count_text(number: float, noun: str) -> str:
+    """Write a count and its noun, plural unless it is 1: "1 piece", "3 pieces"."""
+    return f"{number:g} {noun}" + "s" * (number != 1)
+
+
 def did_you_mean(words: Sequence[str], quote: str = "", before: str = "") -> str:
     """Ask whether one of some words was meant; "" if there is none.
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from math import isinf
 from typing import Any
 
-from clacad.base.digits import shown
+from clacad.base.digits import bound, shown
 from clacad.base.machine_rates import span_text
 from clacad.cli.console import size, table
 
@@ -50,9 +49,7 @@ def against(check: Any) -> tuple[str, str]:
     value = "-" if check.value is None else value
     if check.limit is None:
         return value, ""
-    if isinstance(check.limit, float) and isinf(check.limit):
-        return value, "no limit"
-    return value, f"{check.relation} {limit} {unit}".rstrip() + note
+    return value, bound(check.relation, limit, unit) + note
 
 
 def forecast_text(rows: Iterable[dict[str, Any]]) -> str:

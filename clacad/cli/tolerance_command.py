@@ -7,6 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.digits import bound, plainly
 from clacad.cli.console import Progress, say, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
 
@@ -108,7 +109,7 @@ def tolerance_text(study: Study) -> str:
         "± tolerance; two standard deviations" if study.distribution == "normal" else "± tolerance; uniform"
     )
     lines = [["parameter", sides, "unit"]]
-    lines += [[p.name, f"{p.half:.4g}", p.unit] for p in study.parameters]
+    lines += [[p.name, *plainly(p.half, p.unit)] for p in study.parameters]
     blocks = [study.name, table(lines)]
     if study.cell is not None:
         blocks.append(
@@ -136,13 +137,14 @@ def _change(value: float) -> str:
 
 
 def _yield_text(study: Study) -> str:
+    from clacad.verification.tolerance.light_measures import MEASURES
+
     share, low, high = study.yields()
     missed = study.misses()
     rows = [["a good sheet keeps", "limit", "sheets that miss it", "from"]]
     for limit in study.limits:
-        rows.append(
-            [limit.measure, f"{limit.relation} {limit.value:.4g}", str(missed[limit.measure]), limit.source]
-        )
+        text = bound(limit.relation, *plainly(limit.value, MEASURES[limit.measure]))
+        rows.append([limit.measure, text, str(missed[limit.measure]), limit.source])
     text = table(rows)
     nominal = study.nominal_misses()
     if nominal:

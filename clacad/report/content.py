@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.digits import shown
+from clacad.base.digits import bound, shown
 from clacad.base.text import plain
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.report.fabrication import FabricationLine, fabrication
@@ -40,7 +40,7 @@ def row(check: Check) -> dict[str, Any]:
     return {
         "state": check.state, "word": WORDS[check.state], "css": check.state.replace(" ", "-"), "id": check.id,
         "code": check.code, "subject": check.subject, "value": value,
-        "limit": "" if check.limit is None else f"{SIGNS.get(check.relation, check.relation)} {limit}{note}",
+        "limit": "" if check.limit is None else bound(SIGNS.get(check.relation, check.relation), limit) + note,
         "unit": unit, "sentence": check.sentence, "where": check.where,
         "bundle": check.bundle, "source": check.limit_source.heading,
     }  # fmt: skip

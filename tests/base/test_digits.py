@@ -66,7 +66,7 @@ def test_a_short_number_stays_short():
     assert shown(0.09999999, 0.1, ">=") == ("0.09999999", "0.1", "", "")
     assert shown("3 pieces", "1 piece", "=") == ("3 pieces", "1 piece", "", "")
     assert shown(None, 0.5) == ("–", "0.5", "", "")
-    assert shown(1.0, float("inf")) == ("1", "none", "", "")
+    assert shown(1.0, float("inf")) == ("1", "no limit", "", "")
 
 
 @pytest.mark.parametrize("left", [-1.11e-16, 2.2e-16, -0.0, 0.0, 3e-17])
@@ -133,3 +133,9 @@ def test_no_rounding_is_told_of_a_sheet_that_is_confocal():
     assert "along the axis ray the recipe leaves 0 mrad" in told
     assert "would have to move by 0 of the distance" in told
     assert "e-1" not in told
+
+
+def test_an_infinite_limit_is_printed_as_no_limit_without_a_sense_or_unit():
+    check = judge("sag", 0.2, float("inf"), "x", unit="mm")
+    assert row(check)["limit"] == "no limit"
+    assert checks_text([check]).split() == ["ok", "sag", "0.2", "no", "limit", "x"]

@@ -277,4 +277,4 @@ def test_the_sheet_of_a_hole_pattern_verifies_as_master(tmp_path):
     holes = next(
         check.sentence for check in report.checks if (check.id, check.subject) == ("pieces", "plate.stl")
     )
-    assert "1 connected pieces with 5 holes" in holes
+    assert "1 connected piece with 5 holes" in holes

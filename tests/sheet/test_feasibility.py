@@ -426,3 +426,28 @@ def test_a_sheet_whose_law_varies_tells_its_foci_and_a_superlens_its_zone():
     sharp = told("pair", "focus", {"object": -300, "image": "inf"})
     assert sharp["planes that pairs image sharply"] == "-300, inf"
     assert told("lattice", "pitch", 0.4) == {}
+
+
+@pytest.mark.parametrize("name", ["paper-a-covered", "plano", "galilean"])
+def test_the_index_ratio_is_that_of_the_interface_which_refracts_like_the_sheet(name):
+    """Snell's law for small angles, n1 t = n2 t', against the slopes before and after lenses one cell wide, thin."""
+    design = clacad.load(DESIGNS / f"{name}.toml").replace({"law.delta": [0, 0], "law.euler": [0, 0, 0]})
+    window = clacad.prescribe(design)
+    (row,) = (r for r in describe(window, feasibility(window)) if r.name == "index ratio n1/n2, lens x, y")
+    ratio = [float(v) for v in row.value.split(",")]
+    for axis in (0, 1):
+        f1, f2 = (f[axis] for f in window.thin.focal_length)
+        before, height = 1e-3, 0.0  # through the middle of lens 1, unbent, then f1 + f2 on to lens 2
+        after = before - (height + (f1 + f2) * before) / f2
+        assert ratio[axis] == pytest.approx(after / before, rel=1e-5)
+
+
+def test_one_piece_is_written_in_the_singular():
+    from clacad.base.text import count_text
+    from clacad.verification.design.design_rules import design_checks
+
+    design = clacad.load(DESIGNS / "plano.toml")
+    window = clacad.prescribe(design)
+    values = [c.value for c in design_checks(design, window, feasibility(window)) if c.id == "one_piece"]
+    assert set(values) == {"1 piece, 0 holes"}
+    assert [count_text(n, "hole") for n in (0, 1, 2)] == ["0 holes", "1 hole", "2 holes"]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from clacad.cli import main
+from clacad.cli.tolerance_command import tolerance_text
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.tolerance import Farm, bench, parse_vary, sweep, tolerance, write_sweep
@@ -167,3 +168,21 @@ def test_a_local_cluster_finds_the_same_tables(table):
     assert sweep_table(found) == sweep_table(table)
     here = tolerance(DESIGN, samples=12, rays=64, farm=Farm(1))
     assert study_table(study) == study_table(here)
+
+
+def test_tolerances_and_limits_that_are_angles_are_printed_in_mrad():
+    from clacad.verification.tolerance.light_measures import MEASURES
+    from clacad.verification.tolerance.perturbations import Parameter
+    from clacad.verification.tolerance.study import Limit, Study
+
+    nothing = np.zeros((1, len(MEASURES)))
+    study = Study(
+        "sheet", "0" * 64, 1e-3, (Parameter("tilt.x", "tilt", 0.001, "rad"), Parameter("decentre.1.x", "decentre", 0.01, "mm")),
+        (Limit("law_rms", "<=", 0.003, "check.law_rms"), Limit("eta_error", "<=", 0.01, "check.eta")), "normal", 0, 64, dict.fromkeys(MEASURES, 0.0),
+        np.zeros((2, 2, len(MEASURES))), np.zeros((2, len(MEASURES))), np.zeros((1, 2)), nothing,
+    )  # fmt: skip
+    rows = [line.split() for line in tolerance_text(study).splitlines()]
+    assert ["tilt.x", "1", "mrad"] in rows
+    assert ["decentre.1.x", "0.01", "mm"] in rows
+    assert ["law_rms", "<=", "3", "mrad", "0", "check.law_rms"] in rows
+    assert ["eta_error", "<=", "0.01", "0", "check.eta"] in rows

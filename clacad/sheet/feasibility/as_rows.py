@@ -16,6 +16,7 @@ from clacad.sheet.feasibility.imaging_rows import imaging_rows
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
 from clacad.sheet.lattice import Circle, Outline
 from clacad.sheet.plate import Plate
+from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 
@@ -127,6 +128,8 @@ def _sheet_rows(
         FactRow("sheet", "height", of_length(top - low), name, "from the lowest point of all bodies to the highest"),
         FactRow("sheet", "cells", cells, "", "telescopelets" if lattice.outline is None else
             "telescopelets that lie wholly inside the outline"),
+        FactRow("sheet", "index ratio n1/n2, lens x, y", ", ".join(digits(1.0 / m) for m in focal_ratio(window.thin)), "",
+            "−f1/f2 = 1/η: near the lens axis the sheet acts as the interface from a medium of index n1 to one of n2"),
         *_plate_rows(rim, of_length, name),
     ]  # fmt: skip
 

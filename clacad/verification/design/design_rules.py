@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.digits import digits
+from clacad.base.text import count_text
 from clacad.design.process_profiles import profile
 from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, feasibility, least_thickness
@@ -110,17 +111,17 @@ def _one_piece(body: BodyFacts) -> Check:
     elif body.pieces > 1:
         widest = max(body.borders, key=lambda b: -b.joint)
         sentence = (
-            f"{body.name} falls into {body.pieces} pieces with {body.holes} holes: neighbours do not touch across "
+            f"{body.name} falls into {body.pieces} pieces with {count_text(body.holes, 'hole')}: neighbours do not touch across "
             f"step {widest.step}, they miss each other by {-widest.joint:.4g}; a thicker lens, a web or a smaller "
             "pitch joins them"
         )
     else:
         sentence = (
-            f"{body.name} is one piece with {body.holes} pinholes where the corners of the lenses do not meet; they "
+            f"{body.name} is one piece with {count_text(body.holes, 'pinhole')} where the corners of the lenses do not meet; they "
             f"lack {-body.edge:.4g} of thickness there"
         )
     return Check(
-        "one_piece", "pass" if whole else "fail", sentence, f"{body.pieces} pieces, {body.holes} holes",
+        "one_piece", "pass" if whole else "fail", sentence, f"{count_text(body.pieces, 'piece')}, {count_text(body.holes, 'hole')}",
         "1 piece, 0 holes", relation="=", subject=body.name, where="geometry (closed form)",
         detail={"pieces": body.pieces, "holes": body.holes},
     )  # fmt: skip

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import count_text
 from clacad.base.types import Floats
 from clacad.base.unique_rows import distinct
 from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes, welded
@@ -174,10 +175,12 @@ def pieces_check(
     holes: float | None = None
     if counts is not None:
         pieces, holes = sum(count.pieces for count in counts), sum(count.holes for count in counts)
-        sentence = f"{pieces} connected pieces with {holes:g} holes; {wanted} pieces are expected"
+        sentence = (
+            f"{count_text(pieces, 'connected piece')} with {count_text(holes, 'hole')}; {wanted} expected"
+        )
     else:
         pieces = counted.pieces if counted else sum(connected(p) * len(p.places) for p in mesh.parts)
-        sentence = f"{pieces} connected pieces; {wanted} pieces are expected"
+        sentence = f"{count_text(pieces, 'connected piece')}; {wanted} expected"
     state: State = "pass" if pieces in expected else "fail"
     return [Check("pieces", state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
 
