@@ -11,7 +11,7 @@ from typing import Any
 
 _HOME = {
     "NAMES": "engine.passes",
-    "Effect": "engine.passes",
+    "Effect": "engine.effect",
     "trace_with": "engine.passes",
     "Setting": "engine.parameters",
     "LightRays": "engine.light_rays",

@@ -22,8 +22,8 @@ from clacad.base.unique_rows import distinct
 from clacad.base.units import millimetres
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import uniform
 from clacad.optics.aperture import equivalent_widths
 from clacad.optics.rays import NO_CELL, Fate

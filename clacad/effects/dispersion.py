@@ -16,8 +16,8 @@ from math import hypot
 import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, thin_cells
 from clacad.sheet.window import Window

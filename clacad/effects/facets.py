@@ -14,8 +14,8 @@ from math import hypot, sqrt
 import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, When
 from clacad.optics.surface import principal_radii
 from clacad.sheet.vignetting import focal_ratio, thin_cells
 from clacad.sheet.window import Window

@@ -13,9 +13,9 @@ from math import degrees
 import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.homogeneous_light import shares
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, thin_cells
 from clacad.sheet.window import Window

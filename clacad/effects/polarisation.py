@@ -24,8 +24,8 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.effects.engine.block import FaceCrossing, RayBlock, crossings, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate
 from clacad.optics.surface.fresnel_coefficients import amplitudes, deviation, reflected
 from clacad.sheet.window import Window

@@ -12,8 +12,8 @@ radiance that matters. *Cost* 1.75 N², compiled.
 from __future__ import annotations
 
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Effect
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect
 from clacad.effects.fresnel import effect as straight
 from clacad.effects.fresnel import mean_loss
 from clacad.optics.surface.fresnel_coefficients import normal_loss

@@ -17,8 +17,8 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 from clacad.effects.engine.block import FaceCrossing, RayBlock, bend, lens_slopes
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import normal
 from clacad.sheet.vignetting import focal_ratio, scale_of_image, thin_cells
 from clacad.sheet.window import Window

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.mesh.body_mesh import BodyMesh, Mesh
+from clacad.mesh.body_mesh import BodyMesh, Mesh, mesh_volume
 from clacad.mesh.health import Health, check_closed
 from clacad.mesh.tessellation import (
     count_facets,
@@ -13,7 +13,6 @@ from clacad.mesh.tessellation import (
     tessellate,
 )
 from clacad.mesh.vertex_normals import CellSolid, cell_solid, corner_normals
-from clacad.mesh.volume import mesh_volume
 
 __all__ = [
     "BodyMesh",

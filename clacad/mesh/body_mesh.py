@@ -13,52 +13,19 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.unique_rows import unique_rows
-from clacad.mesh.cell_template import Template, TemplateMaker
+from clacad.mesh.cell_template import Template
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.land_ring import row_states
+from clacad.mesh.tiled import JUDGED, Tiled
 from clacad.mesh.volume import flux
 from clacad.sheet.lattice import Lattice
-from clacad.sheet.like_cell import outer_cells, sampled_cells
+from clacad.sheet.like_cell import sampled_cells
 from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
-    from clacad.mesh.own_cells import OwnTemplates
+    pass
 
 _CHUNK = 20_000  # triangles an expanded block holds at most, about: what stays in the second-level cache
-
-
-JUDGED = 16
-"""Cells of a sheet whose cells differ whose facets' errors are measured, besides those whose lenses stand farthest out."""
-
-
-@dataclass(frozen=True, eq=False)
-class Tiled:
-    """One tiling of a body: its templates and where they stand.
-
-    maker : TemplateMaker
-        Of all cells; where they differ of the first.
-    shift : (2,) lengths
-    lattice : Lattice
-        Pattern of the tiling's cells about their own middle.
-    own : OwnTemplates or None
-        Where every cell is a piece of its own.
-    """
-
-    maker: TemplateMaker
-    shift: tuple[float, float]
-    lattice: Lattice
-    own: OwnTemplates | None = None
-
-    def maker_at(self, i: int, j: int) -> TemplateMaker:
-        """The maker of the kept cell (i, j)."""
-        return self.maker if self.own is None else self.own.at((i, j))
-
-    def judged(self, window: Window, body: Body) -> list[tuple[TemplateMaker, Body]]:
-        """Makers of the cells whose facets' errors stand for all, each with the body as it is there."""
-        if self.own is None:
-            return [(self.maker, body)]
-        cells = np.unique(np.concatenate([outer_cells(window), sampled_cells(window, JUDGED)]), axis=0)
-        return [(self.own.at((i, j)), self.own.body_at((i, j))) for i, j in cells.tolist()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,9 +295,18 @@ class BodyMesh:
         """Volume by the divergence sum over the templates (length³), compensated."""
         if self.own:
             return self._tally.volume
-        from clacad.mesh.volume import mesh_volume
-
         return mesh_volume(self)
+
+
+def mesh_volume(mesh: BodyMesh) -> float:
+    """Sum the flux over the templates, each times its number, and the land (length³)."""
+    parts: list[float] = []
+    for template, lattice, number in mesh.census:
+        xy = template.xy + (lattice.centres(template.owner) - lattice.centres(np.zeros(2, dtype=np.int64)))
+        corners = np.concatenate([xy, template.z[:, None]], axis=1)[template.triangles]
+        parts.append(number * fsum(flux(corners).tolist()))
+    parts += flux(mesh.plain.corners).tolist()
+    return fsum(parts)
 
 
 @dataclass(frozen=True, eq=False)

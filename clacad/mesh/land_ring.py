@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, pi, sin, sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bytes, Floats, Ints
 from clacad.mesh.cell_template import CELL, NOTHING, PLAIN, Offset
+from clacad.mesh.tiled import Tiled
 from clacad.sheet.edge_columns import RADIUS
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
-
-if TYPE_CHECKING:
-    from clacad.mesh.body_mesh import Tiled
 
 Key = tuple[int, int, int]  # owner cell i, j and canonical point; outline corners are (−1, n, −1)
 

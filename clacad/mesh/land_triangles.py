@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.mesh.body_mesh import Plain, Tiled, no_plain
+from clacad.mesh.body_mesh import Plain, no_plain
 from clacad.mesh.cell_template import BACK_LAND, FRONT_LAND, WALL
 from clacad.mesh.land_ring import Key, LandRing, make_land
+from clacad.mesh.tiled import Tiled
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 

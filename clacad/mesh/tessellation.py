@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 
-from clacad.mesh.body_mesh import BodyMesh, Mesh, Tiled, no_plain
+from clacad.mesh.body_mesh import BodyMesh, Mesh, no_plain
 from clacad.mesh.cell_template import TemplateMaker
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_triangles import make_plain
 from clacad.mesh.prototile import make_prototile
+from clacad.mesh.tiled import Tiled
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Body, Window
 from clacad.topology.build_complex import cell_complex, saddle_count

@@ -17,7 +17,8 @@ from clacad.base.types import Ints
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, aim, rays
 from clacad.rendering.picture import BLOCK, tile, tried, worth_compiling
-from clacad.rendering.view import Viewing, may_cross, set_up
+from clacad.rendering.view import may_cross, set_up
+from clacad.rendering.viewing import Viewing
 from clacad.scene import Scene
 
 if TYPE_CHECKING:

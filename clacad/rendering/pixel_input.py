@@ -10,11 +10,11 @@ from clacad.base.types import Floats, Ints
 from clacad.rendering.camera import View, digits
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.spectrum import SpectralLine
+from clacad.rendering.viewing import Viewing
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
     from clacad.rendering.compiled.pixels import Pane
-    from clacad.rendering.view import Viewing
 
 
 ROOM = 1e-9

@@ -7,9 +7,6 @@ distance, so objects at, in or near the sheet and at poles of the stretch need n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from clacad.base.types import Bools, Floats
@@ -17,58 +14,12 @@ from clacad.optics.rays import Rays
 from clacad.rendering.reference.scene_hits import background, look
 from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_stage
 from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
-from clacad.rendering.spectrum import SpectralLine, lines
+from clacad.rendering.spectrum import lines
+from clacad.rendering.viewing import Viewing
 from clacad.scene import Camera, Scene
 from clacad.sheet.plate import Plate
 from clacad.sheet.stack import BadStack
 from clacad.sheet.window import Window
-
-
-@dataclass(frozen=True, eq=False)
-class Viewing:
-    """Everything a block of camera rays needs.
-
-    Attributes
-    ----------
-    stage : SceneArrays
-    window : Window
-    passage : Passage
-        How rays pass the sheet: rung, effects, which fates shine.
-    lines : tuple of SpectralLine
-        Wavelengths to trace and what each adds to the picture.
-    scale : float
-        Window lengths in one scene length.
-    box : (2, 3) lengths, scene frame
-        Around the sheet, with room to spare: rays that miss it miss the sheet.
-    front : float, length
-        Scene z up to which objects stand before the sheet.
-    opaque : bool
-        Whether nothing is seen beside the sheet.
-    present : bool
-        Whether there is a sheet at all.
-    before : bool
-        Whether anything may stand between camera and sheet.
-    compiled : bool
-        Compiled code or numpy.
-    tables : Tables
-        The stage for compiled code.
-    pane : Pane or None
-        The sheet for the kernel that does everything, where that can be.
-    """
-
-    stage: SceneArrays
-    window: Window
-    passage: Passage
-    lines: tuple[SpectralLine, ...]
-    scale: float
-    box: Floats
-    front: float
-    opaque: bool
-    present: bool
-    before: bool
-    compiled: bool
-    tables: Any
-    pane: Any = None
 
 
 def set_up(

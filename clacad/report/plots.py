@@ -55,7 +55,7 @@ def waves(evidence: Evidence) -> str:
     found = evidence.waves
     if found is None:
         return ""
-    from clacad.waves.picture import axis
+    from clacad.waves.wave_report import axis
 
     def draw(figure: Figure) -> None:
         for k, panel in enumerate(panels(figure, 1, 2, Margins(bottom=0.6))):

@@ -1,15 +1,11 @@
-"""Frames of an animation: the values moved keys take at a time, and the still of a frame."""
+"""Frames of an animation: the values that moved keys take at a time."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from clacad.base.text import plain
 from clacad.scene.sections import Animation, Move
-
-if TYPE_CHECKING:
-    from clacad.scene.model import Scene
 
 
 def value_at(move: Move, time: float) -> Any:
@@ -40,12 +36,3 @@ def values_at(animation: Animation, frame: int) -> dict[str, Any]:
     """Moved key → value in a frame."""
     time = time_of(animation, frame)
     return {move.key: value_at(move, time) for move in animation.moves}
-
-
-def still(scene: Scene, frame: int) -> Scene:
-    """The still of one frame; see `Scene.at`."""
-    if scene.animation is None:
-        raise ValueError(f"the scene {scene.name} has no animation")
-    made = scene.replace(values_at(scene.animation, frame))
-    given = {key: value for key, value in made.given.items() if key != "animation"}
-    return replace(made, animation=None, given=given)

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from clacad.config.named_paths import folder_of
+from clacad.config.design_error import DesignError
+from clacad.config.key_positions import located
+from clacad.config.mistakes import Mistake
+from clacad.config.named_paths import folder_of, outside
 from clacad.config.overrides import changed_keys
-from clacad.scene.animation import still
-from clacad.scene.named_files import design_of, file_of
+from clacad.scene.animation import values_at
 from clacad.scene.read import read_changed, read_dict, read_file
+from clacad.scene.scene_error import SceneError
 from clacad.scene.sections import (
     Animation,
     Background,
@@ -24,6 +27,7 @@ from clacad.scene.sections import (
     SceneObject,
     SheetSpec,
 )
+from clacad.scene.sheet_places import in_scene, place_of
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -105,7 +109,7 @@ class Scene:
         SceneError
             With every mistake of the design file or of the changes.
         """
-        return design_of(self, self.sheet)
+        return self._design_of(self.sheet)
 
     def designs(self) -> tuple[Design, ...]:
         """Read the designs of all sheets, in the order light meets them.
@@ -115,7 +119,23 @@ class Scene:
         SceneError
             With every mistake of the first design that has any.
         """
-        return tuple(design_of(self, one) for one in self.sheets)
+        return tuple(self._design_of(sheet) for sheet in self.sheets)
+
+    def _design_of(self, sheet: SheetSpec) -> Design:
+        from clacad.design import load
+
+        path = self.file(sheet.design)
+        try:
+            design = load(path)
+        except DesignError as error:
+            raise SceneError(error.mistakes) from None
+        if not sheet.set:
+            return design
+        try:
+            return design.replace(sheet.set)
+        except DesignError as error:
+            mistakes = [in_scene(mistake, place_of(self.given, sheet)) for mistake in error.mistakes]
+            raise SceneError(located(mistakes, self.source, self.path, ())) from None
 
     def file(self, name: str) -> str:
         """Path of a file the scene names.
@@ -125,7 +145,14 @@ class Scene:
         SceneError
             It lies outside the scene's folder and its parent, or does not exist.
         """
-        return file_of(self, name)
+        levels = 2 if name in [sheet.mesh for sheet in self.sheets] else 1
+        why = outside(self.folder, name, levels, "scene")
+        path = os.path.join(self.folder, name)
+        if not why and not os.path.isfile(path):
+            why = "does not exist"
+        if why:
+            raise SceneError([Mistake("CL100", f"the file {name} {why}", path=self.path)])
+        return path
 
     def replace(self, changes: Mapping[str, Any] | str, value: Any = None) -> Scene:
         """Return the scene with some keys changed, checked as a file would be.
@@ -157,7 +184,11 @@ class Scene:
         ValueError
             There is no such frame.
         """
-        return still(self, frame)
+        if self.animation is None:
+            raise ValueError(f"the scene {self.name} has no animation")
+        moved = self.replace(values_at(self.animation, frame))
+        given = {key: value for key, value in moved.given.items() if key != "animation"}
+        return replace(moved, animation=None, given=given)
 
 
 def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:

@@ -8,8 +8,8 @@ from typing import Any
 
 from clacad.config.mistakes import Mistake
 from clacad.config.named_paths import folder_of, outside
-from clacad.scene.named_files import place_of
 from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
+from clacad.scene.sheet_places import place_of
 
 
 def broken(fields: Mapping[str, Any]) -> list[Mistake]:

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import fsum, nan, sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +23,6 @@ from clacad.optics.law import Law, law_numbers, linear_numbers, with_linear_numb
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.tracing.reference.law_rung import ordinary
 from clacad.tracing.reference.light_sums import GRADIENT, KNOWN, NORMAL, NUMBERS, OUT, SQUARE, sums_of
-
-if TYPE_CHECKING:
-    from clacad.tracing.tracer import Tracer
 
 PIECE = 1 << 14
 """Rays added up together: the rows of their results stay in the second-level cache."""
@@ -142,12 +138,13 @@ def summed(
         return _together(law, list(pool.map(one, starts)))
 
 
-def fitted(tracer: Tracer, rays: Rays, law: Law | None = None) -> LightSums:
+def fitted(sums: Callable[[Rays, Law | None], LightSums], rays: Rays, law: Law | None = None) -> LightSums:
     """Sums about the law that the ALIVE rays show, found by tracing them again until it settles.
 
     Parameters
     ----------
-    tracer : Tracer
+    sums : callable
+        `Tracer.sums`: rays and a law → their sums about it.
     rays : Rays
     law : Law or None
         Where to start, and whose orientation is held; None: the one that the window was made for.
@@ -157,12 +154,12 @@ def fitted(tracer: Tracer, rays: Rays, law: Law | None = None) -> LightSums:
     ValueError
         As `LightSums.nearer_law`; or it does not settle.
     """
-    found = tracer.sums(rays, law)
+    found = sums(rays, law)
     for _ in range(STEPS):
         nearer = found.nearer_law()
         there = linear_numbers(nearer)
         change = np.abs(there - linear_numbers(found.law)).max() / np.abs(there).max()
-        found = tracer.sums(rays, nearer)
+        found = sums(rays, nearer)
         if change < SETTLED:
             return found
     raise ValueError(f"the law that these rays show does not settle in {STEPS} steps")

@@ -13,11 +13,11 @@ from clacad.base.types import Rung
 from clacad.optics.rays import OneRay, Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.window import Window
+from clacad.tracing.effect_protocol import Effect
 from clacad.tracing.tracer import Tracer
 from clacad.tracing.which_path import Path
 
 if TYPE_CHECKING:
-    from clacad.effects.engine.passes import Effect
     from clacad.tracing.triangles.ready_facets import AnyMesh
     from clacad.tracing.triangles.tiles import Normals
 

@@ -18,6 +18,7 @@ from clacad.base.types import Rows, Rung
 from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
+from clacad.tracing.effect_protocol import Effect
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.law_rung import trace_law
@@ -35,7 +36,6 @@ from clacad.tracing.which_path import (
 )
 
 if TYPE_CHECKING:
-    from clacad.effects.engine.passes import Effect
     from clacad.optics.law import Law
     from clacad.tracing.light_sums import LightSums
     from clacad.tracing.triangles.facet_grid import Triangles
@@ -113,7 +113,7 @@ class Tracer:
             from clacad.tracing.triangles.own_sheet import told
 
             found = _through_facets(self.facets, rays, faces, self.threads)
-            return told(self.window, self.facets, rays, found, record)
+            return told(self.window, self.facets.layout.bodies, rays, found, record)
         if self.facets is not None:
             if self._tiles_in_numpy(len(rays), faces):
                 return _by_numpy(self.facets.layout, rays, "surfaces", recorded)

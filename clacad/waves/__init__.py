@@ -9,6 +9,7 @@ interfere here; what equal cells do in coherent light follows from the pitch alo
 
 from __future__ import annotations
 
-from clacad.waves.through_sheet import WaveReport, wave
+from clacad.waves.through_sheet import wave
+from clacad.waves.wave_report import WaveReport
 
 __all__ = ["WaveReport", "wave"]

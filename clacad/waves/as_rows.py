@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from clacad.base.digits import digits
 
 if TYPE_CHECKING:
-    from clacad.waves.through_sheet import WaveReport
+    from clacad.waves.wave_report import WaveReport
 
 HEAD = (
     "",

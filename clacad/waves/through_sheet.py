@@ -7,8 +7,7 @@ the ideal pair. Both are given where both can be computed; `far_field` is the on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from clacad.waves import exit_pupil
 from clacad.waves.far_field import FarField, marginal, peak
 from clacad.waves.lens_planes import grid_for, propagate
 from clacad.waves.lit_cell import LitSheet, area, situation
+from clacad.waves.wave_report import WaveReport
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -33,84 +33,6 @@ SECONDS_TO_CHOOSE = 0.6
 
 SECONDS_A_POINT = 0.25e-6
 """Processor seconds that a point of a grid takes on the reference machine, both planes and the way between them."""
-
-
-@dataclass(frozen=True, eq=False)
-class WaveReport:
-    """Light of one direction through one telescopelet, as waves and as rays.
-
-    design : str
-    wavelength : float, metres
-    slope : (x, y)
-        Of the incident light along lens x and y.
-    fresnel : (x, y)
-        Fresnel numbers along the middle of the field.
-    slit : (x, y), radians
-        λ over the width that is lit of lens 2.
-    order : (x, y), radians
-        Steps between the directions that equal cells send coherent light to, λ/p on a square lattice.
-    field_lens : bool
-    exact, thin : FarField or None
-        Pupil method and angular spectrum; None where it could not be computed.
-    rays : RaySpread
-        Through the exact surfaces.
-    thin_share, thin_share_of_rays : float
-        Light to the partner through ideal lenses as waves (NaN where not computed), and as rays.
-    refused : mapping of way to sentence
-    cell : (i, j) or None
-        Whose light it is, where cells differ: that which the sheet is judged by.
-    tried : int
-        Of how many cells it is the worst.
-    """
-
-    design: str
-    wavelength: float
-    slope: Pair2
-    fresnel: Pair2
-    slit: Pair2
-    order: Pair2
-    field_lens: bool
-    exact: FarField | None
-    thin: FarField | None
-    rays: exit_pupil.RaySpread
-    thin_share: float
-    thin_share_of_rays: float
-    refused: dict[str, str]
-    cell: tuple[int, int] | None = None
-    tried: int = 0
-
-    @property
-    def far_field(self) -> FarField:
-        """The one that holds here: the pupil's wherever it was computed."""
-        found = self.exact or self.thin
-        assert found is not None, "one of them was computed, or `wave` raised"
-        return found
-
-    @property
-    def share(self) -> float:
-        """Of the light on lens 1's optical zone that leaves through the partner, aberration and diffraction counted.
-
-        Rays through the exact surfaces times what waves change in it through ideal lenses.
-        """
-        change = self.thin_share / self.thin_share_of_rays if np.isfinite(self.thin_share) else 1.0
-        return self.thin_share if self.exact is None else min(1.0, self.rays.share * change)
-
-    def picture(self, format: Literal["png", "svg"] = "png") -> bytes:
-        """Far field along both lens axes, waves over rays, as the bytes of a picture."""
-        from clacad.waves.picture import picture
-
-        return picture(self, format)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON: radians and metres."""
-        return {
-            "design": self.design, "wavelength": self.wavelength, "slope": list(self.slope), "fresnel_number": list(self.fresnel),
-            "slit": list(self.slit), "order": list(self.order), "field_lens": self.field_lens, "share": self.share,
-            "way": self.far_field.way, "exact": None if self.exact is None else self.exact.to_dict(),
-            "thin": None if self.thin is None else self.thin.to_dict() | {"share": self.thin_share},
-            "rays": self.rays.to_dict(), "thin_share_of_rays": self.thin_share_of_rays, "refused": dict(self.refused),
-            "cell": None if self.cell is None else list(self.cell), "tried": self.tried,
-        }  # fmt: skip
 
 
 def wave(

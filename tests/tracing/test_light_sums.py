@@ -64,11 +64,11 @@ def test_the_law_that_sums_settle_on_is_the_one_fitted_to_the_rays(name: str, pa
     rows = tracer(rays)
     alive = rows.fate == Fate.ALIVE
     asked = law_in_axes(rays.direction[alive], rows.direction[alive], window.law)
-    found = fitted(tracer, rays)
+    found = fitted(tracer.sums, rays)
     for key in ("eta_x", "eta_y", "delta_x", "delta_y"):
         assert abs(getattr(found.law, key) - getattr(asked, key)) < 1e-9, key
     away = Law(window.law.eta_x * 1.3, window.law.eta_y * 0.8, 0.01, -0.02, *np.array([window.law.phi, window.law.theta, window.law.psi]))  # fmt: skip
-    again = fitted(tracer, rays, away).law
+    again = fitted(tracer.sums, rays, away).law
     assert abs(again.eta_x - found.law.eta_x) < 1e-11
     assert found.rms <= tracer.sums(rays).rms * (1.0 + 1e-12)
 
@@ -114,6 +114,6 @@ def test_no_light_and_too_little_of_it_are_said() -> None:
     with pytest.raises(ValueError, match="no light"):
         none.nearer_law()
     with pytest.raises(ValueError, match="too much alike"):
-        fitted(tracer, bundle(window, 500, 0.0, "axis").rays)
+        fitted(tracer.sums, bundle(window, 500, 0.0, "axis").rays)
     with pytest.raises(ValueError, match="whole rays"):
         clacad.Tracer(window, effects=("fresnel",)).sums(beam(window, 10))

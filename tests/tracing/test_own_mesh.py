@@ -188,7 +188,11 @@ def test_light_on_a_border_of_a_scaled_array_is_in_the_cell_that_rational_number
     assert through.sum() > 100
     where, cells = border_places(window, seen)
     found = told(
-        window, tracer.facets, rays, replace(seen, hits=np.concatenate([seen.hits[:2], where])), True
+        window,
+        tracer.facets.layout.bodies,
+        rays,
+        replace(seen, hits=np.concatenate([seen.hits[:2], where])),
+        True,
     )
     assert ((found.cell + found.order)[through] == cells[through]).all()
     assert (found.cell == seen.cell)[through].all()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Rung
-from clacad.effects.engine.block_order import around
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Body, Window
 
@@ -173,3 +172,8 @@ def bend(block: RayBlock, slopes: Floats, rows: Bools) -> None:
     chosen = np.flatnonzero(rows)
     forwards = out[:, 2] > 0.0
     block.result.direction[chosen[forwards]] = out[forwards]
+
+
+def around(indices: Sequence[float]) -> list[float]:
+    """Refractive index before the first face and behind each, from those of the bodies."""
+    return [1.0, *(n for index in indices for n in (index, 1.0))]

@@ -5,26 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from threading import local
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.effects.engine.block import around
+from clacad.effects.engine.effect import Effect
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.window import Window
-
-if TYPE_CHECKING:
-    from clacad.effects.engine.passes import Effect
 
 Chosen = slice | NDArray[np.intp]
 
 _ROOM = local()
-
-
-def around(indices: Sequence[float]) -> list[float]:
-    """Refractive index before the first face and behind each, from those of the bodies."""
-    return [1.0, *(n for index in indices for n in (index, 1.0))]
 
 
 class OrderedResult:

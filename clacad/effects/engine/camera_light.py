@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Bools, Rung
+from clacad.effects.engine.effect import Effect
 from clacad.effects.engine.homogeneous_light import law_light
 from clacad.effects.engine.light_rays import LightRays, join_light
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, trace_with
+from clacad.effects.engine.passes import trace_with
 from clacad.effects.engine.split_paths import reflected_paths
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.need_window import need_one_eta

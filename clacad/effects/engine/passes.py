@@ -7,17 +7,17 @@ every pass goes over the block once, and the block's rows are written to the res
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
 from clacad.base.types import Rung
-from clacad.effects.engine.block import FaceCrossing, RayBlock, crossings
+from clacad.effects.engine.block import RayBlock, crossings
 from clacad.effects.engine.block_order import Chosen, OrderedResult
+from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.window import Window
@@ -41,63 +41,8 @@ LIGHT_BLOCK = 65536
 """The same where hits are kept of few rays only."""
 
 
-class When(Enum):
-    """When a pass runs."""
-
-    LAUNCH = 0  # on the rays, before the trace
-    HIT = 1  # once for every face the rays crossed
-    EXIT = 2  # once after the trace
-
-
-Losses = tuple[bool, tuple[float, ...]]
-"""Light lost on the way: whether bare faces reflect, and the attenuation of each body (1/length; empty: none)."""
-
 Place = tuple[Chosen, float | None]
 """Rows of a block, and the wavelength (metres) of all its rays or None."""
-
-Pass = Callable[[RayBlock, FaceCrossing | None], None]
-Launch = Callable[[Window, Rays], Rays]
-
-
-@dataclass(frozen=True, eq=False)
-class Effect:
-    """An effect ready to run.
-
-    Attributes
-    ----------
-    name : str
-    when : When
-    needs : tuple of str
-        Channels: "hits" (points and directions at every face).
-    apply : callable
-        `apply(block, crossing)` at HIT, `apply(block, None)` at EXIT: changes the block's columns in place.
-    finish : callable or None
-        `finish(block)` after the last face, for effects at HIT that gather over the faces.
-    compiled : callable or None
-        `compiled(block)`: the same as `apply` over all faces at once, by compiled code.
-    launch : callable or None
-        `launch(window, rays)` → rays, at LAUNCH.
-    rung : str or None
-        The rung the effect stands for (facets: mesh).
-    options : mapping
-        Keyword arguments of `trace` on that rung.
-    losses : callable or None
-        `losses(wavelength)`: the same as the pass where the compiled tracer can count it on the way.
-    colours : bool
-        Whether the pass depends on the wavelength, so that a block may hold only one.
-    """
-
-    name: str
-    when: When
-    needs: tuple[str, ...] = ()
-    apply: Pass | None = None
-    finish: Callable[[RayBlock], None] | None = None
-    compiled: Callable[[RayBlock], None] | None = None
-    launch: Launch | None = None
-    rung: Rung | None = None
-    options: dict[str, Any] = field(default_factory=dict)
-    colours: bool = True
-    losses: Callable[[float | None], Losses] | None = None
 
 
 class EffectModule(Protocol):

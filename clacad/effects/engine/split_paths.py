@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Bools
-from clacad.effects.engine.block import unit_rows
-from clacad.effects.engine.block_order import around
+from clacad.effects.engine.block import around, unit_rows
 from clacad.effects.engine.light_rays import LightRays, join_light
 from clacad.effects.engine.nonsequential import trace_nonsequential
 from clacad.effects.engine.nonsequential_rows import rules_for

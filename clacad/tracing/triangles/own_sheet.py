@@ -26,7 +26,6 @@ from clacad.tracing.triangles.triangle_soup import TriangleSoup
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
-    from clacad.tracing.triangles.ready_facets import Facets
     from clacad.tracing.triangles.tiles import Normals
 
 MOST_FACETS = 4_000_000
@@ -87,12 +86,14 @@ def endless_layout(layout: Layout) -> Layout:
     return replace(wide, bodies=bounded)
 
 
-def told(window: Window, facets: Facets, rays: Rays, result: TraceResult, record: bool) -> TraceResult:
+def told(
+    window: Window, bodies: tuple[BodyPlan, ...], rays: Rays, result: TraceResult, record: bool
+) -> TraceResult:
     """The same light with the cells of the sheet itself; `result` was recorded through the triangles of `endless_layout`.
 
     What passed a body beside its cells has missed the sheet: one without an end calls it land.
     """
-    way = _Way.of(facets.layout.bodies, rays, result)
+    way = _Way.of(bodies, rays, result)
     walkers, missed = _unmet(len(rays)), np.zeros(len(rays), dtype=bool)
     for b, plan in enumerate(lay_out(window).bodies):
         rows = np.flatnonzero(way.dry[b] & ~missed)

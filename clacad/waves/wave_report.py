@@ -1,0 +1,142 @@
+"""What waves through one telescopelet show: the report, its JSON, and its picture with the rays along both lens axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.types import Floats, Pair2
+from clacad.waves.exit_pupil import RaySpread
+from clacad.waves.far_field import FarField, Marginal
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SIZE = (9.6, 4.2)
+STYLE = {"font.size": 9.0, "svg.hashsalt": "clacad", "svg.fonttype": "path"}
+INK, WAVES, IDEAL, RAYS = "#1c2733", "#1b6ca8", "#8b98a5", "#c2571a"
+
+LOBES = 4.0
+"""Widths λ/w that are shown on either side of the law, at least."""
+
+BINS = 60
+"""Of the rays."""
+
+
+@dataclass(frozen=True, eq=False)
+class WaveReport:
+    """Light of one direction through one telescopelet, as waves and as rays.
+
+    design : str
+    wavelength : float, metres
+    slope : (x, y)
+        Of the incident light along lens x and y.
+    fresnel : (x, y)
+        Fresnel numbers along the middle of the field.
+    slit : (x, y), radians
+        λ over the width that is lit of lens 2.
+    order : (x, y), radians
+        Steps between the directions that equal cells send coherent light to, λ/p on a square lattice.
+    field_lens : bool
+    exact, thin : FarField or None
+        Pupil method and angular spectrum; None where it could not be computed.
+    rays : RaySpread
+        Through the exact surfaces.
+    thin_share, thin_share_of_rays : float
+        Light to the partner through ideal lenses as waves (NaN where not computed), and as rays.
+    refused : mapping of way to sentence
+    cell : (i, j) or None
+        Whose light it is, where cells differ: that which the sheet is judged by.
+    tried : int
+        Of how many cells it is the worst.
+    """
+
+    design: str
+    wavelength: float
+    slope: Pair2
+    fresnel: Pair2
+    slit: Pair2
+    order: Pair2
+    field_lens: bool
+    exact: FarField | None
+    thin: FarField | None
+    rays: RaySpread
+    thin_share: float
+    thin_share_of_rays: float
+    refused: dict[str, str]
+    cell: tuple[int, int] | None = None
+    tried: int = 0
+
+    @property
+    def far_field(self) -> FarField:
+        """The one that holds here: the pupil's wherever it was computed."""
+        found = self.exact or self.thin
+        assert found is not None, "one of them was computed, or `wave` raised"
+        return found
+
+    @property
+    def share(self) -> float:
+        """Of the light on lens 1's optical zone that leaves through the partner, aberration and diffraction counted.
+
+        Rays through the exact surfaces times what waves change in it through ideal lenses.
+        """
+        change = self.thin_share / self.thin_share_of_rays if np.isfinite(self.thin_share) else 1.0
+        return self.thin_share if self.exact is None else min(1.0, self.rays.share * change)
+
+    def picture(self, format: Literal["png", "svg"] = "png") -> bytes:
+        """Far field along both lens axes, waves over rays, as the bytes of a picture."""
+        return drawn(format, SIZE, lambda figure: draw(figure, self), STYLE)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON: radians and metres."""
+        return {
+            "design": self.design, "wavelength": self.wavelength, "slope": list(self.slope), "fresnel_number": list(self.fresnel),
+            "slit": list(self.slit), "order": list(self.order), "field_lens": self.field_lens, "share": self.share,
+            "way": self.far_field.way, "exact": None if self.exact is None else self.exact.to_dict(),
+            "thin": None if self.thin is None else self.thin.to_dict() | {"share": self.thin_share},
+            "rays": self.rays.to_dict(), "thin_share_of_rays": self.thin_share_of_rays, "refused": dict(self.refused),
+            "cell": None if self.cell is None else list(self.cell), "tried": self.tried,
+        }  # fmt: skip
+
+
+def draw(figure: Figure, found: WaveReport) -> None:
+    """Draw on a figure that is given."""
+    for k, axes in enumerate(figure.subplots(1, 2)):
+        axis(axes, found, k)
+    one = "one telescopelet" if found.cell is None else f"cell ({found.cell[0]}, {found.cell[1]})"
+    figure.suptitle(
+        no_formula(f"{found.design}: {one}'s far field at {1e9 * found.wavelength:.4g} nm, Fresnel number {min(found.fresnel):.3g}"),
+        fontsize=10,
+    )  # fmt: skip
+
+
+def axis(axes: Axes, found: WaveReport, k: int) -> None:
+    """Draw one lens axis, k = 0 or 1, on axes that are given."""
+    rays = found.rays.off[:, k]
+    reach = max(LOBES * found.slit[k], 1.2 * float(np.abs(rays).max(initial=0.0)))
+    scale = found.slit[k]
+    for far, name, colour, line in (
+        (found.exact, "waves, exact surfaces", WAVES, "-"),
+        (found.thin, "waves, ideal lenses", IDEAL, "--"),
+    ):
+        if far is not None:
+            shown = _within(far.marginals[k], reach)
+            axes.plot(1e3 * shown[0], scale * shown[1], line, color=colour, lw=1.3, label=name)
+    counts, edges = np.histogram(rays, BINS, (-reach, reach))
+    height = counts / max(1, len(rays)) / (edges[1] - edges[0]) * scale
+    axes.stairs(height, 1e3 * edges, color=RAYS, fill=True, alpha=0.25, label="rays, exact surfaces")
+    if height.max(initial=0.0) > 2.0:  # rays of a good pair stand in one place: let the waves be seen
+        axes.set_ylim(0.0, 2.0)
+    axes.axvline(0.0, color=INK, lw=0.6)
+    axes.set_xlabel(f"off the law along lens {'xy'[k]} / mrad")
+    axes.set_ylabel("light a λ/w")
+    axes.legend(fontsize=7, loc="upper right")
+
+
+def _within(one: Marginal, reach: float) -> tuple[Floats, Floats]:
+    kept = np.abs(one.off) <= reach
+    return one.off[kept], one.density[kept]
