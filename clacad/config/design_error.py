@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from clacad.config.key_positions import located
 from clacad.config.mistakes import Mistake
 
-if TYPE_CHECKING:
-    from clacad.design.model import Design
+
+class FromText(Protocol):
+    """What was read from a text, such as a `Design`: the text or None, and the name of its file or ""."""
+
+    @property
+    def source(self) -> str | None:
+        """Text that it was read from, None where there is none."""
+
+    @property
+    def path(self) -> str:
+        """Name of the file as the user gave it, "" without a file."""
 
 
 class DesignError(ValueError):
@@ -34,7 +43,7 @@ class DesignError(ValueError):
 
     @classmethod
     def at(
-        cls, design: Design, key: str, message: str, *, code: str = "CL120", found: str = "", allowed: str = "",
+        cls, design: FromText, key: str, message: str, *, code: str = "CL120", found: str = "", allowed: str = "",
         hint: str = "",
     ) -> DesignError:  # fmt: skip
         """Refuse a design for a reason found after reading, at the place of one of its keys.

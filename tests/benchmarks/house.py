@@ -5,7 +5,7 @@ before and after, and writes the table of house.md.
 
 Functions are those of classes and modules, nested ones too; a line is a line of the file from `def` to the end of the
 body. Public is what has no leading underscore in its own name, its class's and its module's. Rings are strongly
-connected sets of modules, imports inside functions counted and those for type checkers not.
+connected sets of modules; imports inside functions and those for type checkers are counted.
 """
 
 from __future__ import annotations
@@ -62,16 +62,8 @@ def imported(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
     """File → files it imports; the name of a package counts as its __init__."""
     found: dict[str, set[str]] = {}
     for name, tree in trees.items():
-        typing_only = {
-            id(inner)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-            for inner in ast.walk(node)
-        }
         targets: set[str] = set()
         for node in ast.walk(tree):
-            if id(node) in typing_only:
-                continue
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "clacad":
                 for alias in node.names:
                     targets.add(
