@@ -60,7 +60,6 @@ RINGS = {
     ("exporting/fixtures/fixture_files.py", "exporting/fixtures/marked_meshes.py", "exporting/format_table.py",
      "exporting/step_record.py"): "type of a job",
     ("exporting/forecast.py", "exporting/limits.py"): "type of a forecast",
-    ("optics/law/compose.py", "optics/law/fitting.py", "optics/law/law.py"): "type of a law",
     ("prescription/assemble.py", "prescription/best_recipe.py", "prescription/field_lens.py"): "type of an intent",
     ("verification/evidence.py", "verification/verification_report.py"): "a report has its evidence",
 }  # fmt: skip

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from itertools import combinations
 from math import atan2, cos, pi, sin
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.law.angle import angle_between
 from clacad.optics.law.orientation import Axes, euler_angles, rotation
-
-if TYPE_CHECKING:
-    from clacad.optics.law.law import Law
 
 _ROUNDING = 1e-12  # of |A₁||A₂|: far above the rounding of two matrices, far below any design's intent
 _ACROSS = 1e-6  # cosine of an axis that lies across the light's way, with its rounding
@@ -37,6 +34,23 @@ class LawParameters(NamedTuple):
         """(3, 3) rotation, lens frame → sheet frame; its last column is the optical axis."""
         return rotation(self.phi, self.theta, self.psi, self.axes)
 
+    @property
+    def optical_axis(self) -> Floats:
+        """(3,) unit vector along the axis of lens 1 in the sheet frame."""
+        return self.rotation[:, 2]
+
+    def matrix(self) -> Floats:
+        """(3, 3) matrix A in the sheet frame, d' ∝ A d: R M Rᵀ with A's eigenvalue along nᵀ equal to 1."""
+        r = self.rotation
+        lens = np.array(
+            [
+                [1.0 / self.eta_x, 0.0, -self.delta_x / self.eta_x],
+                [0.0, 1.0 / self.eta_y, -self.delta_y / self.eta_y],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        return np.asarray(r @ lens @ r.T)
+
 
 class Decomposition(NamedTuple):
     """A law read from a matrix for one supposed optical axis, and how badly the axis fits."""
@@ -48,7 +62,7 @@ class Decomposition(NamedTuple):
     @property
     def optical_axis(self) -> Floats:
         """(3,) unit vector along the law's optical axis, sheet frame."""
-        return self.law.rotation[:, 2]
+        return self.law.optical_axis
 
 
 def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
@@ -124,7 +138,7 @@ def candidate_axes(matrix: Floats) -> list[Floats]:
     return [n for n in (*span, *mixed) if n.any()]
 
 
-def compose(first: Law, second: Law) -> LawParameters:
+def compose(first: LawParameters, second: LawParameters) -> LawParameters:
     """`Law.then`: parameters of the law with matrix ∝ A₂A₁, or ValueError."""
     if np.array_equal(first.rotation, second.rotation):
         return LawParameters(
@@ -165,7 +179,7 @@ def _why_not(n1: Floats, n2: Floats, asymmetry: float, matrix: Floats) -> str:
     )
 
 
-def canonical(law: Law | LawParameters) -> LawParameters:
+def canonical(law: LawParameters) -> LawParameters:
     """`Law.canonical`: one parameter set for each law, by exact identities only."""
     phi, theta, psi = law.phi, law.theta, law.psi
     if law.axes == "moving":  # fixed(φ, θ, ψ) = moving(ψ, θ, φ)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +12,6 @@ from clacad.base.types import Floats
 from clacad.optics.law.angle import angle_between, is_direction, power_of_two_scaled
 from clacad.optics.law.compose import LawParameters, candidate_axes, decompose
 
-if TYPE_CHECKING:
-    from clacad.optics.law.law import Law
-
 NAMES = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
 NO_POWER = "the exit directions do not depend on the incoming ones along an axis: eta is infinite"
 _STARTS = 6  # valleys looked into
@@ -24,68 +20,28 @@ _LEAST_DAMPING = 1e-14  # of the largest singular value squared
 _KNOWN = 1e-10  # smallest relative singular value that counts as seen: below it 1e-16 of light is 1e-6 of a parameter
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A Law measured on a bundle of rays. It belongs to that bundle: η over ±0.06 is not η over ±0.0006.
+class FittedParameters(NamedTuple):
+    """Parameters of a law that were fitted to directions, and how well the directions determine them; see `clacad.Fit`."""
 
-    Parameters
-    ----------
-    law : Law
-        With the given axes held, else in canonical parameters.
-    rms : float, radians
-        Root mean square angle between measured and fitted exit directions.
-    covariance : (7, 7) array
-        Of (eta_x, eta_y, delta_x, delta_y, phi, theta, psi), angles in radians, from the scatter of the
-        rays about the fit; 0 for a parameter that was held, infinite variance for one that the rays do
-        not determine (θ = 0 leaves only φ + ψ; a round lens leaves φ free).
-    rank : int
-        Number of independent combinations of the free parameters that the rays determine.
-    free : tuple of str
-        Names of the parameters that were fitted.
-    field : float, radians
-        Half angle of the bundle before the sheet about its mean direction.
-    rays : int
-        Rays used (rows with a NaN are left out).
-    aperture : float or None, length
-        Width of the bundle on the sheet, as given by the caller.
-    """
-
-    law: Law
+    law: LawParameters
     rms: float
     covariance: Floats
     rank: int
     free: tuple[str, ...]
     field: float
     rays: int
-    aperture: float | None = None
-
-    @property
-    def sigma(self) -> dict[str, float]:
-        """Standard deviation (numbers, angles in radians) of each free parameter; infinite where rays do not determine it."""
-        deviation = np.sqrt(np.diag(self.covariance))
-        return {name: float(deviation[NAMES.index(name)]) for name in self.free}
-
-    @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Names of the free parameters that the rays do not determine one by one."""
-        return tuple(name for name, deviation in self.sigma.items() if np.isinf(deviation))
 
 
-def fit_law(
-    law: type[Law], d_in: ArrayLike, d_out: ArrayLike, axes: Law | None = None, aperture: float | None = None
-) -> Fit:
+def fit_law(d_in: ArrayLike, d_out: ArrayLike, axes: LawParameters | None = None) -> FittedParameters:
     """Fit d_out ∝ A d_in.
 
     Parameters
     ----------
-    law : class Law
-        What the found parameters are given back as.
     d_in, d_out : (n, 3) arrays, any length > 0
         Directions before and behind the sheet; rows that are not finite are left out.
-    axes : Law or None
-        Hold φ, θ, ψ of this law and fit η and δ (4 parameters, well conditioned); None fits all seven.
+    axes : LawParameters or None
+        Hold φ, θ, ψ of these and fit η and δ (4 parameters, well conditioned); None fits all seven.
         From a narrow bundle θ and δ act alike, and the covariance says so.
-    aperture : float or None, length
 
     Raises
     ------
@@ -98,33 +54,21 @@ def fit_law(
     A linear start (free axes: direct linear transform, Hartley & Zisserman, Multiple View Geometry, ch. 4), then
     Gauss–Newton in 1/η, δ/η and a small turn of the lens frame, which stay regular where Euler angles do not.
     """
-    a, b = _usable_rays(d_in, d_out, 4 if axes is None else 2)
-    found, free = (_free_fit(a, b), NAMES) if axes is None else (_held_fit(a, b, axes), NAMES[:4])
+    a, b = usable_rays(d_in, d_out, 4 if axes is None else 2)
+    found, free = (_free_fit(a, b), NAMES) if axes is None else (held_fit(a, b, axes), NAMES[:4])
     covariance, rank = _covariance(found, a, b, len(free))
-    return Fit(
-        law=law(*found),
+    return FittedParameters(
+        law=found,
         rms=float(np.sqrt(np.mean(angle_between(_exit(found, a), b) ** 2))),
         covariance=covariance,
         rank=rank,
         free=free,
         field=float(angle_between(a, a.mean(axis=0)).max()),
         rays=len(a),
-        aperture=aperture,
     )
 
 
-def law_in_axes(d_in: ArrayLike, d_out: ArrayLike, axes: Law) -> Law:
-    """The law that `fit_law` finds with the axes of another held, without what that says of its certainty.
-
-    Raises
-    ------
-    ValueError
-        As `fit_law`.
-    """
-    return type(axes)(*_held_fit(*_usable_rays(d_in, d_out, 2), axes))
-
-
-def _usable_rays(d_in: ArrayLike, d_out: ArrayLike, least: int) -> tuple[Floats, Floats]:
+def usable_rays(d_in: ArrayLike, d_out: ArrayLike, least: int) -> tuple[Floats, Floats]:
     """Unit rows that are finite on both sides."""
     a, b = np.asarray(d_in, np.float64), np.asarray(d_out, np.float64)
     if a.ndim != 2 or a.shape[1] != 3 or a.shape != b.shape:
@@ -139,7 +83,7 @@ def _usable_rays(d_in: ArrayLike, d_out: ArrayLike, least: int) -> tuple[Floats,
 # ------------------------------------------------------------------------------ starting points
 
 
-def _held_fit(a: Floats, b: Floats, axes: Law) -> LawParameters:
+def held_fit(a: Floats, b: Floats, axes: LawParameters) -> LawParameters:
     """η and δ with the orientation held: linear in 1/η and δ/η, then polished in angle."""
     r = axes.rotation
     m, w = a @ r, b @ r
@@ -355,10 +299,3 @@ def _chain(law: LawParameters) -> Floats:
     chain[4:, 5] = (np.cos(law.phi), -np.sin(law.phi), 0.0)  # θ about Rz(φ)ᵀ e_x,
     chain[4:, 6] = r[2]  # ψ about the sheet's z
     return chain
-
-
-def difference_of_laws(found: Law, exact: Law) -> tuple[float, float]:
-    """Largest relative difference of η, and largest difference of δ (slope), of two laws in the same axes."""
-    eta = max(abs(found.eta_x / exact.eta_x - 1.0), abs(found.eta_y / exact.eta_y - 1.0))
-    delta = max(abs(found.delta_x - exact.delta_x), abs(found.delta_y - exact.delta_y))
-    return eta, delta

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats
-from clacad.optics.law.compose import canonical, compose
-from clacad.optics.law.fitting import NO_POWER, Fit, fit_law
+from clacad.optics.law.compose import LawParameters, canonical, compose
+from clacad.optics.law.fitting import NAMES, NO_POWER, fit_law, held_fit, usable_rays
 from clacad.optics.law.orientation import Axes, rotation
 from clacad.optics.law.refraction import refracted
-
-_NUMBERS = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +55,7 @@ class Law:
 
     def __post_init__(self) -> None:
         """Refuse what is no law, with a sentence."""
-        for name in _NUMBERS:
+        for name in NAMES:
             value = float(getattr(self, name))
             if not isfinite(value):
                 raise ValueError(f"{name} = {value} is not a finite number")
@@ -66,6 +64,13 @@ class Law:
             object.__setattr__(self, name, value)
         if self.axes not in ("fixed", "moving"):
             raise ValueError(f'axes = {self.axes!r} is no Euler convention; use "fixed" or "moving"')
+
+    @property
+    def parameters(self) -> LawParameters:
+        """The eight values, as a tuple with names."""
+        return LawParameters(
+            self.eta_x, self.eta_y, self.delta_x, self.delta_y, self.phi, self.theta, self.psi, self.axes
+        )
 
     @property
     def rotation(self) -> Floats:
@@ -84,15 +89,7 @@ class Law:
         -------
         (3, 3) array
         """
-        r = self.rotation
-        lens = np.array(
-            [
-                [1.0 / self.eta_x, 0.0, -self.delta_x / self.eta_x],
-                [0.0, 1.0 / self.eta_y, -self.delta_y / self.eta_y],
-                [0.0, 0.0, 1.0],
-            ]
-        )
-        return np.asarray(r @ lens @ r.T)
+        return self.parameters.matrix()
 
     def refract(self, d: ArrayLike) -> Floats:
         """Directions behind the sheet.
@@ -210,7 +207,7 @@ class Law:
         A Law judges only what enters and what leaves: a ray turned back between two sheets is refused by
         the pair and may be answered by their composition.
         """
-        return Law(*compose(self, other))
+        return Law(*compose(self.parameters, other.parameters))
 
     def canonical(self) -> Law:
         """The same law in the parameters to print: fixed axes, θ ≥ 0, −45° < φ ≤ 45°.
@@ -220,7 +217,7 @@ class Law:
         Law
             ψ = 0 where θ = 0; φ = 0 where η_x = η_y.
         """
-        return Law(*canonical(self))
+        return Law(*canonical(self.parameters))
 
     def same_as(self, other: Law, tol: float = 1e-12) -> bool:
         """Whether both laws do the same to every direction, whatever their parameters say.
@@ -237,7 +234,75 @@ class Law:
     @staticmethod
     def fit(d_in: ArrayLike, d_out: ArrayLike, axes: Law | None = None, aperture: float | None = None) -> Fit:
         """The Law that best explains measured directions, see `clacad.optics.law.fitting.fit_law`."""
-        return fit_law(Law, d_in, d_out, axes, aperture)
+        found = fit_law(d_in, d_out, None if axes is None else axes.parameters)
+        return Fit(
+            Law(*found.law),
+            found.rms,
+            found.covariance,
+            found.rank,
+            found.free,
+            found.field,
+            found.rays,
+            aperture,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A Law measured on a bundle of rays. It belongs to that bundle: η over ±0.06 is not η over ±0.0006.
+
+    Parameters
+    ----------
+    law : Law
+        With the given axes held, else in canonical parameters.
+    rms : float, radians
+        Root mean square angle between measured and fitted exit directions.
+    covariance : (7, 7) array
+        Of (eta_x, eta_y, delta_x, delta_y, phi, theta, psi), angles in radians, from the scatter of the
+        rays about the fit; 0 for a parameter that was held, infinite variance for one that the rays do
+        not determine (θ = 0 leaves only φ + ψ; a round lens leaves φ free).
+    rank : int
+        Number of independent combinations of the free parameters that the rays determine.
+    free : tuple of str
+        Names of the parameters that were fitted.
+    field : float, radians
+        Half angle of the bundle before the sheet about its mean direction.
+    rays : int
+        Rays used (rows with a NaN are left out).
+    aperture : float or None, length
+        Width of the bundle on the sheet, as given by the caller.
+    """
+
+    law: Law
+    rms: float
+    covariance: Floats
+    rank: int
+    free: tuple[str, ...]
+    field: float
+    rays: int
+    aperture: float | None = None
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard deviation (numbers, angles in radians) of each free parameter; infinite where rays do not determine it."""
+        deviation = np.sqrt(np.diag(self.covariance))
+        return {name: float(deviation[NAMES.index(name)]) for name in self.free}
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the free parameters that the rays do not determine one by one."""
+        return tuple(name for name, deviation in self.sigma.items() if np.isinf(deviation))
+
+
+def law_in_axes(d_in: ArrayLike, d_out: ArrayLike, axes: Law) -> Law:
+    """Fit η and δ with the axes of another law held, without the certainty that `Law.fit` reports.
+
+    Raises
+    ------
+    ValueError
+        As `fit_law`.
+    """
+    return Law(*held_fit(*usable_rays(d_in, d_out, 2), axes.parameters))
 
 
 def law_numbers(law: Law) -> Floats:
@@ -263,3 +328,10 @@ def with_linear_numbers(law: Law, numbers: Floats) -> Law:
     if x == 0.0 or y == 0.0:
         raise ValueError(NO_POWER)
     return Law(1.0 / x, 1.0 / y, offset_x / x, offset_y / y, law.phi, law.theta, law.psi, law.axes)
+
+
+def difference_of_laws(found: Law, exact: Law) -> tuple[float, float]:
+    """Largest relative difference of η, and largest difference of δ (slope), of two laws in the same axes."""
+    eta = max(abs(found.eta_x / exact.eta_x - 1.0), abs(found.eta_y / exact.eta_y - 1.0))
+    delta = max(abs(found.delta_x - exact.delta_x), abs(found.delta_y - exact.delta_y))
+    return eta, delta
