@@ -205,6 +205,8 @@ def stack(
     object_distance: Annotated[str | None, typer.Option("--object", metavar="L", help="Distance before the stack of the point "
                                                         "that is imaged; default check.object of the first design, or ten "
                                                         "separations.")] = None,
+    zone: Annotated[str | None, typer.Option("--zone", metavar="W,H", help="Part of the first sheet that is lit, about its middle, "
+                                             "e.g. '20 mm'; default all of it.")] = None,
     rays: Annotated[int, typer.Option("--rays", min=64, max=100_000_000, help="Rays through the stack on each rung.")] = 65536,
     cells: Cells = None,
     quads: Annotated[int, typer.Option("--quads", min=1, max=1024, help="Facets along a cell side of GLB, and of --mesh.")] = 8,
@@ -227,6 +229,7 @@ def stack(
         formats,
         field,
         object_distance,
+        zone,
         rays,
         cells,
         quads,

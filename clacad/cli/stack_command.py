@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.stack import Stack
     from clacad.stacking import Stacked, StackRequest
+    from clacad.stacking.stack_light import StackMeridian
     from clacad.verification.checks import Check
 
 
@@ -30,6 +31,7 @@ class StackWords:
     formats: str
     field: str | None
     object_distance: str | None
+    zone: str | None
     rays: int
     cells: str | None
     quads: int
@@ -145,8 +147,18 @@ def _asked(
         gaps=gaps, ids=ids, formats=tuple(dict.fromkeys(f.strip() for f in words.formats.split(",") if f.strip())),
         field=None if words.field is None else parse_angle("--field", words.field), object_distance=distance,
         rays=words.rays, cells=parse_cells(words.cells), quads=words.quads, step=step, overwrite=words.overwrite,
-        force=words.force, mesh_light=words.mesh,
+        force=words.force, mesh_light=words.mesh, zone=_zone(words.zone, first.unit),
     )  # fmt: skip
+
+
+def _zone(text: str | None, unit: str) -> tuple[float, float] | None:
+    """Width and height of the lit zone in the first design's unit; one length is both."""
+    if text is None:
+        return None
+    sides = [parse_distance("--zone", part, unit) for part in text.split(",")]
+    if len(sides) > 2:
+        raise BadOption(f"--zone {text}: {len(sides)} lengths; give one, or width,height")
+    return sides[0], sides[-1]
 
 
 def _dry(standing: Stack, asked: StackRequest, words: StackWords, *, json: bool, quiet: bool) -> int:
@@ -256,7 +268,7 @@ def told(made: Stacked) -> str:
     x, y = exact.meridians
     parts = [
         f"share of the light that obeys all {len(made.designs)} laws: {100.0 * exact.share:.3g} %"
-        f"{_of_meridians(x.share, y.share)}, over slopes of ± {degrees(exact.field):.3g} deg "
+        f"{_of_meridians(x.share, y.share)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} deg "
         f"(thin lenses in closed form {100.0 * exact.expected_share:.3g} %); the rest are ghosts, or lost",
         *_spaces(made),
         _sheets_text(
@@ -273,17 +285,41 @@ def _of_meridians(x: float | None, y: float | None) -> str:
     return "" if x is None or y is None else f" ({100.0 * x:.3g} % in x, {100.0 * y:.3g} % in y)"
 
 
+def _lit(made: Stacked) -> str:
+    """Part of the first sheet that light fills."""
+    cells, whole = made.exact.cells, made.stack.sheets[0].window.lattice.cell_count
+    if cells == 1:
+        return "one cell, for all do alike"
+    return (
+        f"all {cells} cells of sheet {made.stack.sheets[0].id}"
+        if cells == whole
+        else f"{cells} of its {whole} cells"
+    )
+
+
+def _by_rays(one: StackMeridian) -> str:
+    """The matrix fitted to rays, where they fill more than a cell."""
+    if None in (one.measured_scale, one.measured_space, one.measured_focusing, one.measured_slope):
+        return ""
+    return (
+        f"; by rays ({one.measured_scale:.4g} x {one.measured_space:+.4g} t, "
+        f"{one.measured_focusing:.4g} x {one.measured_slope:+.4g} t)"
+    )
+
+
 def _spaces(made: Stacked) -> Iterable[str]:
     """What the stack does to space, one line a meridian, one line if both are alike."""
     lines = []
     for name, one in zip(("x", "y"), made.exact.meridians, strict=True):
         if one.matrix is None:
-            lines.append(f"{name}: tilted or turned lenses mix the meridians: no matrix in closed form")
+            lines.append(f"{name}: no matrix in closed form: {one.no_matrix}{_by_rays(one)}")
             continue
-        (a, b), (c, d) = one.matrix
+        (a, b), (c, d) = (
+            [0.0 if abs(v) < 1e-14 else v for v in row] for row in one.matrix
+        )  # rounding of 1 - L/f at L = f
         matrix = f"chief rays (x, t) -> ({a:.6g} x {b:+.6g} t, {c:.6g} x {d:+.6g} t), determinant {one.determinant:.6g}"
         if one.acts_as_space is None:
-            lines.append(f"{name}: {matrix}")
+            lines.append(f"{name}: {matrix}{_by_rays(one)}")
             continue
         assert one.moves_image is not None
         nearer = "nearer" if one.moves_image >= 0.0 else "farther"

@@ -85,18 +85,29 @@ def with_field_lens(eta: float, aside: float, delta: float = 0.0) -> ChiefRays:
     """A sheet whose field lens images lens 1 onto lens 2: chief rays leave in the middle of cell 2 whatever their slope.
 
     aside : float, length
-        How far off cell 1 its partner's middle stands.
+        Distance from the middle of cell 1 to that of its partner.
     """
     return ChiefRays(np.array([[1.0, 0.0], [0.0, 1.0 / eta]]), np.array([aside, -delta / eta]))
 
 
-def of_beams(eta: float, separation: float, delta: float = 0.0) -> ChiefRays:
-    """The same for the middle of the light that gets through, which for |η| > 1 is no chief ray.
+def of_beams(
+    eta: float, separation: float, delta: float = 0.0, kappa: float = 0.0, scale: float = 1.0
+) -> ChiefRays:
+    """A sheet as the middle of the transmitted light passes it; for |η| > 1 that is not a chief ray.
 
-    Lens 1 arrives at lens 2 as a copy η times as large, moved by s t: of a copy that is larger than lens 2 the part
-    gets through whose middle is lens 2's own, which entered s t/η from the middle of lens 1.
+    Lens 1 arrives at lens 2 as a copy η times as large, moved by s t. Of a copy that is larger than lens 2 the part gets
+    through whose middle is that of lens 2's cell, g X, X the middle of lens 1: it entered (g X − X − s t)/η from X, and its
+    slope is (t − δ − κ X)/η.
+
+    scale : float
+        g, the pitch of array 2 over that of array 1.
     """
-    return sheet(eta, separation if abs(eta) <= 1.0 else separation / eta, delta)
+    if abs(eta) <= 1.0:
+        return sheet(eta, separation, delta, kappa)
+    part = eta / (eta + scale - 1.0)  # X = part (x + s t/η)
+    x, t = part, part * separation / eta
+    matrix = [[scale * x, scale * t], [-kappa * x / eta, (1.0 - kappa * t) / eta]]
+    return ChiefRays(np.array(matrix), np.array([0.0, -delta / eta]))
 
 
 def space(length: float) -> ChiefRays:

@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.types import Progress, Rung, silent
+from clacad.base.types import Pair2, Progress, Rung, silent
 from clacad.base.units import millimetres
 from clacad.exporting.limits import refuse_uncountable, worker_memory
 from clacad.exporting.manifest import FORMAT, FileRecord, Manifest
@@ -91,6 +91,7 @@ def stack(
     formats: Sequence[str] = FORMATS, field: float | None = None, object_distance: float | None = None, rays: int = 65536,
     cells: tuple[int, int] | None = None, quads: int = QUADS, step: Mode = "auto", overwrite: bool = False, force: bool = False,
     mesh_light: bool = False, ids: Sequence[str] | None = None, progress: Progress | None = None,
+    zone: Pair2 | None = None,
 ) -> Stacked:  # fmt: skip
     """Put sheets behind one another, measure the light through all of them, and write the assembly.
 
@@ -102,7 +103,7 @@ def stack(
         Clear distances between what is solid of neighbours, in the unit of the first design.
     out : path or None
         Folder for stack.step, stack.glb, stack.json and manifest.json; None: nothing is written.
-    formats, field, object_distance, rays, cells, quads, step, overwrite, force, mesh_light, ids
+    formats, field, object_distance, rays, cells, quads, step, overwrite, force, mesh_light, ids, zone
         The fields of `clacad.stacking.StackRequest`, one by one.
     progress : callable or None
         Called with a stage's name and the part done.
@@ -118,7 +119,7 @@ def stack(
     asked = StackRequest(
         gaps=tuple(float(gap) for gap in many), formats=tuple(formats), field=field, object_distance=object_distance, rays=rays,
         cells=cells, quads=quads, step=step, overwrite=overwrite, force=force, mesh_light=mesh_light,
-        ids=None if ids is None else tuple(ids),
+        ids=None if ids is None else tuple(ids), zone=zone,
     )  # fmt: skip
     return run_stack(designs, asked, out, progress)
 
@@ -165,12 +166,14 @@ def prepared(designs: Sequence[Design], asked: StackRequest) -> tuple[tuple[Desi
 
 
 def _refuse_numbers(asked: StackRequest) -> None:
-    """Refuse a field, distance, number of rays or of facets out of range."""
+    """Refuse a field, distance, zone, number of rays or of facets out of range."""
     if asked.field is not None and not 0.0 < asked.field < 1.5:
         raise BadStack(f"field is {asked.field:g} rad: it is an angle above 0, below 1.5 rad")
     distance = asked.object_distance
     if distance is not None and not (isfinite(distance) and distance > 0.0):
         raise BadStack(f"the object stands {distance:g} before the stack: it is a length above 0")
+    if asked.zone is not None and not all(isfinite(side) and side > 0.0 for side in asked.zone):
+        raise BadStack(f"zone is {asked.zone[0]:g} x {asked.zone[1]:g}: width and height are lengths above 0")
     if asked.rays < 64 or not 1 <= asked.quads <= 1024:
         raise BadStack(f"{asked.rays} rays, {asked.quads} quads: at least 64 rays, and 1 to 1024 quads")
 
@@ -190,7 +193,7 @@ def measured(
     image = measure_image(tracers[-1], asked.rays, field, distance)
     if asked.mesh_light:
         tracers.append(StackTracer(standing, "mesh", asked.quads, path="size"))
-    return measure_light(tracers, asked.rays, field, report), image
+    return measure_light(tracers, asked.rays, field, report, asked.zone), image
 
 
 def _written(found: Stacked, asked: StackRequest, out: Path, report: Progress) -> Stacked:
@@ -239,7 +242,7 @@ def _content(found: Stacked, records: Sequence[FileRecord], asked: StackRequest)
         "versions": {"clacad": __version__},
         "options": {
             "gaps": list(asked.gaps), "formats": list(asked.formats), "field": field_of(found.designs, asked),
-            "rays": asked.rays, "cells": None if asked.cells is None else list(asked.cells), "quads": asked.quads,
+            "zone": None if asked.zone is None else list(asked.zone), "rays": asked.rays, "cells": None if asked.cells is None else list(asked.cells), "quads": asked.quads,
             "step": asked.step, "object_distance": found.image.object_distance,
         },
     }  # fmt: skip

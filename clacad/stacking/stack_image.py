@@ -13,7 +13,7 @@ from clacad.base.types import Floats
 from clacad.optics.rays import Fate
 from clacad.stacking.chief_matrices import meridian
 from clacad.stacking.stack_light import FEWEST
-from clacad.stacking.stack_rays import cone, launch, started
+from clacad.stacking.stack_rays import cone, middle_of_light, started
 from clacad.tracing.through_stack import StackTracer
 
 
@@ -69,7 +69,7 @@ def measure_image(tracer: StackTracer, rays: int, field: float, distance: float)
     place, slope = cone(stack, sobol(rays, 2), field, distance)
     found = tracer(started(stack, place, slope))
     alive = found.fate == Fate.ALIVE
-    where = launch(stack, np.full((1, 4), 0.5), 0.0)[0][0]
+    where = middle_of_light(stack)
     predicted = [meridian(stack, axis) for axis in (0, 1)]
     images = [(None, None) if one is None else one.image(distance)[::2] for one in predicted]
     shown = tuple(_finite(image[0]) for image in images)

@@ -1,7 +1,8 @@
 """What light does in a stack: the share that obeys every law, and how space behaves.
 
-Rays fill one cell of the first sheet and a square of slopes. They are counted per meridian, too: where the cells are
-rectangles along the sheet, a ray keeps to its telescopelets in x whatever it does in y.
+Rays fill the first sheet or a zone of it, and a square of slopes; one cell where all cells of all sheets do alike. They
+are counted per meridian, too: where the cells are rectangles along the sheet, a ray keeps to its telescopelets in x
+whatever it does in y.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from clacad.base.sobol import sobol
-from clacad.base.types import Bools, Floats, Progress, Rung
+from clacad.base.types import Bools, Floats, Pair2, Progress, Rung
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, TraceResult
 from clacad.sheet.stack import Stack, StackedSheet
-from clacad.stacking.chief_matrices import COUPLED, expected_share, length, meridian
-from clacad.stacking.stack_rays import launch, started
+from clacad.stacking.chief_matrices import COUPLED, expected_share, length, meridian, no_meridian
+from clacad.stacking.stack_rays import launch, lit_cells, started
 from clacad.tracing.through_stack import StackTrace, StackTracer
 
 FEWEST = 64
@@ -36,7 +37,9 @@ class StackMeridian:
     Attributes
     ----------
     matrix : ((A, B), (C, D))
-        Of chief rays, from array 1 of the first sheet to array 2 of the last; lengths of the stack.
+        Of chief rays, from array 1 of the first sheet to array 2 of the last; lengths of the stack. None: see `no_matrix`.
+    no_matrix : str or None
+        Why there is no matrix in closed form.
     determinant : float
     length : float, length
         From the first of these arrays to the last, along z.
@@ -53,11 +56,14 @@ class StackMeridian:
         B fitted to rays that keep to their telescopelets in this meridian.
     measured_slope : float or None
         D fitted to these rays.
+    measured_scale, measured_focusing : float or None, number and 1/length
+        A and C fitted to these rays; None where light fills one cell, which tells neither.
     scatter : float or None
         Rms distance of these rays from the fit, over the pitch of the first sheet.
     """
 
     matrix: tuple[tuple[float, float], tuple[float, float]] | None
+    no_matrix: str | None
     determinant: float | None
     length: float
     acts_as_space: float | None
@@ -66,6 +72,8 @@ class StackMeridian:
     share: float | None
     measured_space: float | None
     measured_slope: float | None
+    measured_scale: float | None
+    measured_focusing: float | None
     scatter: float | None
 
 
@@ -78,11 +86,13 @@ class StackLight:
     rung : "law", "thin", "surfaces" or "mesh"
     rays : int
     field : float, radians
-        Slopes up to its tangent, either way in x and in y, about the middle of the first sheet's field.
+        Slopes up to its tangent, either way in x and in y, about the middle of the field of each cell of the first sheet.
+    cells : int
+        Cells of the first sheet that light fills.
     share : float
         Rays that leave through corresponding lenslets of every sheet: ALIVE in all.
     expected_share : float
-        The same in closed form for thin lenses, the cells of neighbours taken for unrelated.
+        `share` in closed form for thin lenses, the cells of neighbours taken for unrelated.
     fates : mapping
         Number of rays of each fate.
     sheets : tuple of float
@@ -99,6 +109,7 @@ class StackLight:
     rung: Rung
     rays: int
     field: float
+    cells: int
     share: float
     expected_share: float
     fates: dict[str, int]
@@ -114,9 +125,13 @@ class StackLight:
 
 
 def measure_light(
-    tracers: Sequence[StackTracer], rays: int, field: float, progress: Progress
+    tracers: Sequence[StackTracer],
+    rays: int,
+    field: float,
+    progress: Progress,
+    zone: Pair2 | None = None,
 ) -> tuple[StackLight, ...]:
-    """Send the same rays over one cell of the first sheet and a square of slopes up several rungs, and tell what they do.
+    """Send the same rays up several rungs, and tell what they do.
 
     Parameters
     ----------
@@ -126,12 +141,20 @@ def measure_light(
     field : float, radians
         Slopes reach to its tangent.
     progress : callable
+    zone : (width, height) or None, lengths
+        Part of the first sheet that is lit, as of `lit_cells`.
+
+    Raises
+    ------
+    BadStack
+        No cell lies in the zone.
     """
+    sent = _Sent.into(tracers[0].stack, rays, field, zone)
     found = {}
     for number, tracer in enumerate(sorted(tracers, key=lambda one: one.rung != "surfaces")):
         progress(f"light on rung {tracer.rung}", number / len(tracers))
         began = time.process_time()
-        trace, light = _measured(tracer, rays, field)
+        trace, light = _measured(tracer, sent)
         if tracer.rung == "surfaces":
             truth = trace
         both = (trace.fate == Fate.ALIVE) & (truth.fate == Fate.ALIVE)
@@ -143,23 +166,37 @@ def measure_light(
     return tuple(found[tracer.rung] for tracer in tracers)
 
 
-def _measured(tracer: StackTracer, rays: int, field: float) -> tuple[StackTrace, StackLight]:
+@dataclass(frozen=True, eq=False)
+class _Sent:
+    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, and how many cells of it they fill."""
+
+    place: Floats
+    slope: Floats
+    field: float
+    cells: int
+
+    @staticmethod
+    def into(stack: Stack, rays: int, field: float, zone: Pair2 | None) -> _Sent:
+        cells = lit_cells(stack, zone)
+        return _Sent(*launch(stack, sobol(rays, 5), field, cells), field, len(cells))
+
+    def expected(self, stack: Stack) -> float:
+        """Share in closed form of the first of these rays."""
+        place, slope = self.place[:SHARE_RAYS], self.slope[:SHARE_RAYS]
+        return expected_share(stack, place, np.column_stack([slope, np.ones(len(slope))]))
+
+
+def _measured(tracer: StackTracer, sent: _Sent) -> tuple[StackTrace, StackLight]:
     """Rays on one rung, and what they do."""
     stack = tracer.stack
-    points = sobol(rays, 4)
-    place, slope = launch(stack, points, field)
-    found = tracer(started(stack, place, slope))
-    direction = np.column_stack([slope, np.ones(rays)])
+    found = tracer(started(stack, sent.place, sent.slope))
     alive = found.fate == Fate.ALIVE
     strayed = _strayed(stack, found)
     exit_place = _at_last_plane(stack, found)
-    meridians = tuple(
-        _meridian(stack, axis, (place[:, axis], slope[:, axis]), exit_place[:, axis], found, strayed)
-        for axis in (0, 1)
-    )
+    x, y = (_meridian(stack, axis, sent, exit_place[:, axis], found, strayed) for axis in (0, 1))
     return found, StackLight(
-        tracer.rung, rays, field, float(alive.mean()), expected_share(stack, direction[:SHARE_RAYS]), found.counts(),
-        tuple(_passed_on(found)), (meridians[0], meridians[1]), 0.0, 0.0,
+        tracer.rung, len(sent.place), sent.field, sent.cells, float(alive.mean()), sent.expected(stack), found.counts(),
+        tuple(_passed_on(found)), (x, y), 0.0, 0.0,
     )  # fmt: skip
 
 
@@ -222,35 +259,26 @@ def _passed_on(found: StackTrace) -> list[float]:
 
 
 def _meridian(
-    stack: Stack,
-    axis: int,
-    entered: tuple[Floats, Floats],
-    left: Floats,
-    found: StackTrace,
-    strayed: Bools | None,
+    stack: Stack, axis: int, sent: _Sent, left: Floats, found: StackTrace, strayed: Bools | None
 ) -> StackMeridian:
     """One meridian: in closed form, and fitted to the rays that kept to it; ghosts that strayed across it alone are among them.
 
-    entered : place and slope (n,) on the first lens plane; left : place (n,) on the last
+    left : place (n,) on the last lens plane
     """
     chief, middle = meridian(stack, axis), meridian(stack, axis, beams=True)
     long = length(stack, axis)
     straight = chief is not None and abs(chief.matrix[1, 1] - 1.0) < 1e-9 and abs(chief.matrix[1, 0]) < 1e-12
     acts = float(chief.matrix[0, 1]) if chief is not None and straight else None
-    space = slope = scatter = share = None
-    kept = found.fate == Fate.ALIVE
+    share, kept = None, found.fate == Fate.ALIVE
     if strayed is not None:
         share = _shares(found)[axis]
         kept = np.isin(found.fate, (Fate.ALIVE, Fate.GHOST)) & ~strayed[:, axis]
-    if kept.sum() >= FEWEST:
-        place, way = (one[kept] for one in entered)
-        out = found.direction[kept, axis] / found.direction[kept, 2]
-        (space, slope), rest = _fitted(way, np.column_stack([left[kept] - place, out]))
-        scatter = rest / stack.sheets[0].window.lattice.pitch[axis]
+    fit = _fitted(sent, axis, left, found, kept)
     return StackMeridian(
-        None if chief is None else _pairs(chief.matrix), None if chief is None else chief.determinant, long, acts,
+        None if chief is None else _pairs(chief.matrix), no_meridian(stack),
+        None if chief is None else chief.determinant, long, acts,
         None if acts is None else long - acts, None if middle is None else float(middle.matrix[0, 1]),
-        share, space, slope, scatter,
+        share, *fit[:4], None if fit[4] is None else fit[4] / stack.sheets[0].window.lattice.pitch[axis],
     )  # fmt: skip
 
 
@@ -259,9 +287,22 @@ def _pairs(matrix: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
     return (a, b), (c, d)
 
 
-def _fitted(slope: Floats, values: Floats) -> tuple[tuple[float, float], float]:
-    """Slopes of straight lines through two columns of values (n, 2) over slopes (n,), and rms rest of the first."""
-    away = slope - slope.mean()
-    about = values - values.mean(axis=0)
-    first, second = (away @ about) / (away @ away)
-    return (float(first), float(second)), float(np.sqrt(np.mean((about[:, 0] - first * away) ** 2)))
+def _fitted(
+    sent: _Sent, axis: int, left: Floats, found: StackTrace, kept: Bools
+) -> tuple[float | None, float | None, float | None, float | None, float | None]:
+    """B, D, A and C that best map places and slopes of the rays kept, and the rms rest of their places (length).
+
+    Light over one cell tells of slopes alone: A is taken for 1, C for 0, and neither is given.
+    """
+    if kept.sum() < FEWEST:
+        return (None,) * 5
+    place, slope = sent.place[kept, axis], sent.slope[kept, axis]
+    out = found.direction[kept, axis] / found.direction[kept, 2]
+    many = sent.cells > 1
+    values = np.column_stack([left[kept] - place, out])
+    terms = np.column_stack([slope, place] if many else [slope])
+    terms, values = terms - terms.mean(axis=0), values - values.mean(axis=0)
+    fit, *_ = np.linalg.lstsq(terms, values, rcond=None)
+    rest = float(np.sqrt(np.mean((values - terms @ fit)[:, 0] ** 2)))
+    scale, focusing = (1.0 + float(fit[1, 0]), float(fit[1, 1])) if many else (None, None)
+    return float(fit[0, 0]), float(fit[0, 1]), scale, focusing, rest

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from clacad.base.types import Pair2
 from clacad.formats.step.step_mode import Mode
 
 FORMATS = ("step", "glb")
@@ -24,6 +25,9 @@ class StackRequest:
     formats : tuple of "step" and "glb"
     field : float or None, radians
         Slopes of the light reach to its tangent; None: check.field of the first design.
+    zone : (width, height) or None
+        Part of the first sheet that light is sent over, about its middle, in the unit of the first design; None: all of
+        it, or one cell where all cells of all sheets do alike.
     object_distance : float or None
         Of the point that is imaged, before array 1 of the first sheet, in the unit of the first design; None: its
         check.object, else ten times its separation.
@@ -53,3 +57,4 @@ class StackRequest:
     force: bool = False
     mesh_light: bool = False
     ids: tuple[str, ...] | None = None
+    zone: Pair2 | None = None

@@ -171,7 +171,9 @@ def test_light_that_passes_two_sheets_counts_the_share_of_both():
 
     rows, columns = np.mgrid[20:40, 20:40]
     x, y = (130.0 * ((columns + 0.5) / 60 - 0.5)).ravel(), (130.0 * (0.5 - (rows + 0.5) / 60)).ravel()
-    share = expected_share(stack, np.column_stack([x / 2000.0, y / 2000.0, np.ones(len(x))]))
+    share = expected_share(
+        stack, np.column_stack([x, y]), np.column_stack([x / 2000.0, y / 2000.0, np.ones(len(x))])
+    )
     assert lit.mean() == pytest.approx(share, abs=0.04)
 
 
