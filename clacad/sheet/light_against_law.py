@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats
-from clacad.optics.law import Law, angle_between, law_in_axes
+from clacad.optics.law import Law, angle_between
+from clacad.optics.law.law import law_in_axes
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import trace_sequence
 from clacad.sheet.telescopelet import interfaces, lens_distance

@@ -10,7 +10,8 @@ import pytest
 from oracle.windows import biconvex, slab
 
 import clacad
-from clacad.optics.law import Law, angle_between, law_in_axes
+from clacad.optics.law import Law, angle_between
+from clacad.optics.law.law import law_in_axes
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import bundle
 from clacad.tracing import light_sums

@@ -13,7 +13,8 @@ from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import size_text
 from clacad.exporting.quads_and_roles import Needed, masters
 from clacad.exporting.tessellations import Meshes
-from clacad.optics.law import angle_between, law_in_axes
+from clacad.optics.law import angle_between
+from clacad.optics.law.law import law_in_axes
 from clacad.optics.rays import Fate
 from clacad.sheet.bundle import bundle
 from clacad.sheet.vignetting import half_field, thin_cells

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.effects.scatter import haze
-from clacad.optics.law import angle_between, law_in_axes
+from clacad.optics.law import angle_between
+from clacad.optics.law.law import law_in_axes
 from clacad.sheet.bundle import bundle, field_points, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.vignetting import share, thin_cells
