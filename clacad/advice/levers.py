@@ -80,7 +80,7 @@ LEVERS: Final[Mapping[str, tuple[Lever, ...]]] = {
     "fresnel_number": (_COARSER, _CLOSER),
     "one_piece": (*_WHOLE, _NECK, _WEB, _SEAM), "cover": _WHOLE, "graph": _FLAT,
     "clearance": (_SPREAD, _THINNER, _FINER), "edge": (_THICKER, _WEB, _BORDER, _SPREAD, _FINER),
-    "neck": (_NECK, _WEB, *_WHOLE), "radius": (_SPREAD, _COARSER), "sag": _FLAT, "pitch": (_COARSER,),
+    "neck": (_NECK, _WEB, *_WHOLE), "radius": (_SPREAD, _COARSER), "sag": _FLAT, "pitch": (_COARSER,), "part_height": (_CLOSER, _THINNER),
     "tool": (_SPREAD, _COARSER, _SEAM), "wall": (_SPREAD, _SEAM, _FINER, _APERTURE), "draft": (_SEAM, _SPREAD, _FINER),
     "slope": _FLAT, "voxel": (_COARSER, _SEAM), "layer": (_CLOSER, _COARSER), "aspect": (_SPREAD, _SEAM, _FINER),
     "undercut": _FLAT,

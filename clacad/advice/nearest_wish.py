@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from clacad.advice.wish import Wish
+from clacad.advice.wish import Wish, workable_material
 from clacad.advice.wish_search import Search, Tried
 from clacad.base.digits import shown
 from clacad.design.sections import Outline
@@ -69,7 +69,9 @@ def _relaxed(wish: Wish) -> Iterator[tuple[str, Wish]]:
         yield _difference(wish, changed), changed
     for process in PROCESSES:
         if process != wish.process:
-            yield f"process={process}", replace(wish, process=process)
+            material = workable_material(process, wish.material)
+            words = f"process={process}" + (f", material={material}" if material != wish.material else "")
+            yield words, replace(wish, process=process, material=material)
 
 
 def _scaled(pair: tuple[float, float], part: float) -> tuple[float, float]:

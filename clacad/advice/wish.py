@@ -21,8 +21,10 @@ from clacad.config.mistakes import Mistake
 from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import Refusal, Word, shown
 from clacad.design.keys import CHECK, LAW, PAIR, REQUIRED, Key
+from clacad.design.process_profiles import profile
 from clacad.design.rules import Asked, law_is_a_pair, lens_faces_forward, material_is_known
 from clacad.design.sections import Outline
+from clacad.optics.material.catalogue import find, names
 
 UNIT: Final = Unit("mm", LENGTHS["mm"])
 """Of bare lengths in a wish, and of the design that is made of it."""
@@ -42,7 +44,7 @@ KEYS: Final[dict[str, Key]] = {
     "viewing": Key(_LENGTH, "distance from which the sheet is looked at", 1000.0),
     "object": Key(_LENGTH, "distance behind the sheet of what shall be seen sharply"),
     "process": Key(CHECK["process"].kind, "who makes it: its limits", "diamond-turning"),
-    "material": Key(PAIR["material"].kind, "what it is made of", "PMMA"),
+    "material": Key(PAIR["material"].kind, "what it is made of; PMMA if the process works it, else the first it works", "PMMA"),
     "form": Key(Word(("any", "slab", "plano", "biconvex")), "how a lenslet pair is built", "any"),
     "kind": Key(Word(("square", "hexagonal")), "pattern of the cells", "square"),
     "field": Key(CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)),
@@ -196,12 +198,21 @@ def read_wish(words: Mapping[str, Any]) -> Wish:
         what = "a wish needs the sheet's size" if not sizes else "width and circle exclude each other"
         mistakes.append(Mistake("CL103" if not sizes else "CL112", what, "width", "--for",
                                 allowed='exactly one of width = a length or [width, height] and circle = a diameter'))  # fmt: skip
+    found.setdefault("material", workable_material(found.get("process", KEYS["process"].default)))
     mistakes += _broken_rules(found)
     if mistakes:
         raise DesignError(mistakes)
     width, circle = found.pop("width", None), found.pop("circle", None)
     size = Outline("rectangle", width) if circle is None else Outline("circle", (circle, circle))
     return Wish(size=size, **found)
+
+
+def workable_material(process: str, wanted: str = KEYS["material"].default) -> str:
+    """Give the wanted material if the process works it, else the first of the table that it works at `WAVELENGTH`."""
+    rules = profile(process)
+    if rules.works(find(wanted)):
+        return wanted
+    return next(name for name in names() if rules.works(find(name)) and find(name).knows(WAVELENGTH))
 
 
 def _converted(words: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:

@@ -261,6 +261,12 @@ CHECK: Final[dict[str, Key]] = {
     "neck": Key(_LIMIT_LENGTH, "least neck thickness (instead of the profile's)"),
     "radius": Key(_LIMIT_LENGTH, "least radius of curvature (instead of the profile's)"),
     "sag": Key(_LIMIT_LENGTH, "largest sag (instead of the profile's)"),
+    "part_height": Key(_LIMIT_LENGTH, "greatest height of a whole part (instead of the profile's)"),
+    "part_width": Key(_LIMIT_LENGTH, "greatest width of a whole part (instead of the profile's)"),
+    "materials": Key(
+        ListOf(Text("the name of a material", 60), "texts"),
+        "materials that can be worked (instead of the profile's)",
+    ),
     "pitch": Key(_LIMIT_LENGTH, "least pitch (instead of the profile's)"),
     "tool": Key(_LIMIT_LENGTH, "nose radius of the tool (instead of the profile's)"),
     "wall": Key(_LIMIT_LENGTH, "highest step between neighbours (instead of the profile's)"),

@@ -169,6 +169,21 @@ def material_is_known(a: Asked) -> Iterator[Mistake]:
             yield Mistake("CL119", str(problem), key, allowed="a wavelength in that range, or pair.index")
 
 
+def worked_materials_are_known(a: Asked) -> Iterator[Mistake]:
+    """The materials that the workshop works are in the table."""
+    asked = a("check.materials")
+    if not asked:
+        return
+    from clacad.optics.material.catalogue import find
+
+    for name in asked:
+        try:
+            find(name)
+        except ValueError as problem:
+            sentence, _, hint = str(problem).partition("; ")
+            yield Mistake("CL119", sentence, "check.materials", allowed="names of the table", hint=hint)
+
+
 def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
     """Conic belongs to a biconic, depth to an ellipsoid; a biconvex biconic needs its conic."""
     surface = a("pair.surface")
@@ -489,6 +504,7 @@ RULES: Final[tuple[Rule, ...]] = (
     keys_of_other_forms,
     index_or_material,
     material_is_known,
+    worked_materials_are_known,
     surface_and_its_keys,
     faces_stand_alone,
     faces_are_of_the_form,

@@ -276,8 +276,8 @@ class Allowed:
 class CheckSpec:
     """Limits the built design and its files are judged by. Angles in radians, lengths in design units.
 
-    None where the limit comes from elsewhere: the process profile (`clearance edge neck radius sag pitch tool
-    wall draft slope voxel layer aspect`), or nothing is asked (`mesh_law_rms`).
+    None where the limit comes from elsewhere: the process profile (`clearance edge neck radius sag part_height
+    part_width materials pitch tool wall draft slope voxel layer aspect`), or nothing is asked (`mesh_law_rms`).
 
     Parameters
     ----------
@@ -314,6 +314,9 @@ class CheckSpec:
     neck: float | None
     radius: float | None
     sag: float | None
+    part_height: float | None
+    part_width: float | None
+    materials: tuple[str, ...] | None
     pitch: float | None
     tool: float | None
     wall: float | None

@@ -153,6 +153,20 @@ CHECKS: dict[str, Text] = {
         "Smallest apex radius of a lens.", "Tool noses, voxels and spots allow no less.", "R = 1/c", "A longer separation, or a finer process.",
     ),
     "sag": ("Height of a lens over its cell.", "Servo strokes, resists and working distances end.", "", "Larger radii or a smaller pitch."),
+    "workable": (
+        "Whether the process can work the material of the part.",
+        "Single-point diamond turning cuts plastics, infrared crystals and chalcogenides, not ordinary glass; a printer hardens resins only.",
+        "", "The material or the process that the message names; check.materials says what your workshop works instead of the profile.",
+    ),
+    "part_height": (
+        "Height of the tallest body, land and steps included, against the tallest part that the process makes.",
+        "Stages, build volumes, substrates and moulds end; sag limits the lenses alone.", "max z − min z of a body",
+        "A shorter separation, a thinner plate, or the process that the message names.",
+    ),
+    "part_width": (
+        "Greater side of the rectangle around the widest body, seen along z, against the widest part that the process makes.",
+        "Spindles, stages and build plates end.", "", "A smaller sheet in several pieces, or the process that the message names.",
+    ),
     "pitch": ("Pitch of the lattice against what the process resolves.", "", "", "A larger pitch or a finer process."),
     "tool": (
         "Share of a cell's width that the nose of the tool leaves rounded where two faces meet in a groove.",

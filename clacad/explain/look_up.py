@@ -13,6 +13,7 @@ from clacad.explain.design_mistakes import MISTAKES
 from clacad.explain.entry import Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.explain.named_things import materials_text, named_things
+from clacad.optics.material.catalogue import find
 from clacad.topology.cannot_build import CODES as BODIES
 from clacad.verification.checks import CODES as JUDGED
 from clacad.verification.checks import FORMER
@@ -88,6 +89,10 @@ def explain(asked: str) -> Entry:
     key = _key(folded)
     if key is not None:
         return key
+    try:
+        return by_name[find(word).name]  # another name of a material
+    except (KeyError, ValueError):
+        pass
     raise Unexplained(f"nothing is called {asked!r}; {_nearest(word, known, list(by_name))}")
 
 

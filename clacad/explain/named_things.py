@@ -16,8 +16,8 @@ from clacad.explain.entry import Entry
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
 
-GREEN = 550e-9
-"""Wavelength at which an index is told, metres; the middle of the data where they do not reach it."""
+SHOWN = (550e-9, 4e-6, 10.6e-6)
+"""Wavelengths, metres, at which an index is printed where it is known: the eye's, the middle and the far infrared."""
 
 
 def named_things() -> Iterator[Entry]:
@@ -63,7 +63,7 @@ def materials_text() -> str:
 
 _LIMITS = (
     ("edge", "edge at least {}"), ("neck", "between lenslets at least {}"), ("radius", "radii at least {}"),
-    ("pitch", "pitch at least {}"), ("sag", "structures up to {} high"), ("wall", "walls up to {} high"),
+    ("pitch", "pitch at least {}"), ("sag", "structures up to {} high"), ("part_height", "parts up to {} high"), ("part_width", "parts up to {} wide"), ("wall", "walls up to {} high"),
     ("clearance", "gap between bodies at least {}"), ("tool", "tool nose {}"), ("voxel", "voxels of {}"), ("layer", "layers of {}"),
 )  # fmt: skip
 """Limits in metres, and how they are told; 0 and infinity set none."""
@@ -76,11 +76,22 @@ def _process(one: ProcessProfile) -> Entry:
     told += [f"draft at least {one.draft * 180 / pi:g}°"] if one.draft > 0.0 else []
     told += [f"slopes up to {one.slope * 180 / pi:g}°"] if one.slope < 0.5 * pi else []
     told += [] if one.undercut else ["no undercut"]
+    told += [f"works {', '.join(_worked(one))}"] if one.materials else []
     limits = ", ".join(told) or "A part must exist, nothing more: no limit of a process is checked"
     return Entry(
         "", one.name, f"process {one.name}", f"{limits[0].upper()}{limits[1:]}.", f"Limits from: {one.source}.", "",
         f'check.process = "{one.name}" in the design file; a limit may be allowed to be passed with a reason (check.allow).',
     )  # fmt: skip
+
+
+def _worked(one: ProcessProfile) -> list[str]:
+    """Materials a process works: kinds as a whole with their names, then single ones."""
+    kinds: dict[str, list[str]] = {}
+    for name in names():
+        material = find(name)
+        if one.works(material):
+            kinds.setdefault(material.kind, []).append(name)
+    return [f"{kind} ({', '.join(those)})" for kind, those in kinds.items()]
 
 
 def _length(metres: float) -> str:
@@ -112,16 +123,31 @@ def _effect(name: str) -> Entry:
 def _material(one: Material) -> Entry:
     assert one.range_m is not None, "every material of the table has its range"
     short, long = one.range_m
-    wave = GREEN if short <= GREEN <= long else 0.5 * (short + long)
-    told = [
-        f"n = {float(one.index(wave)):.4f} at {1e9 * wave:.0f} nm",
-        f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm"
-        if one.range_m
-        else "the same at all wavelengths",
+    waves = [wave for wave in SHOWN if short <= wave <= long] or [0.5 * (short + long)]
+    abbe, thermal = one.abbe_number, one.thermal
+    means = [
+        ", ".join(f"n = {one.index(wave):.4f} at {_wave(wave)}" for wave in waves),
+        f"V_d = {abbe:.1f}" if abbe is not None else "V_d is not published",
+        f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm",
+        "density not published" if one.density_kg_m3 is None else f"{one.density_kg_m3:g} kg/m³",
+        "dn/dT not published" if thermal.dn_dt is None else _dn_dt(*thermal.dn_dt),
+        "expansion not published"
+        if thermal.expansion is None
+        else f"expansion {1e6 * thermal.expansion:.3g}e-6/K",
+        "absorption known" if one.extinction else "absorption not published",
     ]
-    told += [] if one.density_kg_m3 is None else [f"{one.density_kg_m3:g} kg/m³"]
-    told += ["absorption known"] if one.extinction else []
+    made = [rules.name for rules in profiles() if rules.materials and rules.works(one)]
+    means.append(f"worked by {', '.join(made)}" if made else "worked by no process known here")
+    why = f"From: {one.source}." + (f" Thermal numbers: {thermal.source}." if thermal.source else "")
     return Entry(
-        "", one.name, f"material {one.name} ({one.kind})", f"{', '.join(told)}.", f"From: {one.source}", "",
+        "", one.name, f"material {one.name} ({one.kind})", f"{'; '.join(means)}.", why, "",
         f'pair.material = "{one.name}" in the design file.',
     )  # fmt: skip
+
+
+def _dn_dt(change: float, wave: float) -> str:
+    return f"dn/dT {1e6 * change:.3g}e-6/K at {_wave(wave)}"
+
+
+def _wave(metres: float) -> str:
+    return f"{1e9 * metres:.0f} nm" if metres < 1e-6 else f"{1e6 * metres:g} µm"

@@ -28,7 +28,7 @@ CODES: Mapping[str, str] = {
     "fresnel_number": "CL311", "accounting": "CL312", "viewed": "CL313", "image_point": "CL314", "spot": "CL315",
     "field_focus": "CL316", "pupil": "CL317", "field_throughput": "CL318", "field_law": "CL319", "orders": "CL320",
     "one_piece": "CL321", "cover": "CL322", "clearance": "CL323",
-    "graph": "CL324", "edge": "CL331", "neck": "CL332", "radius": "CL333", "sag": "CL334", "pitch": "CL335",
+    "graph": "CL324", "workable": "CL325", "part_height": "CL326", "part_width": "CL327", "edge": "CL331", "neck": "CL332", "radius": "CL333", "sag": "CL334", "pitch": "CL335",
     "tool": "CL336", "wall": "CL337", "draft": "CL338", "allowance": "CL360", "slope": "CL361", "voxel": "CL362",
     "layer": "CL363", "aspect": "CL364", "undercut": "CL365",
     "integrity": "CL341", "closed": "CL342", "pieces": "CL343", "volume": "CL344", "shape": "CL345",

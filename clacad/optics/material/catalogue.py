@@ -9,7 +9,7 @@ from typing import Any
 
 from clacad.base.text import did_you_mean, near
 from clacad.optics.material.database import PREFIX, page
-from clacad.optics.material.material import MICROMETRES, Material
+from clacad.optics.material.material import MICROMETRES, Material, ThermalNumbers
 
 
 def names() -> tuple[str, ...]:
@@ -76,8 +76,18 @@ def _from_entry(name: str, entry: dict[str, Any]) -> Material:
         source=entry["source"],
         kind=entry["kind"],
         density_kg_m3=entry.get("density_kg_m3"),
+        thermal=_thermal(entry),
         extinction=tuple((um / MICROMETRES, k) for um, k in entry.get("extinction", ())),
         extinction_source=entry.get("extinction_source", ""),
+    )
+
+
+def _thermal(entry: dict[str, Any]) -> ThermalNumbers:
+    dn_dt = entry.get("dn_dt_per_k")
+    return ThermalNumbers(
+        dn_dt=None if dn_dt is None else (dn_dt[0], dn_dt[1] / MICROMETRES),
+        expansion=entry.get("expansion_per_k"),
+        source=entry.get("thermal_source", ""),
     )
 
 

@@ -19,7 +19,29 @@ from clacad.optics.material.dispersion_formulas import Formula
 MICROMETRES = 1e6
 """In a metre: the coefficients of published formulas take micrometres."""
 
+F_LINE, D_LINE, C_LINE = 486.1327e-9, 587.5618e-9, 656.2725e-9
+"""Metres; the blue and red lines of hydrogen and the yellow one of helium, between which Abbe numbers are taken."""
+
 _EDGE = 1e-12  # relative; a wavelength converted from nm may miss the end of the range by rounding
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalNumbers:
+    """What is published of a material near room temperature; None where nothing is.
+
+    Parameters
+    ----------
+    dn_dt : (1/K, metres) or None
+        Change of the index relative to air, and the wavelength it was measured at.
+    expansion : float or None, 1/K
+        Linear.
+    source : str
+        "" where it is the source of the index.
+    """
+
+    dn_dt: tuple[float, float] | None = None
+    expansion: float | None = None
+    source: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +59,13 @@ class Material:
         table: (λ, n, λ, n, ...), λ ascending, linear in between.
     coefficients : tuple of float
     range_m : (shortest, longest) wavelength in metres, or None
-        Where the formula was measured; None: everywhere (constant only).
+        Where the formula was measured; None: everywhere (only a constant that was given as a number).
     source : str
         Where the coefficients come from.
     kind : str
-        "plastic", "resin", "glass", "crystal" or "" for a plain number.
+        "plastic", "elastomer", "resin", "adhesive", "glass", "chalcogenide", "crystal" or "" for a plain number.
     density_kg_m3 : float or None
+    thermal : ThermalNumbers
     extinction : tuple of (wavelength in metres, k)
         Imaginary part of the index where it is known, by ascending wavelength; else empty.
     extinction_source : str
@@ -60,6 +83,7 @@ class Material:
     source: str
     kind: str = ""
     density_kg_m3: float | None = None
+    thermal: ThermalNumbers = ThermalNumbers()
     extinction: tuple[tuple[float, float], ...] = ()
     extinction_source: str = ""
 
@@ -72,10 +96,14 @@ class Material:
             raise ValueError(f"{self.name}: {count} coefficients do not belong to the {self.formula} formula")
         if not all(isfinite(c) for c in self.coefficients):
             raise ValueError(f"{self.name}: a coefficient is not a finite number")
-        if (self.range_m is None) != (self.formula == "constant"):
+        if self.range_m is None and self.formula != "constant":
             raise ValueError(f"{self.name}: only a constant index has no range of wavelengths")
         if self.range_m is not None and not 0 < self.range_m[0] < self.range_m[1]:
             raise ValueError(f"{self.name}: wavelengths {self.range_m} are not an ascending range")
+
+    def knows(self, wavelength_m: float) -> bool:
+        """Whether the index is known at a wavelength in metres."""
+        return self.range_m is None or self.range_m[0] <= wavelength_m <= self.range_m[1]
 
     @overload
     def index(self, wavelength_m: float) -> float: ...
@@ -103,6 +131,14 @@ class Material:
         _within(wavelength, self.range_m, f"the index of {self.name} is known")
         n = np.asarray(dispersion_formulas.index(self.formula, self.coefficients, wavelength * MICROMETRES))
         return float(n) if n.ndim == 0 else n
+
+    @property
+    def abbe_number(self) -> float | None:
+        """V_d = (n_d - 1)/(n_F - n_C); None where the index is not known at one of these lines, or does not change."""
+        low, high = self.range_m or (D_LINE, D_LINE)
+        if low > F_LINE or high < C_LINE:
+            return None
+        return (self.index(D_LINE) - 1.0) / (self.index(F_LINE) - self.index(C_LINE))
 
     def extinction_coefficient(self, wavelength_m: float) -> float | None:
         """Imaginary part k of the index, interpolated in log k; None where nothing is known of it.

@@ -14,7 +14,7 @@ import numpy as np
 from clacad.optics.aperture import equivalent_widths, first_zeros
 from clacad.sheet.bundle import central_cell
 from clacad.sheet.feasibility.as_rows import FactRow, describe
-from clacad.sheet.feasibility.bodies import body_facts, body_range, connectedness
+from clacad.sheet.feasibility.bodies import body_facts, body_range, connectedness, whole_body_range
 from clacad.sheet.feasibility.derived_numbers import (
     DEFAULT_WAVELENGTH,
     BodyFacts,
@@ -44,7 +44,7 @@ from clacad.sheet.vignetting import (
     lit_zone,
     thin_cells,
 )
-from clacad.sheet.window import Window
+from clacad.sheet.window import Body, Window
 
 __all__ = [
     "BodyFacts", "BorderFacts", "FaceShape", "Feasibility", "LensFacts", "FactRow", "body_facts", "body_of", "body_range",
@@ -53,7 +53,7 @@ __all__ = [
 
 
 def feasibility(window: Window, viewer: float | None = None, distance: float | None = None) -> Feasibility:
-    """Derive all numbers of a window: of its central cell, where cells differ, but for the steps between them.
+    """Derive all numbers of a window: of its central cell, where cells differ, except steps and heights of bodies.
 
     Parameters
     ----------
@@ -68,10 +68,9 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
     lit = equivalent_widths(zone)
     offset = window.thin.offset
     bodies = tuple(body_facts(window, body) for body in window.bodies)
+    clearance = min((b.low - a.high for a, b in pairwise(bodies)), default=np.inf)
     if not whole.uniform:
-        bodies = tuple(
-            replace(one, step=highest_step(whole, body).height) for one, body in zip(bodies, whole.bodies)
-        )
+        bodies = tuple(_of_the_whole(one, whole, body) for one, body in zip(bodies, whole.bodies))
     fresnel = fresnel_numbers(cells, wave)
     eye = viewing(
         focal_ratio(window.thin),
@@ -83,7 +82,7 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
     return Feasibility(
         lenses=(lens_facts(window, 0, width), lens_facts(window, 1, width), *field_facts(window, width)),
         bodies=bodies,
-        clearance=min((b.low - a.high for a, b in pairwise(bodies)), default=np.inf),
+        clearance=clearance,
         separation=window.thin.separation,
         aperture=aperture_slope(window),
         undeviated=(offset[0] / offset[2], offset[1] / offset[2]),
@@ -96,6 +95,12 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
         viewing=eye,
         wavelength=wave * window.unit,
     )
+
+
+def _of_the_whole(cell: BodyFacts, whole: Window, body: Body) -> BodyFacts:
+    """Give the numbers of a body in one cell the highest step, lowest and highest point of the whole sheet."""
+    low, high = whole_body_range(whole, body)
+    return replace(cell, step=highest_step(whole, body).height, low=low, high=high)
 
 
 def _offset(window: Window, axis: int) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 from clacad.sheet.feasibility.convex_extremes import Heights, border, least
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, BorderFacts, two
 from clacad.sheet.feasibility.lenses import thickness_over_cell
+from clacad.sheet.like_cell import like_cell, outer_cells
 from clacad.sheet.pieces_and_holes import BorderJoint, count_pieces_and_holes
 from clacad.sheet.window import Body, Window, column, face_height, lens_height
 
@@ -47,6 +48,16 @@ def body_range(window: Window, body: Body) -> tuple[float, float]:
     high, _ = least(lambda x, y: np.nan_to_num(-back(x, y), nan=np.inf), tile)
     lands = [f.land for f in (body.front, body.back) if f.land is not None]
     return min([low, *lands]), max([-high, *lands])
+
+
+def whole_body_range(window: Window, body: Body) -> tuple[float, float]:
+    """Lowest and highest point (lengths) of a body of the whole sheet, also where its cells differ."""
+    if window.uniform:
+        return body_range(window, body)
+    number = window.bodies.index(body)
+    sheets = [like_cell(window, cell) for cell in outer_cells(window)]
+    low, high = zip(*(body_range(sheet, sheet.bodies[number]) for sheet in sheets), strict=True)
+    return min(low), max(high)
 
 
 def _border_facts(window: Window, body: Body, number: int) -> BorderFacts:

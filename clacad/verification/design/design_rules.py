@@ -20,6 +20,7 @@ from clacad.sheet.like_cell import like_cell, outer_cells
 from clacad.sheet.own_steps import highest_step
 from clacad.sheet.window import Window
 from clacad.verification.checks import NEAR, Check, State, accepted, judge, not_run
+from clacad.verification.design.part_rules import part_checks
 from clacad.verification.design.process_rules import making_checks, process_limit
 from clacad.verification.limit_sources import DEFAULT, LimitSource, from_key, other
 
@@ -42,6 +43,14 @@ def design_checks(
     solved : bool
         Whether a lens that does not cover its cell is said which thickness, index or pitch would: a second's work.
     """
+    found = [*_cell_checks(design, window, facts, solved), *part_checks(design, window, facts)]
+    return accepted(found, design)
+
+
+def _cell_checks(
+    design: Design, window: Window, facts: Feasibility, solved: bool = False
+) -> tuple[Check, ...]:
+    """Judge the cells of a window, all by one where they are equal."""
     if not window.uniform:
         return _in_outer_cells(design, window, facts)
     found: list[Check] = [_one_piece(body) for body in facts.bodies]
@@ -52,7 +61,7 @@ def design_checks(
     found += [_field(design, facts), _fresnel_number(design, facts), _residual(design, window)]
     if design.light.coherent:
         found.append(_orders(design, window, facts))
-    return accepted(found, design)
+    return tuple(found)
 
 
 def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple[Check, ...]:
@@ -64,13 +73,13 @@ def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple
         like = like_cell(window, cell)
         facts = feasibility(like, *design.viewing_places).with_steps_of(whole)
         fields += facts.half_field if window.many_sizes else ()
-        for check in design_checks(design, like, facts, solved=False):
+        for check in _cell_checks(design, like, facts):
             key, known = (check.id, check.subject), worst.get((check.id, check.subject))
             if known is None or _worse(check, known):
                 at = cell.tolist() if check.id != "wall" else list(highest.cell)
                 named = f"in cell ({at[0]}, {at[1]}): {check.sentence}"
                 worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": at})
-    found = [_priced(check) for check in worst.values() if check.id not in ("field", "allowance")]
+    found = [_priced(check) for check in worst.values() if check.id != "field"]
     reach, half = tan(design.check.field), min(fields)
     sentence = "each cell is for the light of its own place; the cone of test rays about it"
     inside = reach <= half
@@ -80,7 +89,7 @@ def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple
             half, "slope", where="thin", required=False, limit_source=other("derived from pitch, separation and law"),
         )
     )  # fmt: skip
-    return accepted(found, design)
+    return tuple(found)
 
 
 def _priced(check: Check) -> Check:

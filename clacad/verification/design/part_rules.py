@@ -1,0 +1,98 @@
+"""Design rules of the whole part: can the process work its material, and is the part small enough for the machine?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import inf
+from typing import TYPE_CHECKING
+
+from clacad.design.process_profiles import ProcessProfile, profile, profiles
+from clacad.optics.material.catalogue import find, names
+from clacad.optics.material.material import Material
+from clacad.sheet.feasibility import Feasibility
+from clacad.sheet.volume_and_extent import body_extent
+from clacad.sheet.window import Window
+from clacad.verification.checks import NEAR, Check, judge, not_run
+from clacad.verification.design.process_rules import process_limit
+from clacad.verification.limit_sources import DESIGN_FILE, from_profile
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+_WAYS = {"part_height": "high", "part_width": "wide"}
+VISIBLE = 550e-9
+"""Metres; wavelength at which two materials are compared, if both are known there."""
+
+
+def part_checks(design: Design, window: Window, facts: Feasibility) -> Iterator[Check]:
+    """Judge the material, the height and the width of the parts by the design's process; nothing where it sets no limit."""
+    rules = profile(design.check.process)
+    if rules.materials or design.check.materials is not None:
+        yield from _workable(design, window, rules)
+    extents = {body.name: body_extent(window, body) for body in window.bodies}
+    sizes = {
+        "part_height": {body.name: body.high - body.low for body in facts.bodies},
+        "part_width": {name: max(x1 - x0, y1 - y0) for name, (x0, x1, y0, y1) in extents.items()},
+    }
+    for id, size in sizes.items():
+        limit, source = process_limit(design, rules, id)
+        if limit < inf:
+            name = max(size, key=lambda name: size[name])
+            sentence = f"{name} is {size[name]:.4g} {design.unit} {_WAYS[id]}"
+            if size[name] > limit:
+                sentence += f"; {_larger(id, size[name], design, window)}"
+            yield judge(
+                id, size[name], limit, sentence, near=NEAR, unit=design.unit, subject=name, limit_source=source
+            )  # fmt: skip
+
+
+def _larger(id: str, value: float, design: Design, window: Window) -> str:
+    """Name the process that makes parts so large of these materials, the one with the least room to spare."""
+    larger = [p for p in _other_processes(design, window) if getattr(p, id) >= value * design.unit_m]
+    if not larger:
+        return "no other process known here makes such parts of this material"
+    nearest = min(larger, key=lambda p: float(getattr(p, id)))
+    return f"{nearest.name} makes parts up to {getattr(nearest, id) / design.unit_m:.4g} {design.unit} {_WAYS[id]}"
+
+
+def _other_processes(design: Design, window: Window) -> list[ProcessProfile]:
+    """Processes that work all materials of the parts, without the design's own and "none"."""
+    materials = [body.material for body in window.bodies if body.material is not None]
+    return [
+        p
+        for p in profiles()
+        if p.materials and p.name != design.check.process and all(p.works(one) for one in materials)
+    ]
+
+
+def _workable(design: Design, window: Window, rules: ProcessProfile) -> Iterator[Check]:
+    """Judge each material of the parts once; a bare index says nothing of the material."""
+    own = design.check.materials
+    source = from_profile(rules) if own is None else DESIGN_FILE
+    worked = None if own is None else {find(name).name for name in own}
+    for material in {body.material.name: body.material for body in window.bodies if body.material}.values():
+        good = rules.works(material) if worked is None else material.name in worked
+        if not good and not material.kind and worked is None:
+            why = f"nothing is known of how {material.name} is worked"
+            yield not_run("workable", why, required=False, subject=material.name)
+            continue
+        sentence = f"{rules.name} {'works' if good else 'does not work'} {material.name}"
+        if not good:
+            sentence += f" ({material.kind}); {_way_out(material, design, rules)}"
+        yield Check(
+            "workable", "pass" if good else "fail", sentence, material.name, " or ".join(worked or rules.materials),
+            relation="=", subject=material.name, limit_source=source,
+        )  # fmt: skip
+
+
+def _way_out(material: Material, design: Design, rules: ProcessProfile) -> str:
+    """Name the processes that work a material, and the material nearest to it in index that the process works."""
+    processes = [p.name for p in profiles() if p.materials and p.works(material)]
+    ways = f"{' or '.join(processes)} works it" if processes else "no process known here works it"
+    wave = design.pair.wavelength or VISIBLE
+    worked = [one for name in names() if rules.works(one := find(name)) and one.knows(wave)]
+    if not worked or not material.knows(wave):
+        return ways
+    index = material.index(wave)
+    nearest = min(worked, key=lambda one: abs(one.index(wave) - index))
+    return f"{ways}; {rules.name} works {nearest.name} (n = {nearest.index(wave):.4g}, here {index:.4g})"
