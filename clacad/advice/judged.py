@@ -37,17 +37,20 @@ class Judged:
         Of the window.
     rules : tuple of Check
         The design rules; warnings that the design allows are marked.
+    remedies : bool
+        Whether the check `viewed` tries which changes reach its limit, and names them.
     """
 
     design: Design
     window: Window
     facts: Feasibility
     rules: tuple[Check, ...]
+    remedies: bool = False
 
     @cached_property
     def light(self) -> tuple[Check, ...]:
         """The checks by light, through one cell of the exact surfaces."""
-        found, _ = judge_light(self.design, self.window, RAYS, POINT_RAYS)
+        found, _ = judge_light(self.design, self.window, RAYS, POINT_RAYS, remedies=self.remedies)
         return tuple(found)
 
     @cached_property
@@ -87,12 +90,14 @@ def tight(check: Check) -> bool:
     return abs(check.value - check.limit) <= TIGHT * abs(check.limit)
 
 
-def judge(design: Design) -> Judged:
+def judge(design: Design, *, remedies: bool = False) -> Judged:
     """Build a design's window, to be judged as verify will judge it.
 
     Parameters
     ----------
     design : Design
+    remedies : bool
+        Whether the check `viewed` tries which changes reach its limit, and names them.
 
     Raises
     ------
@@ -101,4 +106,5 @@ def judge(design: Design) -> Judged:
     """
     window = prescribe(design)
     facts = feasibility(window, *design.viewing_places)
-    return Judged(design, window, facts, design_checks(design, window, facts, solved=False))
+    rules = design_checks(design, window, facts, solved=False)
+    return Judged(design, window, facts, rules, remedies)

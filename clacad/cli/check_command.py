@@ -25,7 +25,7 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
     from clacad.exporting.forecast import outlook
     from clacad.storage.errors import LimitRefused
 
-    judged = judge(_listable(load_design(path, overrides)))
+    judged = judge(_listable(load_design(path, overrides)), remedies=True)
     forecast = outlook(judged.window)
     if json:
         show_json(_document(judged, forecast, _advised(judged, quiet=quiet)))

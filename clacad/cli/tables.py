@@ -155,6 +155,8 @@ def check_text(
     title: str, derived: Iterable[Sequence[str]], checks: Iterable[Any], forecast: Iterable[dict[str, Any]]
 ) -> str:
     """All that `clacad check` derives and judges; what verify will say stands below it."""
+    from clacad.verification.light.viewed_check import headline
+
     checks = list(checks)
     light = [check for check in checks if check.where.startswith("surfaces") and check.id != "residual"]
     rules = [check for check in checks if check not in light]
@@ -162,7 +164,8 @@ def check_text(
         derived_text(derived), "design rules", checks_text(rules), "light through one cell", checks_text(light),
         "what an export would cost", forecast_text(forecast),
     )  # fmt: skip
-    return "\n".join((title, *blocks))
+    first = headline(checks)
+    return "\n".join((title, *([f"  {first}"] if first else []), *blocks))
 
 
 def advice_text(advice: Any) -> str:

@@ -122,11 +122,15 @@ def _write(report: Report, out: Path, request: VerifyRequest, progress: Progress
 def _tell(report: Report, name: str, *, json: bool, quiet: bool) -> None:
     """Print checks, verdicts and the last word."""
     from clacad.cli.tables import checks_text, verdicts_text
+    from clacad.verification.light.viewed_check import headline
 
     if json:
         show_json(report.to_dict())
     else:
-        show_text(f"{name}\n{checks_text(report.checks)}", quiet=quiet)
+        first = headline(report.checks)
+        show_text(
+            "\n".join([name, *([f"  {first}"] if first else []), checks_text(report.checks)]), quiet=quiet
+        )
         if report.verdicts:
             show_text(verdicts_text(report.verdicts), quiet=quiet)
         show_text(report.verdict(), quiet=quiet)

@@ -75,15 +75,8 @@ def aimed(window: Window, design: Design) -> Window:
     NoSuchLens
         CL121: too many vertices to be traced; CL122: the viewer is too near; CL123: lens 2 would be too steep.
     """
-    aim = AimPoint(design.lattice.aperture.point)  # type: ignore[union-attr]
-    _refuse_table(design)
-    _refuse_near(aim, window)
-    cells = row_ends(window.lattice)
-    landing = _landing(window)
-    built = _placed(aim, window.lattice, cells, landing)
-    thin = _placed(aim, window.lattice, cells, _straight(window.thin.offset[2]))
-    _refuse_steep(aim, window, design, built, cells)
-    _refuse_stray(aim, window, built, cells)
+    aim, built = refuse_aim(window, design)
+    thin = _placed(aim, window.lattice, row_ends(window.lattice), _straight(window.thin.offset[2]))
     table = _table(aim, window) if design.pair.offset != "paraxial" else None
     change = _vertex_change(built, window.lattice, table)
     return replace(
@@ -172,6 +165,18 @@ def _table(aim: AimPoint, window: Window) -> Floats:
 
 
 # -- what is refused ---------------------------------------------------------------------------
+
+
+def refuse_aim(window: Window, design: Design) -> tuple[AimPoint, CellPlacement]:
+    """Return the point and where array 2's cells are for it; parameters and refusals are those of `aimed`."""
+    aim = AimPoint(design.lattice.aperture.point)  # type: ignore[union-attr]
+    _refuse_table(design)
+    _refuse_near(aim, window)
+    cells = row_ends(window.lattice)
+    built = _placed(aim, window.lattice, cells, _landing(window))
+    _refuse_steep(aim, window, design, built, cells)
+    _refuse_stray(aim, window, built, cells)
+    return aim, built
 
 
 def _refuse_table(design: Design) -> None:

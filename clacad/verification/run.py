@@ -126,7 +126,7 @@ def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) 
 
     The window need not come from that design; what it does is measured, not believed.
     """
-    found, optics = judge_light(design, window, rays)
+    found, optics = judge_light(design, window, rays, remedies=True)
     return [*found, *design_checks(design, window, facts)], optics
 
 

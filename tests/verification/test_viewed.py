@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
+import tomllib
 
 import pytest
 
-from clacad.advice import judge
 from clacad.cli.entry_point import main
 from clacad.design import Design
-from clacad.verification import verify
+from clacad.prescription.prescribe import prescribe
+from clacad.verification.checks import accepted, passed
+from clacad.verification.light.viewed_check import viewed_check
 
 SHEET = {
     "format": 1, "name": "window", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
@@ -29,7 +32,8 @@ def mean_share(distance, width=20.0, separation=10.0, pitch=0.5):
 
 
 def viewed_of(design):
-    return next(check for check in judge(design).checks if check.id == "viewed")
+    check, *_ = accepted([viewed_check(design, prescribe(design))], design)
+    return check
 
 
 @pytest.mark.parametrize("distance", [250.0, 1000.0, 8000.0])
@@ -41,7 +45,7 @@ def test_a_stated_viewer_fails_below_the_limit_and_an_assumed_one_is_warned_of(d
     )  # a plain slab is 1 % off its thin lenses; 8192 rays: .004
     assert (check.limit, check.required) == (0.9, True)
     assert check.state == ("pass" if share > 0.9 else "fail")
-    assert verify(design, rays=4096).passed == (share > 0.9)
+    assert passed([check]) == (share > 0.9)
 
 
 def test_an_assumed_viewer_is_a_warning_and_no_more():
@@ -88,3 +92,65 @@ def test_check_and_verify_fail_by_exit_status(tmp_path, capsys):
     assert main(["verify", str(path), "--rays", "4096", "--json"]) == 1
     rows = {c["id"]: c for c in json.loads(capsys.readouterr().out)["checks"]}
     assert (rows["viewed"]["state"], rows["viewed"]["limit"]) == ("fail", 0.9)
+
+
+OFFSET = {**SHEET, "law": {"eta": [-1.0, -1.0], "delta": [0.25, 0.0]}}
+DRILLED = {**SHEET, "body": {"border": 6.0, "holes": [{"diameter": 3.0, "corners": 3.0}]}}
+IMAGING = {**SHEET, "law": {"eta": [-1.0, -1.0], "varying": {"f_image": 300.0}}}
+NAMED = re.compile(r"(lattice\.aperture|pair\.field_lens) = (\{.*?\}|true)|a viewer at ([\d.]+) mm")
+
+
+def remedies(design):
+    """Keys and values that the check names."""
+    check = viewed_check(design, prescribe(design), remedies=True)
+    assert check.state == "fail"
+    found = {}
+    for key, value, distance in NAMED.findall(check.sentence):
+        if distance:
+            found["check.viewer"] = float(distance)
+        else:
+            found[key] = tomllib.loads(f"value = {value}")["value"]
+    return found, check.sentence
+
+
+@pytest.mark.parametrize(
+    ("data", "named"),
+    [
+        (SHEET, {"lattice.aperture", "pair.field_lens", "check.viewer"}),
+        (DRILLED, {"check.viewer"}),  # aimed cells and field lenses are not built with holes
+        (OFFSET, None),
+        (IMAGING, None),
+    ],
+    ids=["plain", "with holes", "offset", "imaging"],
+)
+def test_what_the_check_names_is_built_and_reaches_the_limit(data, named):
+    design = Design.from_dict(data).replace({"check.viewer": 400})
+    found, sentence = remedies(design)
+    assert named is None or set(found) == named, sentence
+    for key, value in found.items():
+        assert viewed_of(design.replace({key: value})).state == "pass", (key, value)
+    if not found:
+        assert "neither aimed cells nor a field lens" in sentence
+
+
+def test_where_no_change_reaches_the_limit_the_check_says_so():
+    """Tilted lenses: light along the sheet's normal misses the partner however far the eye is, and the eye is near."""
+    design = Design.from_dict({**SHEET, "check": {"viewer": 90}}).replace({"law.euler": [0, 5, 0]})
+    found, sentence = remedies(design)
+    assert not found, sentence
+    assert "neither aimed cells nor a field lens nor a viewer farther away reaches 90 %" in sentence
+
+
+@pytest.mark.parametrize("command", ["check", "verify"])
+def test_the_share_is_on_the_second_line(command, tmp_path, capsys):
+    path = tmp_path / "window.json"
+    path.write_text(json.dumps({**SHEET, "check": {"viewer": 400}}), encoding="utf-8")
+    rays = ["--rays", "4096"] if command == "verify" else []
+    assert main([command, str(path), *rays]) == 1
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert first == "window"
+    share = re.fullmatch(
+        r"  ([\d.]+) % of the light of the eye of check\.viewer at \(0, 0, -400\) mm obeys the law over the whole sheet "
+        r"\(limit 90 %: FAILS\)", second,
+    )  # fmt: skip
+    assert float(share[1]) == pytest.approx(100.0 * mean_share(400.0), abs=2.0)

@@ -28,7 +28,7 @@ from clacad.verification.light.law_checks import (
     throughput_check,
     turn_of,
 )
-from clacad.verification.light.viewed import viewed_check
+from clacad.verification.light.viewed_check import viewed_check
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -85,9 +85,12 @@ def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
 
 
 def judge_light(
-    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS
+    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS, *, remedies: bool = False
 ) -> tuple[list[Check], Optics]:
-    """Judge light through a window's exact surfaces by what its design asks; rays as `measure` has them."""
+    """Judge light through a window's exact surfaces by what its design asks; rays as `measure` has them.
+
+    remedies : whether the check `viewed` tries which changes reach its limit.
+    """
     tried = tried_cells(window)
     seen = worst_of(tried, design.check.field)
     optics = measure(design, seen.like, seen.send, rays, point_rays)
@@ -100,6 +103,6 @@ def judge_light(
         found += field_lens_checks(design, window, optics.main)
     return [
         *(_named(seen, check) for check in found),
-        viewed_check(design, window),
+        viewed_check(design, window, remedies=remedies),
         *image_checks(design, window),
     ], optics

@@ -6,7 +6,7 @@ lenslets than the partner. Traced through the exact surfaces, and in the closed 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,6 @@ from clacad.sheet.feasibility.pitch_for_eye import VIEWING_DISTANCE
 from clacad.sheet.vignetting import partner_share
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
-from clacad.verification.checks import Check, judge
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -88,10 +87,18 @@ def viewed(window: Window, viewer: tuple[float, float, float], rays: int = RAYS)
     near = np.hypot(*slope.T) * window.thin.separation <= FARTHEST * min(window.lattice.pitch)
     alive = np.zeros(len(slope), dtype=bool)
     alive[near] = trace(window, Rays(start[near], ray[near]), path="size").fate == Fate.ALIVE
-    thin = partner_share(
-        window, cells, np.column_stack([_slopes(window.centres(0, cells), viewer), ray[:, 2]])
-    )
-    return Viewed(viewer, float(alive.mean()), float(thin.mean()), place, alive)
+    return Viewed(viewer, float(alive.mean()), _thin_share(window, cells, viewer), place, alive)
+
+
+def thin_share(window: Window, viewer: tuple[float, float, float], cells: int = 2048) -> float:
+    """Mean share of the viewer's light that obeys the law, thin lenses, over so many cells."""
+    drawn, _ = _kept_cells(window, sobol(cells, 2))
+    return _thin_share(window, drawn, viewer)
+
+
+def _thin_share(window: Window, cells: Ints, viewer: tuple[float, float, float]) -> float:
+    slope = _slopes(window.centres(0, cells), viewer)
+    return float(partner_share(window, cells, np.column_stack([slope, np.ones(len(slope))])).mean())
 
 
 def share_map(
@@ -106,46 +113,6 @@ def share_map(
     slope = _slopes(window.centres(0, cells), viewer)
     found = partner_share(window, cells, np.column_stack([slope, np.ones(len(slope))]))
     return np.where(window.lattice.contains(cells), found, np.nan).reshape(x.shape), (x0, x1, y0, y1)
-
-
-def viewed_check(design: Design, window: Window) -> Check:
-    """Judge the share of the viewer's light that obeys the law: a stated viewer fails below the limit, an assumed one warns."""
-    found = viewed(window, viewer_of(design))
-    stated, limit = design.check.viewer is not None, design.check.viewed
-    sentence = f"{100.0 * found.traced:.3g} % of the light of {_eye(design, found.viewer)} obeys the law over the whole sheet"
-    if not found.traced >= limit:
-        sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %), the rest meets other lenslets: {_cure(design, found.viewer, found)}"
-    check = judge(
-        "viewed", found.traced, limit, sentence, relation=">=", where="surfaces", required=stated,
-        bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0",
-        detail={"viewer": found.viewer, "thin": found.thin, "stated": stated},
-    )  # fmt: skip
-    return replace(check, state="warn") if check.state == "fail" and not stated else check
-
-
-def _eye(design: Design, viewer: tuple[float, float, float]) -> str:
-    """Say where the eye is and who says so."""
-    x, y, z = viewer
-    where = f"at ({x:.4g}, {y:.4g}, {z:.4g}) {design.unit}"
-    if design.check.viewer is not None:
-        return f"the eye of check.viewer {where}"
-    if isinstance(design.lattice.aperture, AimedAt):
-        return f"the eye {where} that the cells are aimed at"
-    return f"an assumed eye {where} (check.viewer states one)"
-
-
-def _cure(design: Design, viewer: tuple[float, float, float], found: Viewed) -> str:
-    """The key that makes a sheet for this eye."""
-    if isinstance(design.lattice.aperture, AimedAt) and design.lattice.aperture.point == viewer:
-        return "the lenses themselves lose it; a smaller pitch or a viewer farther away would keep more"
-    if (
-        design.law_spec.varying is not None
-        or design.lattice.pitch_2 is not None
-        or design.pair.focus is not None
-    ):
-        return "light of each place comes aslant as the eye stands; a viewer farther away or a smaller sheet would keep more"
-    point = ", ".join(f"{v:.6g}" for v in viewer)
-    return f"lattice.aperture = {{point = [{point}]}} stands the cells of array 2 where it arrives; check.viewer says where the eye is"
 
 
 def _slopes(place: Floats, viewer: tuple[float, float, float]) -> Floats:
