@@ -169,11 +169,7 @@ def status_of(error: Exception) -> int | None:
         return known
     if module.startswith(("click", "typer")):
         return BAD_INPUT
-    if type(error).__name__ == "DesignError":
-        return BAD_INPUT
     if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError, UnicodeError)):
-        return BAD_INPUT
-    if type(error).__name__ == "UnidentifiedImageError":
         return BAD_INPUT
     if isinstance(error, OSError) and error.errno in (ENAMETOOLONG, ELOOP):
         return BAD_INPUT

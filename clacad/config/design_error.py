@@ -30,6 +30,8 @@ class DesignError(ValueError):
         At least one.
     """
 
+    exit_status = 2
+
     def __init__(self, mistakes: Iterable[Mistake]) -> None:
         self.mistakes: tuple[Mistake, ...] = tuple(mistakes)
         super().__init__(self.mistakes)

@@ -35,7 +35,6 @@ def as_dict(rows: Sequence[Row]) -> dict[str, Any]:
         "worst": worst_shares(rows),
     }
     return dict(plain(found, lambda _: "inf"))
-    return dict(plain(found, lambda _: "inf"))
 
 
 def as_text(rows: Sequence[Row]) -> str:
