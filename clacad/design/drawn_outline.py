@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any, Final
 
@@ -58,22 +59,32 @@ def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[M
     DesignTooLarge
         The drawing is beyond its reader's budget.
     """
-    lattice = data.get("lattice")
-    outline = lattice.get("outline") if isinstance(lattice, dict) else None
-    if not isinstance(outline, dict) or set(outline) != {"dxf"} or not isinstance(outline["dxf"], str):
-        return data, []
-    word = data.get("unit")
+    mistakes: list[Mistake] = []
+    for section in ("lattice", "body"):
+        given = data.get(section)
+        outline = given.get("outline") if isinstance(given, dict) else None
+        if not isinstance(outline, dict) or set(outline) != {"dxf"} or not isinstance(outline["dxf"], str):
+            continue
+        try:
+            points = _drawn(data.get("unit"), path, outline["dxf"])
+        except TooMuch as problem:
+            raise DesignTooLarge([_of_section(problem.mistake, section)]) from None
+        except Unfit as problem:
+            mistakes.append(_of_section(problem.mistake, section))
+            continue
+        data = {**data, section: {**data[section], "outline": {"polygon": vertex_lists(points)}}}
+    return data, mistakes
+
+
+def _drawn(word: object, path: str, name: str) -> tuple[Vertex, ...]:
+    """Corners of the outline in a drawing beside the design, in the design's unit."""
     unit = units.design_unit(word) if isinstance(word, str) else None
-    try:
-        points = read_outline(
-            os.path.dirname(path) or ".", outline["dxf"], unit.metres if unit else Fraction(1)
-        )
-    except TooMuch as problem:
-        raise DesignTooLarge([problem.mistake]) from None
-    except Unfit as problem:
-        return data, [problem.mistake]
-    polygon = {"polygon": vertex_lists(points)}
-    return {**data, "lattice": {**data["lattice"], "outline": polygon}}, []
+    return read_outline(os.path.dirname(path) or ".", name, unit.metres if unit else Fraction(1))
+
+
+def _of_section(mistake: Mistake, section: str) -> Mistake:
+    """The mistake, at the section whose outline names the drawing."""
+    return replace(mistake, key=f"{section}.outline.dxf")
 
 
 def read_outline(folder: str, name: str, unit: Fraction) -> tuple[Vertex, ...]:

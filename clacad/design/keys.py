@@ -184,6 +184,15 @@ PAIR: Final[dict[str, Key]] = {
         "afocal",
     ),
 }
+_OUTLINE: Final = InlineTable(
+    (
+        ("circle", _ABOVE_0),
+        ("rectangle", Several(_ABOVE_0, ("width", "height"))),
+        ("polygon", POLYGON),
+        ("dxf", Text("the name of a DXF file in the design's folder", 200)),
+    ),
+    exactly_one=True,
+)
 LATTICE: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),
     "pitch": Key(Several(_ABOVE_0, _XY, single=True), "size of a cell", REQUIRED),
@@ -193,18 +202,7 @@ LATTICE: Final[dict[str, Key]] = {
     ),
     "seam": Key(_FROM_0, "width of the land along cell borders", 0.0),
     "seam_depth": Key(_ABOVE_0, "plano, slab: how far the land lies below the deepest optical point"),
-    "outline": Key(
-        InlineTable(
-            (
-                ("circle", _ABOVE_0),
-                ("rectangle", Several(_ABOVE_0, ("width", "height"))),
-                ("polygon", POLYGON),
-                ("dxf", Text("the name of a DXF file in the design's folder", 200)),
-            ),
-            exactly_one=True,
-        ),
-        "outer shape; cells wholly inside are kept",
-    ),
+    "outline": Key(_OUTLINE, "outer shape of the cells; cells wholly inside are kept"),
     "aperture": Key(
         WordOr(
             ("centred", "aligned"),
@@ -225,7 +223,13 @@ LATTICE: Final[dict[str, Key]] = {
     ),
 }
 BODY: Final[dict[str, Key]] = {
-    "border": Key(_FROM_0, "width of the land round the sheet", 0.0),
+    "border": Key(
+        _FROM_0, "width of the land round the sheet, beyond lattice.outline where there is one", 0.0
+    ),
+    "outline": Key(
+        _OUTLINE,
+        "edge of the plate where it is not that of the cells, which lie wholly inside; instead of border",
+    ),
     "corners": Key(CORNERS, "rounded or chamfered corners of a rectangular plate"),
     "holes": Key(HOLES, "round holes through every plate, in its border", ()),
     "pins": Key(PINS, "dowel pins that align both plates: holes through both, and their play"),

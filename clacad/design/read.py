@@ -238,11 +238,10 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     pair["focus"] = None if pair["focus"] == "afocal" else Conjugates(**dict(pair["focus"]))
     law["euler_degrees"] = law.pop("euler")
     law["varying"] = _varying(law["varying"], path, source)
-    if lattice["outline"] is not None:
-        ((shape, size),) = lattice["outline"]
-        lattice["outline"] = _outline(shape, size)
-        if lattice["count"] is None:
-            lattice["count"] = filling_count(lattice["kind"], lattice["pitch"], lattice["outline"].size)
+    for section in (lattice, body):
+        section["outline"] = _outline(section["outline"])
+    if lattice["outline"] is not None and lattice["count"] is None:
+        lattice["count"] = filling_count(lattice["kind"], lattice["pitch"], lattice["outline"].size)
     if not isinstance(lattice["aperture"], str) and isinstance(lattice["aperture"][0], tuple):
         lattice["aperture"] = AimedAt(**dict(lattice["aperture"]))
     if body["frame"] is not None:
@@ -267,8 +266,11 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     }  # fmt: skip
 
 
-def _outline(shape: str, size: Any) -> Outline:
+def _outline(read: Any) -> Outline | None:
     """The outline of one of the shapes as the keys read it."""
+    if read is None:
+        return None
+    ((shape, size),) = read
     if shape == "circle":
         return Outline("circle", (size, size))
     if shape == "rectangle":

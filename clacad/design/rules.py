@@ -372,28 +372,50 @@ def count_or_outline(a: Asked) -> Iterator[Mistake]:
 
 def outline_is_simple(a: Asked) -> Iterator[Mistake]:
     """A polygon encloses an area, and no side of it meets another."""
-    outline = a("lattice.outline")
-    if outline is None or outline[0][0] != "polygon":
-        return
-    from clacad.sheet.simple_outline import fault
+    for key in ("lattice.outline", "body.outline"):
+        outline = a(key)
+        if outline is None or outline[0][0] != "polygon":
+            continue
+        from clacad.sheet.simple_outline import fault
 
-    why = fault(outline[0][1])
-    if why:
-        yield Mistake("CL141", f"lattice.outline is no outline: {why}", "lattice.outline",
-                      allowed="corners of a closed polygon in order, the first not repeated, whose sides meet at corners alone")  # fmt: skip
+        why = fault(outline[0][1])
+        if why:
+            yield Mistake("CL141", f"{key} is no outline: {why}", key,
+                          allowed="corners of a closed polygon in order, the first not repeated, whose sides meet at corners alone")  # fmt: skip
+
+
+def one_edge(a: Asked) -> Iterator[Mistake]:
+    """The edge of the plate is that of the cells, a border beyond it, or an outline of its own."""
+    cells, plate, border = a("lattice.outline"), a("body.outline"), a("body.border")
+    if border and plate is not None:
+        yield Mistake(
+            "CL112",
+            "body.border and body.outline both say where the plate ends",
+            "body.border",
+            allowed="one of the two",
+            hint="leave body.border out",
+        )
+    elif border and cells is not None and cells[0][0] in ("polygon", "dxf"):
+        yield Mistake(
+            "CL114",
+            f"body.border does not belong to a {cells[0][0]}",
+            "body.border",
+            allowed="lattice.outline = {circle = ...} or {rectangle = ...}, or no border",
+            hint="body.outline = {...} is the edge of a plate round a polygon of cells",
+        )
 
 
 def plate_has_a_border(a: Asked) -> Iterator[Mistake]:
     """Corners, holes and pins need land round the cells, and a shape that has them."""
-    outline, border = a("lattice.outline"), a("body.border")
+    outline, border = a("body.outline") or a("lattice.outline"), a("body.border")
     shape = "rectangle" if outline is None else outline[0][0]
     for key in ("body.corners", "body.holes", "body.pins"):
         if a(key) and outline is None and not border:
             yield Mistake("CL113", f"{key} needs land round the cells", key,
-                          allowed="body.border > 0, or lattice.outline")  # fmt: skip
+                          allowed="body.border > 0, body.outline or lattice.outline")  # fmt: skip
     if a("body.corners") and shape != "rectangle":
         yield Mistake("CL114", f"body.corners does not belong to a {shape}", "body.corners",
-                      allowed="a rectangular plate: lattice.outline = {rectangle = ...}, or body.border alone",
+                      allowed="a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border alone",
                       hint="give a polygon's corners themselves: [x, y, bulge] bends a side")  # fmt: skip
     if a("body.pins") and a("pair.form") == "slab":
         yield Mistake("CL114", "body.pins does not belong to a slab: it is one body", "body.pins",
@@ -515,6 +537,7 @@ RULES: Final[tuple[Rule, ...]] = (
     outline_holds_a_cell,
     count_or_outline,
     outline_is_simple,
+    one_edge,
     plate_has_a_border,
     baffle_has_walls,
     varying_law_has_lenses,

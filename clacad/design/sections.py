@@ -228,7 +228,7 @@ class BodySpec:
     Parameters
     ----------
     border : float, length
-        Width of the land round the sheet.
+        Width of the land round the sheet: round its cells, or beyond `lattice.outline`.
     neck : float or None, length
         Least thickness at an inner border; None: max(process minimum, pitch/50).
     baffle : bool
@@ -245,6 +245,8 @@ class BodySpec:
         Of a rectangular plate; None: sharp.
     holes : tuple of HoleSpec
     pins : PinsSpec or None
+    outline : Outline or None
+        Edge of the plate where it is not that of the cells; instead of `border`.
     """
 
     border: float
@@ -257,6 +259,12 @@ class BodySpec:
     corners: CornersSpec | None = None
     holes: tuple[HoleSpec, ...] = ()
     pins: PinsSpec | None = None
+    outline: Outline | None = None
+
+    @property
+    def apart(self) -> bool:
+        """Whether the plate has an edge of its own, apart from `lattice.outline`."""
+        return self.border > 0.0 or self.outline is not None
 
     @property
     def shaped(self) -> bool:

@@ -153,10 +153,10 @@ MISTAKES: dict[str, Text] = {
     "CL141": (
         "An outline, a corner, a hole or a pin makes no plate.",
         "The outline is not one closed line that keeps off itself, a corner is larger than half a side, or a hole cuts the edge, another "
-        "hole, or a cell of a sheet whose number of cells is given.",
+        "hole, or a cell that lattice.count or lattice.outline states (body.border and body.outline move the edge, not the cells).",
         "distance of a hole's middle from every edge > diameter/2, from another hole's > half the sum of the diameters; cells keep pitch/1000",
-        "Move or shrink the hole as the message says, widen body.border, or give lattice.outline: cells that it or a hole cuts are then "
-        "left out. A drawing: one closed polyline, or LINEs and ARCs that close, alone on a layer OUTLINE, with $INSUNITS.",
+        "Move or shrink the hole as the message says, or widen body.border or body.outline. With neither, lattice.outline is the edge of "
+        "the plate, and cells that it or a hole cuts are left out. A drawing: one closed polyline, or LINEs and ARCs that close, alone on a layer OUTLINE, with $INSUNITS.",
     ),
     "CL130": (
         "A lens surface has no point over part of its cell.", "The lens would end in the air with nothing at its place.",

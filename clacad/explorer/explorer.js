@@ -183,7 +183,7 @@
     if (o) {
       const round = o[0] === "circle", whole = round ? [o[1], o[1]] : [o[1], o[2]];
       const off = round ? [2 * Math.hypot(slip[0], slip[1]), 0] : [2 * Math.abs(slip[0]), 2 * Math.abs(slip[1])];
-      const half = whole.map(function (v) { return v / 2 / p; });
+      const half = whole.map(function (v) { return v / 2 / p + facts.border / p; });
       const kept = whole.map(function (v, k) { return Math.max(0, v - (round ? off[0] : off[k])) / 2 / p * (1 + 1e-6); });
       return { kept: [round ? 1 : 2, kept[0], kept[1]], solid: [round ? 1 : 2, half[0], half[1]] };
     }

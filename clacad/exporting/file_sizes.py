@@ -6,7 +6,7 @@ import io
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from math import ceil, hypot, log10
+from math import ceil, log10
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -251,8 +251,9 @@ def _smaller_sheet(window: Window, n: int) -> Window:
         share = min(1.0, n / max(lattice.count))
         disc = Circle(lattice.outline.diameter * share)
         count = (ceil(lattice.count[0] * share), ceil(lattice.count[1] * share))
-        room = 2.0 * max(hypot(*shift) for shift in window.shifts) if window.form == "slab" else 0.0
-        held = Circle(disc.diameter + room)  # a slab's outline holds both arrays, displaced as they are
+        whole = window.outline.diameter if isinstance(window.outline, Circle) else lattice.outline.diameter
+        # a border, and for a slab's displaced arrays the room that both take
+        held = Circle(disc.diameter + whole - lattice.outline.diameter)
         return replace(window, lattice=replace(lattice, count=count, outline=disc), outline=held)
     small = window.with_cells((min(n, lattice.count[0]), min(n, lattice.count[1])))
     if not isinstance(window.outline, Rectangle):

@@ -36,7 +36,7 @@ from clacad.prescription.field_lens import (
     two_plates,
 )
 from clacad.prescription.given import GivenFaces, given_pair, refuse_no_faces
-from clacad.prescription.plates import asked_outline, with_plate
+from clacad.prescription.plates import cells_outline, with_plate
 from clacad.prescription.radii import (
     LensPair,
     NoSuchLens,
@@ -152,7 +152,7 @@ def _conic(design: Design, index: float) -> Pair2 | None:
 def _lattice(design: Design) -> Lattice:
     """The pattern of cells, ended at a plate where one is asked for."""
     plain = lattice_of(design)
-    outline = asked_outline(design.lattice.outline, design.body)
+    outline = cells_outline(design.lattice.outline, design.body)
     return replace(plain, outline=outline) if isinstance(outline, Plate) else plain
 
 
@@ -222,6 +222,7 @@ def _refuse_land_without_plate(design: Design, window: Window) -> None:
     asked = {
         "lattice.seam": design.lattice.seam > 0.0,
         "body.border": design.body.border > 0.0,
+        "body.outline": design.body.outline is not None,
         "lattice.outline": design.lattice.outline is not None,
     }
     keys = [key for key, given in asked.items() if given]
@@ -312,7 +313,7 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
 def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
     """Front and back z of the plate joining the lenslets of one array; None without one or for a concave lens."""
     spec = intent.design
-    bordered = spec.body.border > 0.0 or spec.lattice.outline is not None
+    bordered = spec.body.apart or spec.lattice.outline is not None
     web = spec.pair.web
     if web is None or (web == 0.0 and bordered):
         web = intent.neck  # the border is a plate, and something must join it to the lenslets

@@ -1,8 +1,9 @@
 """From asked outlines, corners, holes and pins to the plate that bodies end at. Lengths in design units.
 
 A plate stands where it is drawn, about the sheet's origin, and is common to both bodies: bolts and pins go straight
-through. A plain border round displaced arrays is as wide as both need. Where the outline is said (`lattice.outline`)
-cells that it or a hole cuts are left out; where the number of cells is (`body.border`), a hole that meets one is refused.
+through. A plain border round displaced arrays is as wide as both need. Where `lattice.outline` is the edge of the plate,
+cells that it or a hole cuts are left out. Where the plate has an edge of its own (`body.border`, `body.outline`), the
+cells are those that the lattice states, and an edge or hole that meets one of them is refused.
 """
 
 from __future__ import annotations
@@ -24,8 +25,11 @@ MOST_CELLS = 10_000_000
 """Cells that are asked one by one whether a plate holds them."""
 
 
-def asked_outline(outline: Outline | None, body: BodySpec) -> Circle | Rectangle | Plate | None:
-    """The outline that `lattice.outline` asks for, with the corners, holes and pins of the body.
+def cells_outline(outline: Outline | None, body: BodySpec) -> Circle | Rectangle | Plate | None:
+    """The outline that keeps the cells inside it, from `lattice.outline`.
+
+    Where it is the edge of the plate too (no border, no `body.outline`), it has the corners, holes and pins of the body,
+    and cells that those cut are left out.
 
     Raises
     ------
@@ -34,22 +38,18 @@ def asked_outline(outline: Outline | None, body: BodySpec) -> Circle | Rectangle
     """
     if outline is None:
         return None
-    if outline.shape == "polygon":
-        return _with_holes(counter_clockwise(outline.points), outline.size, body)
-    if not body.shaped:
-        return Circle(outline.size[0]) if outline.shape == "circle" else Rectangle(*outline.size)
-    if outline.shape == "circle":
-        return _with_holes(plate_of_circle(outline.size[0]), outline.size, body)
-    return _rectangular(outline.size, body)
+    if body.apart:
+        return Plate(counter_clockwise(outline.points)) if outline.shape == "polygon" else _plain(outline)
+    return _plate(outline, body) if body.shaped or outline.shape == "polygon" else _plain(outline)
 
 
 def with_plate(window: Window, body: BodySpec) -> Window:
-    """The window with the plate of its body: what `lattice.outline` gave, or its border with corners and holes.
+    """The window with the plate of its body: `lattice.outline`, `body.outline`, or the cells and a border round them.
 
     Raises
     ------
     NoSuchLens
-        A hole meets a cell of a sheet whose number of cells is given; no cell is left.
+        The edge, a corner or a hole of a plate meets a cell that `lattice` states; no cell is left.
     """
     kept = window.lattice.outline
     if isinstance(kept, Plate):
@@ -57,17 +57,42 @@ def with_plate(window: Window, body: BodySpec) -> Window:
         if many > MOST_CELLS:
             raise NoSuchLens(f"lattice.count asks {many:,} cells whether the plate holds them", "lattice.count",
                              f"at most {MOST_CELLS:,}", "CL106")  # fmt: skip
-        plate = replace(kept, moved=window.shifts[1])
-        window = replace(window, lattice=replace(window.lattice, outline=plate), outline=plate)
-        _refuse_empty(window, plate)
+        kept = replace(kept, moved=window.shifts[1])
+        window = replace(window, lattice=replace(window.lattice, outline=kept), outline=kept)
+        _refuse_empty(window, kept)
+    if kept is not None and not body.apart:
         return window
-    if not body.shaped or not isinstance(window.outline, Rectangle) or kept is not None:
+    edge = body.outline or _bordered(window, body)
+    if edge is None:
         return window
-    dx, dy = (0.0, 0.0) if window.form == "slab" else window.shifts[1]
-    size = window.outline.width + 2.0 * abs(dx), window.outline.height + 2.0 * abs(dy)
-    plate = replace(_rectangular(size, body), moved=window.shifts[1])
-    _refuse_cut_cells(window, plate)
+    plate = replace(_plate(edge, body), moved=window.shifts[1])
+    _refuse_cut_cells(window, plate, body)
     return replace(window, outline=plate)
+
+
+def _bordered(window: Window, body: BodySpec) -> Outline | None:
+    """The edge that a border makes of the cells' outline, wide enough for both arrays; None if it needs no plate."""
+    edge = window.outline
+    if not body.shaped or edge is None or isinstance(edge, Plate):
+        return None
+    dx, dy = (0.0, 0.0) if window.form == "slab" else window.shifts[1]
+    if isinstance(edge, Circle):
+        across = edge.diameter + 2.0 * float(np.hypot(dx, dy))
+        return Outline("circle", (across, across))
+    return Outline("rectangle", (edge.width + 2.0 * abs(dx), edge.height + 2.0 * abs(dy)))
+
+
+def _plain(outline: Outline) -> Circle | Rectangle:
+    return Circle(outline.size[0]) if outline.shape == "circle" else Rectangle(*outline.size)
+
+
+def _plate(outline: Outline, body: BodySpec) -> Plate:
+    """Plate of an outline with the corners, holes and pins of the body."""
+    if outline.shape == "polygon":
+        return _with_holes(counter_clockwise(outline.points), outline.size, body)
+    if outline.shape == "circle":
+        return _with_holes(plate_of_circle(outline.size[0]), outline.size, body)
+    return _rectangular(outline.size, body)
 
 
 def _rectangular(size: Pair2, body: BodySpec) -> Plate:
@@ -114,23 +139,38 @@ def _fitting(plate: Plate, others: list[Hole], hole: Hole, key: str) -> Hole:
     return hole
 
 
-def _refuse_cut_cells(window: Window, plate: Plate) -> None:
-    """Refuse a hole or corner that meets a cell of a sheet whose number of cells is given."""
+def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
+    """Refuse an edge, hole or corner that meets a cell which the lattice states."""
     lattice = window.lattice
+    if lattice.count[0] * lattice.count[1] > MOST_CELLS:
+        raise NoSuchLens(f"{lattice.count[0]:,} x {lattice.count[1]:,} cells are too many beside holes", "lattice.count",
+                         f"at most {MOST_CELLS:,}", "CL106")  # fmt: skip
     cells = lattice.cells()
-    if len(cells) > MOST_CELLS:
-        raise NoSuchLens(f"{len(cells):,} cells are too many beside holes", "lattice.count", f"at most {MOST_CELLS:,}", "CL106")  # fmt: skip
     held = plate.holds(lattice.tile(), lattice.centres(cells), plate.room(lattice.pitch))
     if held.all():
         return
-    key = next(name for name, asked in (("body.holes", plate.holes), ("body.corners", True)) if asked)
-    size = ", ".join(rounded_up(v) for v in (plate.box[1] - plate.box[0], plate.box[3] - plate.box[2]))
+    solid = Plate(plate.vertices, moved=plate.moved)
+    cut_by_edge = not solid.holds(lattice.tile(), lattice.centres(cells), plate.room(lattice.pitch)).all()
+    edge = "body.outline" if body.outline is not None else "body.corners"
+    key = edge if cut_by_edge or not plate.holes else "body.holes"
     raise NoSuchLens(
         f"{key}: {int((~held).sum())} of {len(cells)} cells are cut, or come nearer than {plate.room(lattice.pitch):.3g} to an edge",
         key,
-        f"a wider body.border, or holes farther out; lattice.outline = {{rectangle = [{size}]}} leaves cut cells out",
+        _room_for_cells(plate, body, lattice.outline is not None),
         "CL141",
     )
+
+
+def _room_for_cells(plate: Plate, body: BodySpec, stated: bool) -> str:
+    """What would keep the cells of a plate whole."""
+    size = ", ".join(rounded_up(v) for v in (plate.box[1] - plate.box[0], plate.box[3] - plate.box[2]))
+    wider = "a wider body.border" if body.outline is None else "a larger body.outline"
+    fewer = (
+        "a smaller lattice.outline"
+        if stated
+        else f"lattice.outline = {{rectangle = [{size}]}} leaves cut cells out"
+    )
+    return f"{wider}, or holes farther out; {fewer}"
 
 
 def _refuse_empty(window: Window, plate: Plate) -> None:

@@ -87,6 +87,9 @@ def _sheet(window: Window, mm: float) -> list[FabricationLine]:
         lines.append(
             FabricationLine("array", "seam, border", (window.land.seam * mm, window.land.border * mm))
         )
+    if isinstance(lattice.outline, Circle) and lattice.outline != window.outline:
+        clear = (lattice.outline.diameter * mm,)
+        lines.append(FabricationLine("array", "round outline of the cells, diameter", clear))
     if isinstance(window.outline, Circle):
         lines.append(FabricationLine("array", "round outline, diameter", (window.outline.diameter * mm,)))
     if isinstance(window.outline, Plate):

@@ -80,6 +80,15 @@ def inside_outline(outline: Outline, points: Floats) -> Bools:
     return np.asarray((np.abs(x) <= room * outline.width) & (np.abs(y) <= room * outline.height))
 
 
+def grown(outline: Outline, border: float) -> Outline:
+    """Outline with a border (length) of even width added round a circle or a rectangle; a `Plate` stays as drawn."""
+    if isinstance(outline, Circle):
+        return Circle(outline.diameter + 2.0 * border)
+    if isinstance(outline, Rectangle):
+        return Rectangle(outline.width + 2.0 * border, outline.height + 2.0 * border)
+    return outline
+
+
 def _half_sizes(outline: Outline) -> tuple[float, float]:
     """How far an outline reaches from the middle along x and y (lengths)."""
     if isinstance(outline, Plate):

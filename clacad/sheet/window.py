@@ -27,7 +27,7 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, resized, upright_sag
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange
-from clacad.sheet.lattice import Lattice, Outline, Rectangle
+from clacad.sheet.lattice import Lattice, Outline, Rectangle, grown
 from clacad.sheet.turn import turned
 
 if TYPE_CHECKING:
@@ -265,10 +265,11 @@ class Window:
     thin : ThinPair
     land : Land
     baffle : Baffle or None
-    outline : Circle, Rectangle or None
+    outline : Circle, Rectangle, Plate or None
         Side outline of every body where it is not simply the boundary of the cells (a border, a round
         window, a slab whose arrays are displaced). Centred on the origin for a slab, on its array's
-        displacement for a body that carries one array. Between cells and outline lies land.
+        displacement for a body that carries one array. Between cells and outline lies land. Which cells
+        exist depends on `lattice.outline` alone: a border or `body.outline` makes the plate larger.
     recipe : mapping
         How radii and poses were found (kept for reports and the manifest).
     residual : mapping
@@ -444,12 +445,12 @@ class Window:
 def side_outline(window: Window) -> Outline | None:
     """Side outline of the bodies where it is not the boundary of their cells; see `Window.outline`.
 
-    The lattice's own outline; else a rectangle where there is a border, or a slab whose arrays are displaced
-    against one another.
+    The lattice's own outline and the border round it; else a rectangle where there is a border, or a slab whose arrays
+    are displaced against one another.
     """
-    if window.lattice.outline is not None:
-        return window.lattice.outline
     border, second = window.land.border, window.placements[1]
+    if window.lattice.outline is not None:
+        return grown(window.lattice.outline, border)
     shift, own = second.shift, second.own
     displaced = window.form == "slab" and (shift != (0.0, 0.0) or own)
     if border == 0.0 and not displaced:

@@ -216,7 +216,8 @@ PRESENT = {
     "sharp pairs": {"pair__focus": {"object": -300, "image": 400}}, "curved inside": {"pair__form": "plano", "pair__curved": "inside"},
     "thin recipe": {"pair__form": "plano", "pair__confocal": "thin"},
     "confocal best": {"pair__confocal": "best"}, "field lens": {"pair__field_lens": True, "pair__surface": None},
-    "plate with holes, corners or pins": {"body__border": 1, "body__corners": {"round": 0.5}}, "baffle": {"pair__form": "plano", "body__baffle": True, "body__baffle_wall": "50 um"},
+    "plate with holes, corners or pins": {"body__border": 1, "body__corners": {"round": 0.5}}, "plate with an outline of its own": {"body__outline": {"circle": 20}},
+    "baffle": {"pair__form": "plano", "body__baffle": True, "body__baffle_wall": "50 um"},
     "eta_x and eta_y that differ": {"law__eta": [-1.0, -0.9]}, "depth of a lens": {"pair__surface": None, "pair__depth": ["2.4 mm", "2.4 mm"]},
     "biconvex of a thickness to be found": {"pair__form": "biconvex", "pair__surface": None, "pair__thickness": "auto"},
 }  # fmt: skip

@@ -298,5 +298,7 @@ def _honeycomb(window: Window, units: float, first: Body, second: Body) -> Itera
         f"matrix <1, 0, 0, 0, 1, 0, {number(run[0])}, {number(run[1])}, 1, 0, 0, {number(units * span.low)}>"
     )
     yield f"#declare Wall = difference {{ {wall} {free} {shear} }}"
-    beyond = int(np.ceil(window.land.border / min(window.lattice.pitch)))
+    # walls between the cells of an outline end with its cells
+    border = window.land.border if window.lattice.outline is None else 0.0
+    beyond = int(np.ceil(border / min(window.lattice.pitch)))
     yield from all_cells(window, "Wall", array, units, str(BLACK), beyond)
