@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.exporting.compare import Promise
 from clacad.exporting.format_names import REPEATING
 from clacad.formats.mesh.repeated_pieces import Piece, Places
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.need_window import need_equal_cells
-from clacad.sheet.window import WALL, Body, Face, Land, Window, lens_height_and_normal
+from clacad.sheet.window import Body, Land, Window
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
+    from clacad.mesh.body_mesh import BodyMesh
 
 
 MERGE_STEPS = 5.0
@@ -96,7 +96,7 @@ class Tessellation:
         for body, part in zip(window.bodies, mesh.bodies, strict=True):
             places = self._places(body) if instanced else None
             if normals:
-                found.append(_piece(window, body, part.rows(), places))
+                found.append(_piece(body, part, places))
             else:
                 found.append(Piece(body.name, part.vertices, part.triangles, None, places, body.index))
         return found
@@ -160,11 +160,11 @@ def _without_border(land: Land) -> Land:
     return replace(land, border=0.0)
 
 
-def _piece(window: Window, body: Body, rows: Iterator[Floats], places: Places | None) -> Piece:
-    corners = np.concatenate(list(rows)) + 0.0
-    return replace(
-        weld(body, corners, exact_normals(window, (body.front, body.back), corners)), places=places
-    )
+def _piece(body: Body, part: BodyMesh, places: Places | None) -> Piece:
+    from clacad.mesh import corner_normals
+
+    corners, normals = (np.concatenate(list(blocks)) for blocks in (part.rows(), corner_normals(part)))
+    return replace(weld(body, corners, normals), places=places)
 
 
 def weld(body: Body, corners: Floats, normals: Floats) -> Piece:
@@ -194,50 +194,3 @@ def _same_rows(words: np.ndarray[Any, np.dtype[np.uint64]]) -> tuple[Ints, Ints]
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     return first[order], rank[kind.reshape(-1)]
-
-
-def exact_normals(window: Window, faces: Sequence[Face], corners: Floats) -> Floats:
-    """Unit outward normals at the corners of facets: of the lens on a lens, of the facet on walls and land.
-
-    Parameters
-    ----------
-    window : Window
-    faces : (front, back)
-    corners : (n, 3, 3) array, design units, sheet frame
-
-    Returns
-    -------
-    (n, 3, 3) array
-    """
-    flat = doubled_normals(corners)
-    length = np.linalg.norm(flat, axis=1)
-    flat = np.where(
-        length[:, None] > 0.0, flat / np.where(length > 0.0, length, 1.0)[:, None], np.array([0.0, 0.0, 1.0])
-    )
-    result = np.repeat(flat[:, None], 3, axis=1)
-    for face in faces:
-        if face.array is None:
-            continue
-        mine = np.flatnonzero((np.abs(flat[:, 2]) >= WALL) & (np.sign(flat[:, 2]) == -face.side))
-        if len(mine):
-            result[mine] = _lens_normals(window, face, corners[mine], result[mine])
-    return result
-
-
-def _lens_normals(window: Window, face: Face, corners: Floats, flat: Floats) -> Floats:
-    """Replace the normals of facets whose three corners lie on the lens of their cell."""
-    assert face.array is not None
-    middle = corners.mean(axis=1)
-    index, _, _ = window.locate(face.array, middle[:, 0], middle[:, 1])
-    local = corners[..., :2] - window.centres(face.array, index)[:, None]
-    places = window.lenses(face, index[:, None])
-    x, y = places.seen(local[..., 0], local[..., 1])
-    z, normal = lens_height_and_normal(face, x.ravel(), y.ravel())
-    z, normal = places.raised(z.reshape(-1, 3)), normal.reshape(-1, 3, 3) * -face.side
-    land = np.full_like(z, np.inf) if face.land is None else np.abs(corners[..., 2] - face.land)
-    # A facet is the lens's unless all its corners lie nearer to the land; a rim corner lies on both.
-    with np.errstate(invalid="ignore"):
-        on_lens = np.isfinite(z) & (np.abs(corners[..., 2] - z) <= 1e-6 * min(window.lattice.pitch))
-    lens = on_lens.all(axis=1) & ~(land <= 1e-12 * min(window.lattice.pitch)).all(axis=1)
-    lens &= window.lattice.contains(index)
-    return np.where(lens[:, None, None], normal, flat)

@@ -64,9 +64,7 @@ def local_xy(lattice: Lattice, template: Template) -> Floats:
 def template_normals(lattice: Lattice, body: Body, template: Template) -> Floats:
     """Outward unit normals at the corners of a template's triangles, (t, 3, 3)."""
     corners = np.concatenate([local_xy(lattice, template), template.z[:, None]], axis=1)[template.triangles]
-    facet = doubled_normals(corners)
-    facet /= np.linalg.norm(facet, axis=1, keepdims=True)
-    normals = np.repeat(facet[:, None, :], 3, axis=1)
+    normals = _facet_normals(corners)
     for kind, face, outward in ((FRONT, body.front, -1.0), (BACK, body.back, 1.0)):
         mine = np.flatnonzero(template.kind == kind)
         if face.array is None or not len(mine):
@@ -91,7 +89,12 @@ def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
             known[id(template)] = template_normals(block.tiled.lattice, mesh.body, template)
         yield np.tile(known[id(template)], (cells, 1, 1))
     if len(mesh.plain.triangles):
-        corners = mesh.plain.corners
-        facet = doubled_normals(corners)
-        facet /= np.linalg.norm(facet, axis=1, keepdims=True)
-        yield np.repeat(facet[:, None, :], 3, axis=1)
+        yield _facet_normals(mesh.plain.corners)
+
+
+def _facet_normals(corners: Floats) -> Floats:
+    """Unit normals (k, 3, 3) of facets, one for each corner; (0, 0, 1) for a facet without area."""
+    normal = doubled_normals(corners)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+    return np.repeat(normal[:, None, :], 3, axis=1)

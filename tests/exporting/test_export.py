@@ -32,7 +32,9 @@ from clacad.exporting.export_design import (
 from clacad.exporting.tessellations import Tessellation
 from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.formats.mesh.readers import read_mesh
+from clacad.prescription.prescribe import prescribe
 from clacad.sheet.volume_and_extent import body_volume
+from clacad.sheet.window import lens_height
 from clacad.storage.atomic import MANIFEST
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -157,6 +159,54 @@ def test_manifold_and_lib3mf_accept_what_is_written(tmp_path: Path) -> None:
     meshes = model.GetMeshObjects()
     while meshes.MoveNext():
         assert meshes.GetCurrentMeshObject().IsManifoldAndOriented()
+
+
+CORNERED = """
+format = 1
+name = "cornered"
+unit = "mm"
+[law]
+eta = [-1.2, -0.8]
+[pair]
+form = "biconvex"
+separation = 10.0
+thickness = "auto"
+web = 0.1
+material = "PMMA"
+[lattice]
+kind = "rectangular"
+pitch = [0.6, 0.4]
+count = [2, 2]
+"""
+
+
+def cornered(folder: Path) -> Design:
+    """Lenses whose heights are rounded to steps of a millionth of their pitch, with slivers at the corners of the cells."""
+    path = folder / "cornered.toml"
+    path.write_text(CORNERED, encoding="utf-8")
+    return clacad.load(path)
+
+
+@pytest.mark.parametrize("instanced", [True, False])
+def test_every_vertex_has_the_normal_of_its_lens_its_land_or_its_wall(
+    tmp_path: Path, instanced: bool
+) -> None:
+    window = prescribe(cornered(tmp_path)).with_cells((1, 1))
+    h = 1e-6
+    for body, piece in zip(
+        window.bodies, Tessellation(window, 32).pieces(instanced, normals=True), strict=True
+    ):
+        assert piece.normals is not None
+        level = np.abs(piece.normals[:, 2])
+        lens = (level > 1e-9) & (level < 1.0 - 1e-9)
+        assert lens.sum() > 2 * 31**2  # inner vertices of both faces
+        (x, y, _), normal = piece.vertices[lens].T, piece.normals[lens]
+        for face, mine in ((body.front, normal[:, 2] < 0.0), (body.back, normal[:, 2] > 0.0)):
+            steps = [lens_height(face, x + i * h, y + j * h) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+            slope = np.stack([steps[0] - steps[1], steps[2] - steps[3]], axis=1) / (2.0 * h)
+            seen = -normal[mine, :2] / normal[mine, 2:]
+            # differences: 2e-15 mm of height over 2e-6 mm
+            np.testing.assert_allclose(seen, slope[mine], atol=1e-8)
 
 
 # -- sameness --------------------------------------------------------------------------------------
