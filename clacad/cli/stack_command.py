@@ -269,7 +269,7 @@ def told(made: Stacked) -> str:
     parts = [
         f"share of the light that obeys all {len(made.designs)} laws: {100.0 * exact.share:.3g} %"
         f"{_of_meridians(x.share, y.share)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} deg "
-        f"(thin lenses in closed form {100.0 * exact.expected_share:.3g} %); the rest are ghosts, or lost",
+        f"({_thin(made)}); the rest are ghosts, or lost",
         *_spaces(made),
         _sheets_text(
             sheet_facts(one, millimetres(made.stack.unit)) | {"share": share}
@@ -279,6 +279,13 @@ def told(made: Stacked) -> str:
         _image_text(made, unit),
     ]
     return "\n".join(parts)
+
+
+def _thin(made: Stacked) -> str:
+    """The share through thin lenses: by the same rays, and as the product over the sheets."""
+    thin = next((one for one in made.light if one.rung == "thin"), None)
+    by_rays = "" if thin is None else f"thin lenses {100.0 * thin.share:.3g} % by rays, "
+    return f"{by_rays}{100.0 * made.exact.expected_share:.3g} % as the product of what each thin sheet passes"
 
 
 def _of_meridians(x: float | None, y: float | None) -> str:

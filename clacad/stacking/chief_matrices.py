@@ -99,7 +99,7 @@ def length(stack: Stack, axis: int) -> float:
 
 
 def expected_share(stack: Stack, place: Floats, direction: Floats) -> float:
-    """Share of the light that meets the partners in every sheet, thin lenses, cells of neighbours taken for unrelated.
+    """Share of the light that meets the partners in every sheet, thin lenses, places in one sheet taken for independent of those before.
 
     Light enters at places (n, 2) of the first lens plane in directions (n, 3); what misses a sheet is lost.
     """

@@ -61,6 +61,27 @@ def alive_by_hand(etas, gap, place, slope, s=10.0, pitch=0.5):
     return good, x, t
 
 
+def thin_share_by_hand(etas, gap, count=2000):
+    """Share of one meridian through thin cells: a regular grid of places in a cell and of slopes up to ± .02."""
+    middles = (np.arange(count) + 0.5) / count
+    place, slope = np.meshgrid(0.5 * (middles - 0.5), 0.02 * (2.0 * middles - 1.0))
+    return float(alive_by_hand(etas, gap, place.ravel(), slope.ravel())[0].mean())
+
+
+@pytest.mark.parametrize(
+    ("etas", "product", "column"),
+    [((-1.0, -1.0), 1 - 0.4 + 0.16 / 3, 0), ((0.2, 5.0), 1 / 5, 2)],  # ⟨(1 − 20|t|)²⟩; all, then a fifth
+)
+def test_shares_of_thin_lenses_in_the_readme_are_those_of_plain_rays(etas, product, column):
+    """Two sheets 100 mm apart: rays find less than the product of what each sheet passes of a direction."""
+    rays = thin_share_by_hand(etas, 100.0)
+    assert rays < product
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    for name, share in (("thin lenses, by rays", rays), ("thin sheet passes, in closed form", product)):
+        printed = next(line for line in lines if name in line).split("|")[2 + column]
+        assert [float(part) for part in printed.split(";")] == [round(share, 3), round(share**2, 3)]
+
+
 # --- chief rays -------------------------------------------------------------------------------------------
 
 
@@ -332,19 +353,21 @@ def test_two_sheets_of_minus_one_are_negative_space():
     thin, exact = measure_light(
         [StackTracer(made, rung) for rung in ("thin", "surfaces")], 1 << 15, FIELD, silent
     )
+    axis = thin_share_by_hand((-1.0, -1.0), 100.0)
+    error = (axis * (1.0 - axis) / thin.rays) ** 0.5
     for one in thin.meridians:
         assert one.acts_as_space == pytest.approx(-100.0, rel=1e-12)
         assert one.length == pytest.approx(
             2 * 14.9362867285548 + 100.0, rel=1e-12
         )  # slabs n s thick, and the gap
         assert one.moves_image == pytest.approx(one.length + 100.0, rel=1e-12)  # as pictures of it show
-        assert one.share == pytest.approx(0.65, abs=0.005)
+        assert one.share == pytest.approx(axis, abs=5.0 * error)
         assert one.measured_space == pytest.approx(-99.0, abs=0.2)
         assert one.scatter == pytest.approx(0.69, abs=0.01)
     assert thin.expected_share == pytest.approx(
-        (1 - 0.4 + 0.16 / 3) ** 2, abs=0.002
+        (1 - 0.4 + 0.16 / 3) ** 2, abs=1e-4
     )  # (1 − 20|t|)², the mean over ± .02
-    assert thin.share == pytest.approx(0.42, abs=0.01)
+    assert thin.share == pytest.approx(axis**2, abs=5.0 * error)
     assert exact.share == pytest.approx(thin.share, abs=0.01)
     assert exact.meridians[0].measured_space == pytest.approx(-99.2, abs=0.3)
     assert thin.error < 1e-3
