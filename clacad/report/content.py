@@ -60,6 +60,8 @@ class Content:
         The sheet, where `report.window` is one of equal cells that stands for it; None: `report.window`.
     of_one_cell : str
         Says so; "" where all cells are alike.
+    of_viewer : bytes or None
+        The view of the viewer of the check `viewed` as PNG; None for a viewer behind the sheet.
     """
 
     report: Report
@@ -68,6 +70,7 @@ class Content:
     timings: bool = False
     whole: Window | None = None
     of_one_cell: str = ""
+    of_viewer: bytes | None = None
 
     @property
     def evidence(self) -> Evidence:
@@ -81,6 +84,13 @@ class Content:
         word = self.report.word
         css = "passed" if word.startswith("passed") else "shape" if word == "shape only" else "failed"
         return word[0].upper() + word[1:], css
+
+    @property
+    def viewer(self) -> str:
+        """What the viewer gets of the whole sheet, in a line; "" where that was not checked."""
+        from clacad.verification.light.viewed_check import headline
+
+        return headline(self.report.checks)
 
     @property
     def verdicts(self) -> list[dict[str, str]]:
@@ -213,14 +223,15 @@ def _title(check: Check) -> str:
 def content(report: Report, progress: Progress, timings: bool = False) -> Content:
     """Gather what the page of a report shows: evidence, a picture, the parts."""
     from clacad.report.parts_in_3d import parts
-    from clacad.report.view_through_sheet import look
+    from clacad.report.view_through_sheet import look, seen_by_viewer
     from clacad.verification.evidence import of_worst_cell
 
     shown, words = of_worst_cell(report)
     full = replace(report, window=shown.window, evidence=shown.with_evidence(progress).evidence)
     seen = look(report.design, report.window, progress)
     progress("meshing the parts to look at", 0.0)
-    return Content(full, seen, parts(shown.window), timings, report.window, words)
+    viewer = seen_by_viewer(report.design, report.window)
+    return Content(full, seen, parts(shown.window), timings, report.window, words, viewer)
 
 
 def data_uri(png: bytes) -> str:

@@ -151,5 +151,6 @@ def page(content: Content, mark: str, more: Sequence[Section] = (), progress: Pr
 def _common(content: Content) -> dict[str, Any]:
     report = content.report
     return {
+        "viewer_picture": None if content.of_viewer is None else data_uri(content.of_viewer),
         "content": content, "report": report, "design": report.design, "verdict": report.verdict(), "counts": report.counts(),
     }  # fmt: skip

@@ -93,10 +93,20 @@ def _document(content: Content, shelf: _Shelf) -> dict[str, Any]:
         },
         "tally": ", ".join(f"{n} {state}" for state, n in counts.items()),
         "blocks": [
-            *_verdicts(content), *_fabrication(content, shelf), *_checks(content), *_asked(content), *_light(content, shelf),
+            *_viewer(content, shelf), *_verdicts(content), *_fabrication(content, shelf), *_checks(content), *_asked(content), *_light(content, shelf),
             *_errors(content, shelf), *_rest(content, shelf),
         ],
     }  # fmt: skip
+
+
+def _viewer(content: Content, shelf: _Shelf) -> list[Block]:
+    """What the viewer gets of the whole sheet, with the picture of its view where there is one."""
+    if not content.viewer:
+        return []
+    if content.of_viewer is None:
+        return [{"kind": "text", "text": f"{content.viewer}."}]
+    caption = f"{content.viewer}; its view of a chess knight, by ideal lenses."
+    return [_figure(shelf, "viewer", content.of_viewer, caption, 30)]
 
 
 def _verdicts(content: Content) -> list[Block]:

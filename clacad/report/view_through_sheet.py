@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from clacad.scene import Scene
 
 PIXELS = 260
+VIEWER_PIXELS = 200
 SAMPLES = 4
 EFFECTS = ("ghosts",)
 """Shown here; what the others would change is said by the plan of the report."""
@@ -50,6 +53,21 @@ class Look:
     pixels: int = PIXELS
 
 
+@dataclass(frozen=True, slots=True)
+class _Viewpoint:
+    """Where the eye and the figure are, and how large the figure is: sheet frame, lengths.
+
+    eye : (x, y, z)
+    figure : (x, z)
+        Its foot is on the floor, half its height below the axis.
+    height : float
+    """
+
+    eye: tuple[float, float, float]
+    figure: tuple[float, float]
+    height: float
+
+
 def look(design: Design, window: Window, progress: Progress) -> Look:
     """Render a figure on a chequered floor, seen past and through the sheet.
 
@@ -58,24 +76,48 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
     from clacad.rendering.picture import view_through
     from clacad.rendering.picture_files import pixels_of
 
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "design.toml").write_text(design.canonical_toml(), encoding="utf-8")
-        _copy_table(design, Path(folder))
-        scene = _scene(design, window, folder)
+    place, behind = _in_field(design, window)
+    with _scene_of(design, window, place, "surfaces", PIXELS) as scene:
         progress("looking through the sheet", 0.0)
         without = view_through(scene, sheet=False, window=window, compiled=False)
         through = view_through(
             scene, window=window, compiled=False,
             progress=lambda _, part: progress("looking through the sheet", part or 0.0),
         )  # fmt: skip
-    eye, behind, high, _ = _distances(design, window)
     mm = millimetres(window.unit)
     said = (
-        f"a chess knight {high * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind the sheet; the eye is "
-        f"{eye * mm:.4g} mm before it"
+        f"a chess knight {place.height * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind the sheet; the eye is "
+        f"{-place.eye[2] * mm:.4g} mm before it"
     )
     how = f"rung {through.passage.rung}; shown beyond refraction: {', '.join(through.passage.names) or 'nothing'}"
     return Look(_png(pixels_of(without)), _png(pixels_of(through)), how, said)
+
+
+def seen_by_viewer(design: Design, window: Window) -> bytes | None:
+    """Render what the viewer of the check `viewed` sees through the whole sheet, by ideal lenses; None for one behind it.
+
+    window : of the whole sheet, whose cells may differ.
+    """
+    from clacad.rendering.picture import view_through
+    from clacad.rendering.picture_files import pixels_of
+    from clacad.verification.light.viewed import viewer_of
+
+    viewer = viewer_of(design)
+    if viewer[2] >= window.z_range[0]:
+        return None
+    behind = design.check.object
+    place = _placed(window, viewer, (0.0, 0.0), 0.2 * -viewer[2] if behind is None else behind)
+    with _scene_of(design, window, place, "thin", VIEWER_PIXELS) as scene:
+        return _png(pixels_of(view_through(scene, window=window, compiled=False)))
+
+
+@contextmanager
+def _scene_of(design: Design, window: Window, place: _Viewpoint, rung: str, pixels: int) -> Iterator[Scene]:
+    """The scene of a viewpoint, with a copy of the design as long as it is used."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "design.toml").write_text(design.canonical_toml(), encoding="utf-8")
+        _copy_table(design, Path(folder))
+        yield _scene(design, window, folder, place, rung, pixels)
 
 
 def _copy_table(design: Design, folder: Path) -> None:
@@ -87,10 +129,10 @@ def _copy_table(design: Design, folder: Path) -> None:
         copy.write_bytes(read_regular(table_path(design.path, spec.table.file), BUDGETS["cell-table"].bytes))
 
 
-def _distances(design: Design, window: Window) -> tuple[float, float, float, tuple[float, float]]:
-    """Eye before the sheet, figure behind it, height of the figure, lengths; and the slope from the eye to the sheet's middle.
+def _in_field(design: Design, window: Window) -> tuple[_Viewpoint, float]:
+    """The viewpoint of the page's large pictures, and the figure's distance behind the sheet.
 
-    The eye is where the sheet is aimed at, else in the middle of the field of view, wherever that is.
+    The eye is where the sheet is aimed at, else in the middle of the field of view.
     """
     wide, aperture = _width(window), design.lattice.aperture
     if isinstance(aperture, AimedAt) and aperture.point[2] < 0.0:
@@ -100,7 +142,15 @@ def _distances(design: Design, window: Window) -> tuple[float, float, float, tup
         half = min(half_field(thin_cells(window)))
         eye, slope = float(np.clip(0.5 / (INSIDE * half), 4.0, 60.0)) * wide, aperture_slope(window)
     behind = 0.2 * eye
-    return eye, behind, 0.75 * wide * (eye + behind) / eye, slope
+    return _placed(window, (-eye * slope[0], -eye * slope[1], -eye), slope, behind), behind
+
+
+def _placed(
+    window: Window, eye: tuple[float, float, float], slope: tuple[float, float], behind: float
+) -> _Viewpoint:
+    """The viewpoint of an eye, its figure `behind` the sheet where a line of that slope through the middle meets it."""
+    height = 0.75 * _width(window) * (behind - eye[2]) / -eye[2]
+    return _Viewpoint(eye, (behind * slope[0], window.z_range[1] + behind), height)
 
 
 def _png(pixels: Any) -> bytes:
@@ -117,27 +167,25 @@ def _width(window: Window) -> float:
     return max(x1 - x0, y1 - y0)
 
 
-def _scene(design: Design, window: Window, folder: str) -> Scene:
-    """The scene that is looked at: a chess knight on a floor behind the sheet, in the middle of the field of view."""
+def _scene(design: Design, window: Window, folder: str, place: _Viewpoint, rung: str, pixels: int) -> Scene:
+    """The scene of a viewpoint: a chess knight on a floor behind the sheet."""
     from clacad.scene import Scene
 
-    wide = _width(window)
-    eye, behind, high, (ax, ay) = _distances(design, window)
-    floor = -0.5 * high
+    high, floor = place.height, -0.5 * place.height
+    x, z = place.figure
     data: dict[str, Any] = {
         "format": 1,
         "name": "look",
         "unit": design.unit,
-        "sheet": {"design": "design.toml", "rung": "surfaces"},
+        "sheet": {"design": "design.toml", "rung": rung},
         "effects": {"mode": "list", "list": list(EFFECTS)},
         "camera": {
-            "position": [-eye * ax, -eye * ay, -eye], "target": [0, 0, 0], "frame": 1.25 * wide,
-            "pixels": [PIXELS, PIXELS], "samples": SAMPLES,
+            "position": list(place.eye), "target": [0, 0, 0], "frame": 1.25 * _width(window),
+            "pixels": [pixels, pixels], "samples": SAMPLES,
         },
         "object": [
             {"id": "floor", "kind": "checker", "height": floor, "tile": high, "colours": ["#d8c29a", "#5b3f26"]},
-            {"id": "knight", "kind": "knight", "at": [behind * ax, floor, window.z_range[1] + behind], "size": high,
-             "colour": "#3a3f52", "turn": [0, 35, 0]},
+            {"id": "knight", "kind": "knight", "at": [x, floor, z], "size": high, "colour": "#3a3f52", "turn": [0, 35, 0]},
         ],
     }  # fmt: skip
     return Scene.from_dict(data, folder=folder)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import importlib
+import io
 import json
 import re
 import sys
@@ -13,13 +14,16 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from clacad.design import Design, load
+from clacad.prescription.prescribe import prescribe
 from clacad.report import content as contents
 from clacad.report import write_report
 from clacad.report.content import content
 from clacad.report.page import Section, number
 from clacad.report.report_files import is_report
+from clacad.report.view_through_sheet import seen_by_viewer
 from clacad.verification import verify
 from clacad.verification.checks import Check
 
@@ -384,3 +388,22 @@ def test_a_design_in_coherent_light_has_its_waves_measured(monkeypatch):
     found = verify(coherent, rays=1024).with_evidence()
     assert found.evidence.waves.exact is not None
     assert "orders" in {check.id for check in found.checks}
+
+
+def test_the_first_screen_has_the_share_and_the_view_of_the_viewer(report, page):
+    head = page.partition("<header>")[2].partition("</header>")[0]
+    (check,) = (c for c in report.checks if c.id == "viewed")
+    assert f"{100.0 * check.value:.3g} % of the light of an assumed eye at (0, 0, -1000) mm" in head
+    assert f"limit {100.0 * check.limit:.4g} %" in head
+    (picture,) = re.findall(r'<img src="data:image/png;base64,([^"]+)"', head)
+    with Image.open(io.BytesIO(base64.b64decode(picture))) as image:
+        assert image.size == (200, 200)
+
+
+def test_the_view_is_that_of_the_stated_viewer_and_none_of_one_behind_the_sheet():
+    design = Design.from_dict(TEXT)
+    window = prescribe(design)
+    near, far = (seen_by_viewer(design.replace({"check.viewer": d}), window) for d in (200, 800))
+    assert near != far
+    behind = design.replace({"lattice.aperture": {"point": [0, 0, 400]}})
+    assert seen_by_viewer(behind, prescribe(behind)) is None
