@@ -290,7 +290,7 @@ def _waves(content: Content, shelf: _Shelf) -> list[Block]:
 
     return [
         _heading("Waves", 2), _figure(shelf, "waves", drawn, "Far field of one telescopelet as waves and as rays."),
-        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5)), {"kind": "text", "text": content.light.waves_sentence},
+        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5, 6)), {"kind": "text", "text": content.light.waves_sentence},
     ]  # fmt: skip
 
 

@@ -16,9 +16,10 @@ HEAD = (
     "Strehl ratio",
     "middle off the law",
     "full width, half max.",
+    "through the peak",
     "half of the light in",
 )
-"""Of `rows`; the last three in mrad, along lens x and lens y."""
+"""Of `rows`; the last four in mrad, along lens x and lens y."""
 
 
 def mrad(values: Sequence[float]) -> str:
@@ -26,22 +27,30 @@ def mrad(values: Sequence[float]) -> str:
     return ", ".join(digits(1e3 * v, count=4) for v in values)
 
 
-def rows(found: WaveReport) -> list[tuple[str, str, str, str, str, str]]:
+def rows(found: WaveReport) -> list[tuple[str, ...]]:
     """Waves through the exact surfaces and through ideal lenses, as far as computed, then rays; see `HEAD`."""
-    told = []
+    told: list[tuple[str, ...]] = []
     for far, name, share in (
         (found.exact, "waves, exact surfaces", found.share),
         (found.thin, "waves, ideal lenses", found.thin_share),
     ):
         if far is not None:
-            one = far.marginals
+            one, through = far.marginals, far.sections
             told.append(
                 (name, digits(share, count=4), digits(far.strehl, count=4), mrad([m.middle for m in one]),
-                 mrad([m.width for m in one]), mrad([m.half_energy for m in one]))
+                 mrad([m.width for m in one]), mrad([m.width for m in through]), mrad([m.half_energy for m in one]))
             )  # fmt: skip
     rays = found.rays
     told.append(
-        ("rays, exact surfaces", digits(rays.share, count=4), "", mrad(rays.mean), "", mrad(rays.half_energy))
+        (
+            "rays, exact surfaces",
+            digits(rays.share, count=4),
+            "",
+            mrad(rays.mean),
+            "",
+            "",
+            mrad(rays.half_energy),
+        )
     )
     return told
 
@@ -64,6 +73,8 @@ def sentences(found: WaveReport) -> list[str]:
     """What goes beside the rows: the slit, the rays' error, orders, and what was not computed."""
     cells = "equal" if found.cell is None else "neighbouring"
     return [
+        "widths are of the light summed over the other axis; that through the peak is of a section through the brightest direction",
+        "Strehl ratio: peak over that of the light that meets the partner, were its wave front flat",
         f"λ/w of what is lit of lens 2: {mrad(found.slit)} mrad; rays alone miss the law by {mrad([found.rays.rms])} mrad rms",
         f"in coherent light {cells} cells send orders λ/p = {mrad(found.order)} mrad apart: the law is met to ± half of that",
         *(f"not computed, {way}: {why}" for way, why in found.refused.items()),

@@ -22,7 +22,7 @@ from clacad.sheet.bundle import bundle, central_cell, launched
 from clacad.sheet.window import Window, in_optical_tile
 from clacad.storage.errors import LimitRefused
 from clacad.tracing.trace import trace
-from clacad.waves.far_field import Complex, FarField, marginal, peak
+from clacad.waves.far_field import Complex, FarField, brightest, marginal, section
 
 MOST = 4096
 """Rays along each side of a cell."""
@@ -250,8 +250,10 @@ def far_field(found: Pupil, wavelength: float) -> FarField:
     spacing = wide / count
     field = _shared_out(place, weight * np.exp(1j * found.phase[found.alive]), spacing, count)
     flat = float(weight.sum()) ** 2
+    light, turns = brightest(field)
     x, y = (marginal(field, k, float(spacing[k]), wavelength, float(wide[k])) for k in (0, 1))
-    return FarField("pupil", (x, y), peak(field, (1.0, 1.0)) / flat, (found.side, found.side))
+    a, b = (section(field, k, turns, float(spacing[k]), wavelength, float(wide[k])) for k in (0, 1))
+    return FarField("pupil", (x, y), (a, b), light / flat, (found.side, found.side))
 
 
 def _spread(found: Pupil) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ FINE = 16
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """Light against the angle off the law along one lens axis, summed over the other.
+    """Light against the angle off the law along one lens axis: summed over the other, or along a section through the peak.
 
     off : (k,) radians
         Direction cosine less that of the law, evenly spaced, rising.
@@ -73,16 +74,18 @@ class FarField:
 
     way : "pupil" or "angular spectrum"
     marginals : (Marginal, Marginal)
-        Along lens x and lens y.
+        Along lens x and lens y, summed over the other axis.
+    sections : (Marginal, Marginal)
+        Along lens x and lens y through the brightest direction: of a cell whose sides lie along the lens axes the same.
     strehl : float
-        Peak over the peak of the same light with a flat wave front; for ideal lenses over that of the light that rays
-        would bring there, so that what went to neighbours counts, too.
+        Peak over the peak of the light that meets the partner, were its wave front flat: 1 at most.
     points : tuple of int
         Of the grid: rays a side, or points along each axis.
     """
 
     way: str
     marginals: tuple[Marginal, Marginal]
+    sections: tuple[Marginal, Marginal]
     strehl: float
     points: tuple[int, ...]
 
@@ -92,6 +95,7 @@ class FarField:
             "way": self.way, "strehl": self.strehl, "points": list(self.points),
             "middle_off_law": [one.middle for one in self.marginals],
             "fwhm": [one.width for one in self.marginals],
+            "fwhm_through_peak": [one.width for one in self.sections],
             "half_energy": [one.half_energy for one in self.marginals],
         }  # fmt: skip
 
@@ -119,19 +123,37 @@ def marginal(field: Complex, axis: int, spacing: float, wavelength: float, width
     return Marginal(off, total / (total.sum() * (off[1] - off[0])))
 
 
-def peak(field: Complex, spacing: tuple[float, ...]) -> float:
-    """Largest |∫ field|² over all directions, the field being a pupil on a regular grid.
+def section(
+    field: Complex, axis: int, turns: Sequence[float], spacing: float, wavelength: float, width: float
+) -> Marginal:
+    """Far field of an amplitude on a regular grid (n, n) along one axis, through the direction that `brightest` found."""
+    other = 1 - axis
+    wave = np.exp(-2j * np.pi * turns[other] * np.arange(field.shape[other]))
+    return marginal(np.tensordot(field, wave, axes=(other, 0)), 0, spacing, wavelength, width)
 
-    The largest point of the fast transform, then a finer one about it.
+
+def flatness(field: Complex) -> float:
+    """Peak of a far field over that of the same amplitude with a flat wave front; 1 at most."""
+    return brightest(field)[0] / float(np.abs(field).sum()) ** 2
+
+
+def brightest(field: Complex) -> tuple[float, tuple[float, ...]]:
+    """Largest |Σ field|² over all directions, the field being a pupil on a regular grid, and that direction.
+
+    The largest point of the fast transform, then a finer one about it. The direction is told in turns from point to point,
+    one number an axis.
     """
     dims = field.ndim
     size = [1 << int(np.ceil(np.log2(2 * n))) for n in field.shape]
     whole = np.abs(np.fft.fftn(field, size, axes=tuple(range(dims))))
     at = np.unravel_index(int(np.argmax(whole)), whole.shape)
-    near = field
+    near, tried = field, []
     for axis in range(dims):
         # half steps of a fifth of a bin about the best bin
-        turns = (at[axis] + np.linspace(-1.0, 1.0, 21)) / size[axis]
-        wave = np.exp(-2j * np.pi * np.outer(turns, np.arange(field.shape[axis])))
+        tried.append((at[axis] + np.linspace(-1.0, 1.0, 21)) / size[axis])
+        wave = np.exp(-2j * np.pi * np.outer(tried[axis], np.arange(field.shape[axis])))
         near = np.moveaxis(np.tensordot(wave, near, axes=(1, axis)), 0, axis)
-    return float((np.abs(near).max() * np.prod(spacing)) ** 2)
+    best = np.unravel_index(int(np.argmax(np.abs(near))), near.shape)
+    return float(np.abs(near[best])) ** 2, tuple(
+        float(turns[k]) for turns, k in zip(tried, best, strict=True)
+    )

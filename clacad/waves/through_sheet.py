@@ -14,12 +14,11 @@ import numpy as np
 from clacad.base.types import Floats, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.coherent_orders import order_steps
-from clacad.sheet.vignetting import focal_ratio
 from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.waves import exit_pupil
-from clacad.waves.far_field import FarField, marginal, peak
+from clacad.waves.far_field import FarField, brightest, flatness, marginal, section
 from clacad.waves.lens_planes import grid_for, propagate
-from clacad.waves.lit_cell import LitSheet, area, situation
+from clacad.waves.lit_cell import LitSheet, situation
 from clacad.waves.wave_report import WaveReport
 
 if TYPE_CHECKING:
@@ -137,24 +136,21 @@ def outlook(lit: LitSheet) -> dict[str, float]:
 
 def _thin(lit: LitSheet) -> tuple[FarField, float]:
     """Far field and share of the ideal pair: axis by axis where cells allow, else on a square grid."""
-    scale = abs(float(np.prod(focal_ratio(lit.window.thin))))
-    ideal = area(lit.lit) ** 2 / scale
     widths = np.ptp(lit.lit, axis=0)
     if lit.along_axes:
         x, y = (propagate(lit.planes((k,)), (lit.slope[k],), lit.wave) for k in (0, 1))
-        brightest = peak(x.field, (x.spacing,)) * peak(y.field, (y.spacing,))
         marginals = (
             marginal(x.field, 0, x.spacing, lit.wave, float(widths[0])),
             marginal(y.field, 0, y.spacing, lit.wave, float(widths[1])),
         )
+        strehl = flatness(x.field) * flatness(y.field)
         points = (*x.points, *y.points)
-        return FarField("angular spectrum", marginals, brightest / ideal, points), x.share * y.share
+        return FarField("angular spectrum", marginals, marginals, strehl, points), x.share * y.share
     both = propagate(lit.planes((0, 1)), lit.slope, lit.wave)
-    step = both.spacing
+    step, turns = both.spacing, brightest(both.field)[1]
     a, b = (marginal(both.field, k, step, lit.wave, float(widths[k])) for k in (0, 1))
-    return FarField(
-        "angular spectrum", (a, b), peak(both.field, (step, step)) / ideal, both.points
-    ), both.share
+    c, d = (section(both.field, k, turns, step, lit.wave, float(widths[k])) for k in (0, 1))
+    return FarField("angular spectrum", (a, b), (c, d), flatness(both.field), both.points), both.share
 
 
 def _pair(values: Floats) -> Pair2:

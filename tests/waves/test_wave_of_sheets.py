@@ -11,11 +11,13 @@ import pytest
 
 import clacad
 from clacad.cli import main
+from clacad.cli.wave_command import wave_text
 from clacad.sheet.bundle import bundle
 from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.tracing.worst_cell import worst_cell
 from clacad.waves import wave
 from clacad.waves.exit_pupil import far_field, pupil, rays_needed
+from clacad.waves.far_field import brightest, flatness, marginal, section
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 AXIS = np.array([0.0, 0.0, 1.0])
@@ -235,3 +237,53 @@ def test_light_that_no_part_of_obeys_the_law_is_refused_with_the_field():
 def test_rays_beyond_what_is_computed_are_refused_with_what_is_needed():
     with pytest.raises(LimitRefused, match=r"needs \d+ x \d+ rays"):
         wave(shipped("paper-a-covered"), wavelength=1e-8)
+
+
+def test_widths_of_a_turned_square_are_told_of_both_kinds_as_closed_forms_have_them():
+    """A square of side p turned by 45°: its chords are w(y) = 2 (a − |y|), a = p/√2.
+
+    Through the peak light goes as sinc⁴(a ν); summed over the other axis as ∫ w² sinc²(w ν) dy.
+    """
+    side, pitch, wave = 400, 0.5, 5.5e-4
+    a = pitch / np.sqrt(2.0)
+    spacing = 2.0 * a / side
+    x = (np.arange(side) + 0.5) * spacing - a
+    field = (np.abs(x)[:, None] + np.abs(x)[None, :] <= a).astype(np.complex128)
+    light, turns = brightest(field)
+    assert light == pytest.approx(field.sum().real ** 2, rel=1e-12)
+    summed = marginal(field, 0, spacing, wave, 2.0 * a).width
+    through = section(field, 0, turns, spacing, wave, 2.0 * a).width
+
+    nu = np.linspace(0.0, 2.0 / a, 20001)
+    y = (np.arange(2000) + 0.5) / 2000 * a
+    chords = 2.0 * (a - y)
+    by_sum = np.array([(chords**2 * np.sinc(chords * v) ** 2).mean() for v in nu[:8000]])
+    assert through == pytest.approx(2.0 * wave * nu[np.argmax(np.sinc(a * nu) ** 4 < 0.5)], rel=3e-3)
+    assert summed == pytest.approx(2.0 * wave * nu[np.argmax(by_sum < 0.5 * by_sum[0])], rel=3e-3)
+
+
+@pytest.mark.parametrize(
+    "change", [{"law.eta": [-1.2, -0.8]}, {"law.eta": [-0.5, -0.5]}, {"lattice.pitch": 0.2}]
+)
+def test_a_strehl_ratio_is_one_at_most_and_says_of_which_light(change):
+    """Ideal lenses: the light that met the partner against the same light with a flat wave front."""
+    found = wave(clacad.load(DESIGNS / "window-100mm.toml").replace(change))
+    ratios = [far.strehl for far in (found.exact, found.thin) if far is not None]
+    assert ratios
+    assert all(0.5 < ratio <= 1.0 for ratio in ratios)
+    assert found.to_dict()["thin"]["fwhm_through_peak"] == pytest.approx(found.to_dict()["thin"]["fwhm"])
+    text = wave_text(found)
+    assert (
+        "Strehl ratio: peak over that of the light that meets the partner, were its wave front flat" in text
+    )
+    assert "summed over the other axis" in text
+    assert "through the peak" in text
+
+
+def test_a_flat_wave_has_a_strehl_ratio_of_one_and_noise_less():
+    rng = np.random.default_rng(3)
+    amplitude = rng.uniform(0.1, 1.0, (32, 48))
+    assert flatness(amplitude.astype(np.complex128)) == pytest.approx(1.0, rel=1e-12)
+    tilted = amplitude * np.exp(0.7j * np.arange(48))
+    assert flatness(tilted) == pytest.approx(1.0, rel=2e-3)
+    assert flatness(amplitude * np.exp(2j * np.pi * rng.random((32, 48)))) < 0.1
