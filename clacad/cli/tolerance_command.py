@@ -14,8 +14,8 @@ from clacad.cli.design_commands import load_counted
 if TYPE_CHECKING:
     from clacad.verification.tolerance import Study, Sweep
 
-TOP = 5
-"""Contributors printed for each measure."""
+LEAST = 1e-3
+"""Share from which a contributor is printed with its change; the others are named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,13 +123,25 @@ def tolerance_text(study: Study) -> str:
             f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, half below "
             f"{middle}, 95 % below {high}"
         )
-        rows = [(n, c, s) for n, c, s in study.ranking(measure) if s >= 1e-3][:TOP]
-        if rows:
-            blocks.append(
-                table([[f"{100 * s:.1f} %", n, _change(factor * c)] for n, c, s in rows], indent="    ")
-            )
+        if measure == "law_rms":
+            blocks.append("    of the worst of the middle cell and the cells in the corners, by its centre:")
+        ranking = study.ranking(measure)
+        rows = [
+            [f"{100 * s:.1f} %", n, _change(factor * c), *([_cell(study, n)] if measure == "law_rms" else [])]
+            for n, c, s in ranking
+            if s >= LEAST
+        ]
+        rest = ", ".join(n for n, _, s in ranking if s < LEAST)
+        blocks += [table(rows, indent="    ")] if rows else []
+        blocks += [f"    less than {100 * LEAST:g} % each: {rest}"] if rows and rest else []
     blocks.append(_yield_text(study))
     return "\n".join(blocks)
+
+
+def _cell(study: Study, parameter: str) -> str:
+    """Where the cell stands whose law error this parameter makes the worst."""
+    x, y = (metres / study.unit_m for metres in study.place(parameter))
+    return "in the middle" if x == y == 0.0 else f"at ({x:.4g}, {y:.4g})"
 
 
 def _change(value: float) -> str:

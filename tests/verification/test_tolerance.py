@@ -13,6 +13,7 @@ from math import hypot, pi
 import numpy as np
 import pytest
 
+from clacad.cli.tolerance_command import tolerance_text
 from clacad.design import Design, DesignError
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
@@ -410,3 +411,32 @@ def test_rays_are_sent_over_cell_1_wherever_it_stands(benches):
     assert alive.all()
     assert out[0, 0] != 0.0  # the axis of lens 1 misses that of lens 2
     assert len(Rays(*table.rays)) == table.rays[0].shape[0]
+
+
+CORNERED = {
+    "format": 1, "name": "cornered", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+    "pair": {"form": "slab", "separation": 10.0, "material": "PMMA"}, "lattice": {"pitch": 0.5, "count": [20, 20]},
+    "tolerances": {"decentre": "5 um", "rotation": "1 mrad", "radius": 0.005, "samples": 4},
+}  # fmt: skip
+
+
+def test_a_study_says_which_cell_its_law_error_is_of_and_names_every_contributor():
+    """A turn of array 2 by α moves lens 2 of a corner cell by α r, and its light by α r/f2; decentres move all cells alike."""
+    study = tolerance(Design.from_dict(CORNERED), farm=Farm(1))
+    corner, alpha, f2 = 4.75, 1e-3, 5.0
+    x, y = study.place("rotation")
+    assert (abs(x), abs(y)) == pytest.approx((corner * 1e-3, corner * 1e-3))
+    assert study.place("decentre.1.x") == (0.0, 0.0)
+    designed = study.nominal["law_rms"]
+    want = np.hypot(designed, alpha * corner * np.sqrt(2.0) / f2) - designed
+    assert dict((n, c) for n, c, _ in study.ranking("law_rms"))["rotation"] == pytest.approx(want, rel=0.01)
+    small = tolerance(
+        Design.from_dict(CORNERED | {"tolerances": CORNERED["tolerances"] | {"rotation": "20 urad"}}),
+        farm=Farm(1),
+    )
+    for text in (tolerance_text(study), tolerance_text(small)):
+        part = text.split("law error, rms / mrad")[1].split("a good sheet keeps")[0]
+        assert all(p.name in part for p in study.parameters)
+        assert "of the worst of the middle cell and the cells in the corners" in part
+        assert "in the middle" in part
+    assert "4.75" in tolerance_text(study)

@@ -14,7 +14,10 @@ blur
 throughput
     Share of the light of the field that stays in its telescopelet and out of the haze of rough faces.
 law_rms, law_bias, eta, delta, kept
-    As the checks of the same names define them (kept: throughput over the closed form), with fewer rays.
+    As the checks of the same names define them (kept: throughput over the closed form), with fewer rays; blur, law_rms and
+    law_bias are those of the worst of the cells traced, the middle one and the farthest ones.
+law_rms_x, law_rms_y
+    Centre of the cell that law_rms is of.
 """
 
 from __future__ import annotations
@@ -56,7 +59,7 @@ MEASURES: Mapping[str, str] = {
     "power_xx": "1/m", "power_xy": "1/m", "power_yx": "1/m", "power_yy": "1/m",
     "image_shift": "rad", "moire_rate": "", "moire_period": "m", "residual_power": "1/m", "blur": "rad",
     "throughput": "", "law_rms": "rad", "law_bias": "rad", "eta_x": "", "eta_y": "", "delta_x": "", "delta_y": "",
-    "eta_error": "", "delta_error": "", "kept": "",
+    "eta_error": "", "delta_error": "", "kept": "", "law_rms_x": "m", "law_rms_y": "m",
 }  # fmt: skip
 """Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others follow."""
 
@@ -109,9 +112,11 @@ class Bench:
             if number == 0:
                 found |= self._fitted(out, alive)
         kept = min(share_)
+        x, y = self.window.unit * self.places[_first_worst(rms)]
         return found | {
             "blur": _worst(spread), "throughput": kept, "law_rms": _worst(rms), "law_bias": _worst(bias),
             "kept": kept / self.closed_form if self.closed_form > 0.0 else np.nan,
+            "law_rms_x": float(x), "law_rms_y": float(y),
         }  # fmt: skip
 
     def _sent(self, cell: Telescopelet, errors: Errors) -> tuple[Floats, NDArray[np.bool_]]:
@@ -271,6 +276,12 @@ def places(window: Window) -> Floats:
 def _worst(values: list[float]) -> float:
     """The largest; NaN if any could not be measured."""
     return float(np.max(values))
+
+
+def _first_worst(values: list[float]) -> int:
+    """Index of the first that is the largest within rounding, or could not be measured."""
+    most = _worst(values)
+    return next(k for k, value in enumerate(values) if value != value or value >= most * (1.0 - 1e-9))
 
 
 def _rms(angles: Floats) -> float:

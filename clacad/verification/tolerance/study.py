@@ -37,6 +37,8 @@ SMALL = 0.1
 RANKED = ("image_shift", "moire_rate", "residual_power", "blur", "throughput", "law_rms")
 """Measures for which contributors are ranked."""
 
+_LAW = list(MEASURES).index("law_rms")
+
 ENDS = 4
 """Sheets made for each parameter: at both ends of its tolerance, and a little to either side."""
 
@@ -107,6 +109,13 @@ class Study:
         found = np.abs(self.ends[:, :, at] - self.nominal[measure]).max(axis=1)
         return np.where(np.isfinite(found), found, np.inf)
 
+    def place(self, parameter: str) -> tuple[float, float]:
+        """Centre (metres) of the cell whose law error is the worst at the worse end of a parameter's tolerance."""
+        number = [p.name for p in self.parameters].index(parameter)
+        return _centre(
+            self.ends[number, int(np.argmax(np.nan_to_num(self.ends[number, :, _LAW], nan=np.inf)))]
+        )
+
     def ranking(self, measure: str) -> list[tuple[str, float, float]]:
         """(parameter, change over its tolerance, share of the sum of squares), largest first."""
         change = self.change(measure)
@@ -153,6 +162,12 @@ class Study:
             return [float("nan")] * 3
         filled = np.sort(np.where(np.isnan(column), np.inf, column))
         return [float(filled[min(len(filled) - 1, int(part * len(filled)))]) for part in (0.05, 0.5, 0.95)]
+
+
+def _centre(measures: Floats) -> tuple[float, float]:
+    """Centre (metres) of the cell that a row of measures has its law error from."""
+    x, y = (float(measures[list(MEASURES).index(name)]) for name in ("law_rms_x", "law_rms_y"))
+    return x, y
 
 
 def limits(design: Design) -> tuple[Limit, ...]:
