@@ -101,10 +101,19 @@ _FORMS: Final[Mapping[str, tuple[str, ...]]] = {
 """Forms that have the key, or take it without another one."""
 
 
+_HELD: Final = ("pair.separation", "pair.thickness", "lattice.pitch", "lattice.aperture")
+"""Keys that `clacad optimise` holds: its faces are those of the pair with these values."""
+
+
 def levers_of(design: Design, checks: Iterable[Check]) -> tuple[Lever, ...]:
-    """Levers that may mend some of these checks in a design of this form, each once."""
+    """Levers that may mend some of these checks in a design of this form, each once; none that undoes a search for its faces."""
     found = dict.fromkeys(lever for check in checks for lever in LEVERS.get(check.id, ()))
-    return tuple(lever for lever in found if design.pair.form in _FORMS.get(lever.key, (design.pair.form,)))
+    held = () if design.pair.search is None else _HELD
+    return tuple(
+        lever
+        for lever in found
+        if lever.key not in held and design.pair.form in _FORMS.get(lever.key, (design.pair.form,))
+    )
 
 
 def mends(lever: Lever, check: Check) -> bool:

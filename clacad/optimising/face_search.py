@@ -30,6 +30,9 @@ WORTH = 0.9
 HIGHER = ("a6", "a8")
 """Orders that are tried last, one after the other."""
 
+LEAST_GAIN = 1e-3
+"""Part of the start's error by which faces must be better to be written."""
+
 TOLD = 0.9
 """Part of the last error told at which the history gets another line."""
 
@@ -66,13 +69,16 @@ class FaceSearch:
     ) -> None:  # fmt: skip
         self.design, self.window, self.unknowns, self.aim = design, window, unknowns, aim
         self.progress, self.until = progress, until
-        self.walls = Walls.of(design, window)
+        self.walls = Walls.of(design, window, aim.field)
         self.target = AimedRays.of(aim, design, window, len(unknowns.free))
+        self.before = self.error_of(window)
         self.evaluations = 0
         self.best: Best | None = None
         self.nearest = (-inf, "")
+        self.sharpest_beyond = (inf, "")
         self.kept: tuple[str, ...] = ()
-        self.quick = unknowns.still and all(face.land is None for face in window.faces)
+        follows = design.pair.offset == "traced" or any(face.land is not None for face in window.faces)
+        self.quick = unknowns.still and not follows
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -157,6 +163,7 @@ class FaceSearch:
                 Mistake("CL120", f"no faces were found within the walls: the {name} stays {-slack:.3g} times its limit beyond it",
                         "pair.thickness", allowed="walls that leave room: the process, check.edge, check.graph, or more thickness")
             ])  # fmt: skip
+        self._refuse_no_gain(self.best)
         faces, offset = self.unknowns.faces(self.best.vector)
         record = SearchRecord(
             self.design.sha256, faces_digest(faces), free, degrees(self.aim.field), self.aim.weights,
@@ -164,6 +171,22 @@ class FaceSearch:
             tuple((float(at), 1e3 * rms) for at, rms in self.best.history),
         )  # fmt: skip
         return given_design(self.design, self.window, faces, offset, record)
+
+    @property
+    def gained(self) -> bool:
+        """Whether the best within the walls is worth writing."""
+        return self.best is not None and self.best.rms <= (1.0 - LEAST_GAIN) * self.before
+
+    def _refuse_no_gain(self, best: Best) -> None:
+        if self.gained:
+            return
+        rms, name = self.sharpest_beyond
+        found = f"; {1e3 * rms:.4g} mrad lies beyond the wall of the {name}" if rms < best.rms else ""
+        raise DesignError([
+            Mistake("CL120", f"no faces within the walls are better than the start, which leaves {1e3 * self.before:.4g} mrad rms{found}; "
+                    "nothing is written", "free", allowed=f"a gain of at least {LEAST_GAIN:g}",
+                    hint="more words of --free, or --field of another size")
+        ])  # fmt: skip
 
     def _trial(self, vector: Floats) -> Window:
         faces, offset = self.unknowns.faces(vector)
@@ -177,7 +200,10 @@ class FaceSearch:
         self.evaluations += 1
         tightest = min(slack, key=lambda name: slack[name])
         self.nearest = max(self.nearest, (slack[tightest], tightest))
-        if slack[tightest] < 0.0 or (self.best is not None and rms >= self.best.rms):
+        if slack[tightest] < 0.0:
+            self.sharpest_beyond = min(self.sharpest_beyond, (rms, tightest))
+            return
+        if self.best is not None and rms >= self.best.rms:
             return
         told = () if self.best is None else self.best.told
         if not told or rms <= TOLD * told[-1][1]:

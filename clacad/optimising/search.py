@@ -13,6 +13,7 @@ from clacad.optimising.aim import RAYS, WHOLE, Aim, AimedRays, Weights
 from clacad.optimising.face_search import FaceSearch, Progress
 from clacad.optimising.measured_light import FIELDS, Seen, measured
 from clacad.optimising.unknowns import chosen
+from clacad.optimising.what_stays import refuse_lost_light, refuse_moved
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells
 
@@ -95,7 +96,7 @@ def optimise(
     design : Design
     free : tuple of str
         What may change: "radii", "conic", "bending" (own radii a face; biconvex), "a4" (on paraboloids unless "conic"
-        is free, too), "a6" on top of it and "a8" on top of that, "offset" (of lens 2). Terms of sixth and eighth
+        is free, too), "a6" on top of it and "a8" on top of that, "offset" (of lens 2; held otherwise). Terms of sixth and eighth
         order stay only where they lessen the error by more than a tenth.
     field : float or None, radians
         Half angle of the cone of rays; None: the design's `check.field`.
@@ -129,11 +130,17 @@ def optimise(
     )
     before = tuple(measured(window, part * aim.field, design) for part in FIELDS)
     stopped = search.run()
+    if stopped == "interrupted" and not search.gained:
+        raise KeyboardInterrupt
     better = search.best_design(tuple(free))
     assert search.best is not None  # or it would have been said
-    after = () if stopped == "interrupted" else tuple(
-        measured(prescribe(better), part * aim.field, better) for part in FIELDS
-    )  # fmt: skip
+    made = prescribe(better)
+    if "offset" not in free:
+        refuse_moved(window, made, traced=design.pair.offset == "traced")
+    after = (
+        () if stopped == "interrupted" else tuple(measured(made, part * aim.field, better) for part in FIELDS)
+    )
+    refuse_lost_light(before[: len(after)], after)
     expected = (search.error_of(window), search.best.rms) if tolerances else None
     return Optimised(
         better, design, tuple(free), search.left_out, aim, search.kept_unknowns, search.evaluations, before, after,

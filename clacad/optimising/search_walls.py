@@ -15,7 +15,8 @@ from clacad.base.types import Floats
 from clacad.design import Design
 from clacad.design.process_profiles import profile
 from clacad.optics.surface import Surface
-from clacad.optimising.light_in_cells import LightInCells
+from clacad.optimising.light_in_cells import LightInCells, ShareOfLight
+from clacad.optimising.measured_light import FIELDS
 from clacad.prescription.given import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
@@ -46,8 +47,10 @@ class Walls:
         Least radius and greatest height; 0 and infinite without one.
     thickness : (b,) lengths
         Least thickness of each body anywhere in its cell.
+    share : ShareOfLight
+        How much of the light of the cones that before and after are compared over may miss its cell.
     light : LightInCells or None
-        With a field lens: what of the light of the full field may miss its cell.
+        With a field lens: how much of the light of the full field may miss its cell.
     """
 
     x: Floats
@@ -56,11 +59,12 @@ class Walls:
     radius: float
     sag: float
     thickness: tuple[float, ...]
+    share: ShareOfLight
     light: LightInCells | None = None
 
     @staticmethod
-    def of(design: Design, window: Window) -> Walls:
-        """Walls of a design whose window, to start from, is built."""
+    def of(design: Design, window: Window, field: float | None = None) -> Walls:
+        """Walls of a design whose window, to start from, is built; field in radians, None: the design's `check.field`."""
         rules = profile(design.check.process)
         limit = {
             name: process_limit(design, rules, name)[0] for name in ("edge", "neck", "radius", "sag", "slope")
@@ -72,6 +76,7 @@ class Walls:
         x, y = np.append(x[inside], rim[:, 0]), np.append(y[inside], rim[:, 1])
         neck = design.body.neck or min(window.lattice.pitch) / 50.0
         asked = max(limit["edge"], limit["neck"])
+        cone = design.check.field if field is None else field
         needs = tuple(
             max(asked, min(neck, (1.0 - 2.0 * MARGIN) * _thinnest(body, x, y))) for body in window.bodies
         )
@@ -82,6 +87,7 @@ class Walls:
             limit["radius"],
             limit["sag"],
             needs,
+            ShareOfLight.of(window, [part * cone for part in FIELDS], design.check.field_centre),
             LightInCells.of(window),
         )
 
@@ -100,6 +106,7 @@ class Walls:
             if need > 0.0:
                 thinnest = _least_apart(body, *heights)
                 found[f"thickness of {body.name}"] = thinnest / need - 1.0 if isfinite(thinnest) else LOST
+        found["share of light"] = self.share.slack(window)
         if self.light is not None:
             found["light in its cells"] = self.light.slack(window)
         return found

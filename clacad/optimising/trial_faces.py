@@ -41,7 +41,7 @@ def trial_design(
         prescription="given",
         face=faces,
         thickness=thickness,
-        vertex=offset or design.pair.vertex,
+        vertex=design.pair.vertex if offset is None else offset,
     )
     return replace(design, pair=given)
 

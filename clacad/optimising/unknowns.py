@@ -50,12 +50,12 @@ class Unknowns:
     start : tuple of FaceSpec
         All faces in the order of the light, as the search begins.
     offset : (2,) lengths or None
-        Offset of lens 2 where it is free or given.
+        Offset of lens 2, free or held as the search began; None: it is 0 and held.
     free : tuple of Unknown
     half : float
         Half a cell, length.
     still : bool
-        Lens 2 keeps its place whatever the faces are: it stands on the axis of lens 1.
+        Lens 2 keeps its place: its offset is not free.
     ellipsoids : bool
         Conic constants follow from the radii: κ = √(c_x c_y).
     """
@@ -159,9 +159,10 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
             free += [Unknown(order, group, i) for i in range(len(MONOMIALS[order])) if order in words]
     free += _of_field(window, faces, words)
     d, half = window.recipe["d"], 0.5 * min(window.lattice.pitch)
-    still = "offset" not in words and d[0] == d[1] == 0.0
-    offset = (float(d[0]), float(d[1])) if "offset" in words else None
-    free += [Unknown("d", (), i) for i in (0, 1)] if offset is not None else []
+    still = "offset" not in words
+    # an offset of delta f1 would follow the radii, and with it the cells of array 2, and tilted the separation
+    offset = None if still and d[0] == d[1] == 0.0 else (float(d[0]), float(d[1]))
+    free += [] if still else [Unknown("d", (), i) for i in (0, 1)]
     return Unknowns(faces, offset, tuple(free), half, still, ellipsoids)
 
 

@@ -456,16 +456,28 @@ def _plano_scaled(intent: Intent, scale: float) -> Window:
             f"{(thickness[0] + thickness[1]) / intent.index:.6g}, or curved = 'inside'",
         )
 
-    def built(trial: float) -> Window:
-        # without the offset: off its axis lens 2 adds aberration that is no matter of the gap
-        lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, trial)
-        return _plano_placed(intent, lenses, lens_2, intent.turn, offset)
-
     if intent.law.theta != 0.0:
-        gap = poses.best_gap(built, intent.turn, gap)
+        gap = _afocal_gap(intent, thickness, gap)
     lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, gap)
     lens_2 = lens_2 + intent.turn @ np.array([*offset, 0.0])
     return _plano_placed(intent, lenses, lens_2, intent.turn, offset)
+
+
+def _afocal_gap(intent: Intent, thickness: Pair2, guess: float) -> float:
+    """Air gap (length) of a tilted plano pair: that of the ellipsoids of law.eta, regardless of the faces that are built.
+
+    A gap solved for the faces themselves makes any pair of faces afocal: a search over faces or their scale would then
+    grow the separation, because the error falls as the cube of pitch over separation.
+    """
+    plain = replace(_untraced(intent), shape=Shape(None, None))
+    lenses = single_surface(intent.eta, separation_of(intent), thickness, intent.index)
+
+    def built(gap: float) -> Window:
+        # without the offset: off its axis lens 2 adds aberration that does not belong to the gap
+        lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, gap)
+        return _plano_placed(plain, lenses, lens_2, intent.turn, np.zeros(2))
+
+    return poses.best_gap(built, intent.turn, guess)
 
 
 def _untraced(intent: Intent) -> Intent:
