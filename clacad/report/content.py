@@ -12,7 +12,7 @@ from clacad.base.text import plain
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.report.fabrication import FabricationLine, fabrication
 from clacad.report.light_rows import LightRows
-from clacad.sheet.feasibility import describe
+from clacad.sheet.feasibility import FactRow, describe
 from clacad.verification.limit_sources import Origin
 
 if TYPE_CHECKING:
@@ -86,6 +86,16 @@ class Content:
         return word[0].upper() + word[1:], css
 
     @property
+    def sheet(self) -> Window:
+        """The whole sheet."""
+        return self.report.window if self.whole is None else self.whole
+
+    @property
+    def cells(self) -> str:
+        """How many cells the whole sheet has."""
+        return self.sheet.lattice.count_text.replace(" x ", " × ")
+
+    @property
     def viewer(self) -> str:
         """What the viewer gets of the whole sheet, in a line; "" where that was not checked."""
         from clacad.verification.light.viewed_check import headline
@@ -134,10 +144,15 @@ class Content:
         return "; ".join(sorted(text[0].upper() + text[1:] for text in found))
 
     @cached_property
+    def fabrication_lines(self) -> tuple[FabricationLine, ...]:
+        """Lines of the fabrication table."""
+        return fabrication(self.report, self.sheet)
+
+    @property
     def fabrication(self) -> list[tuple[str, list[FabricationLine]]]:
         """Lines of the fabrication table by what they are about."""
         groups: dict[str, list[FabricationLine]] = {}
-        for line in fabrication(self.report):
+        for line in self.fabrication_lines:
             groups.setdefault(line.about, []).append(line)
         return list(groups.items())
 
@@ -163,10 +178,15 @@ class Content:
         return found
 
     @property
+    def described(self) -> tuple[FactRow, ...]:
+        """Derived numbers, those of the whole sheet among them."""
+        return describe(self.report.window, self.report.facts, self.sheet)
+
+    @property
     def derived(self) -> list[tuple[str, list[tuple[str, str, str, str]]]]:
         """Derived numbers by what they are about: name, value, unit, what it means."""
         groups: dict[str, list[tuple[str, str, str, str]]] = {}
-        for about, name, value, unit, means in describe(self.report.window, self.report.facts):
+        for about, name, value, unit, means in self.described:
             groups.setdefault(about, []).append((name, value, unit, means))
         return list(groups.items())
 
@@ -175,7 +195,7 @@ class Content:
         """What was asked, and what was built or measured."""
         from clacad.verification.verification_report import asked_and_built
 
-        return asked_and_built(self.report)
+        return asked_and_built(self.report, self.sheet)
 
     @property
     def light(self) -> LightRows:
@@ -203,7 +223,10 @@ def numbers(content: Content) -> dict[str, Any]:
     from clacad.report.figures import budget_rows
 
     report = content.report
-    found = report.to_dict() | {"fabrication": plain(fabrication_dict(report))}
+    found = report.to_dict() | {
+        "fabrication": plain(fabrication_dict(content.fabrication_lines, report.window, content.sheet)),
+        "derived": [list(row) for row in content.described],
+    }
     found["budget"] = [list(one) for one in budget_rows(report)]
     if content.timings:
         found["timings"] = content.evidence.ladder.measured()

@@ -8,17 +8,18 @@ from clacad.formats.drawing import views
 from clacad.formats.drawing.allowances import allowances
 
 if TYPE_CHECKING:
+    from clacad.sheet.window import Window
     from clacad.verification import Report
 
 
-def assembly(report: Report) -> str:
+def assembly(sheet: Window) -> str:
     """The whole sheet from the side, cut through a row of cells."""
-    return views.assembly(report.window).svg()
+    return views.assembly(sheet).svg()
 
 
-def plan(report: Report) -> str:
+def plan(sheet: Window) -> str:
     """The sheet seen along the light."""
-    return views.plan(report.window).svg()
+    return views.plan(sheet).svg()
 
 
 def telescopelet(report: Report) -> str:

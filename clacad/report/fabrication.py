@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite, pi
 from typing import TYPE_CHECKING, Any
@@ -54,9 +55,16 @@ class FabricationLine:
         return {"about": self.about, "name": self.name, "value": value, "unit": self.unit}
 
 
-def fabrication(report: Report) -> tuple[FabricationLine, ...]:
-    """Lines of the fabrication table, lengths in millimetres."""
-    window, facts = report.window, report.facts
+def fabrication(report: Report, sheet: Window | None = None) -> tuple[FabricationLine, ...]:
+    """Lines of the fabrication table, lengths in millimetres.
+
+    Parameters
+    ----------
+    report : Report
+    sheet : Window or None
+        The whole sheet, where `report.window` is the uniform equivalent of one of its cells: its count and sizes are told.
+    """
+    window, facts = report.window if sheet is None else sheet, report.facts
     mm = millimetres(window.unit)
     lines = [*_sheet(window, mm)]
     for lens in facts.lenses:
@@ -79,7 +87,7 @@ def _sheet(window: Window, mm: float) -> list[FabricationLine]:
         FabricationLine("array", "lattice", "hexagonal" if lattice.hexagonal else "square" if lattice.pitch[0] == lattice.pitch[1]
              else "rectangular", ""),
         FabricationLine("array", "pitch x, y", tuple(p * mm for p in lattice.pitch)),
-        FabricationLine("array", "cells", f"{lattice.count[0]} × {lattice.count[1]} ({lattice.cell_count} kept)", ""),
+        FabricationLine("array", "cells", lattice.count_text.replace(" x ", " × "), ""),
         FabricationLine("array", "extent of the cells x, y", ((x1 - x0) * mm, (y1 - y0) * mm)),
         FabricationLine("array", "fill: optical zone over cell", (zone,), ""),
     ]  # fmt: skip
@@ -196,13 +204,13 @@ def _smallest(report: Report, mm: float) -> list[FabricationLine]:
 
 def _calipers(window: Window, mm: float) -> list[FabricationLine]:
     """Outer sizes that a caliper can check, as built."""
-    from clacad.sheet.feasibility import body_range
+    from clacad.sheet.feasibility.bodies import whole_body_range
 
     lines = []
     x0, x1, y0, y1 = whole_extent(window)
     for body in window.bodies:
         a0, a1, b0, b1 = body_extent(window, body)
-        low, high = body_range(window, body)
+        low, high = whole_body_range(window, body)
         size = ((a1 - a0) * mm, (b1 - b0) * mm, (high - low) * mm)
         lines.append(FabricationLine("caliper", f"{body.name}: width, height, thickness", size))
     if len(window.bodies) > 1:
@@ -212,13 +220,13 @@ def _calipers(window: Window, mm: float) -> list[FabricationLine]:
     return lines
 
 
-def fabrication_dict(report: Report) -> dict[str, Any]:
-    """The table as JSON holds it."""
+def fabrication_dict(lines: Sequence[FabricationLine], window: Window, sheet: Window) -> dict[str, Any]:
+    """The table as JSON holds it; the window that the report is about, and the whole sheet."""
     return {
         "unit": "mm",
-        "rows": [line.to_dict() for line in fabrication(report)],
-        "orientation": orientation(report.window),
-        "footprint_mm2": _footprint(report.window),
+        "rows": [line.to_dict() for line in lines],
+        "orientation": orientation(window),
+        "footprint_mm2": _footprint(sheet),
     }
 
 

@@ -40,7 +40,7 @@ Drawings = Callable[[Content], dict[str, str]]
 def _fabrication(content: Content) -> dict[str, str]:
     report = content.report
     return {
-        "plan": drawing.plan(report), "assembly": drawing.assembly(report), "pair": drawing.telescopelet(report),
+        "plan": drawing.plan(content.sheet), "assembly": drawing.assembly(content.sheet), "pair": drawing.telescopelet(report),
         "lens1": drawing.lens_detail(report, 0), "lens2": drawing.lens_detail(report, 1),
         "field": "".join(drawing.lens_detail(report, k) for k in range(2, len(report.facts.lenses))),
     }  # fmt: skip

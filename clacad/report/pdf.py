@@ -81,10 +81,9 @@ def _document(content: Content, shelf: _Shelf) -> dict[str, Any]:
     """All that the typesetter is given: head, verdict, tally of the checks, and blocks in their order."""
     report = content.report
     counts = report.counts()
-    n1, n2 = report.window.lattice.count
     return {
         "title": report.design.name,
-        "about": f"confocal lenslet array pair, {report.window.form}, {n1} × {n2} cells; verification",
+        "about": f"confocal lenslet array pair, {report.window.form}, {content.cells} cells; verification",
         "state": report.word,
         "verdict": {
             "state": {"passed": "pass", "shape": "warn"}.get(content.head[1], "fail"), "word": content.head[0],
@@ -168,7 +167,12 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
         _heading("Drawings", 2),
     ]
     blocks.append(
-        _figure(shelf, "assembly", drawing.assembly(report), "Assembly, cut along x, to scale; millimetres.")
+        _figure(
+            shelf,
+            "assembly",
+            drawing.assembly(content.sheet),
+            "Assembly, cut along x, to scale; millimetres.",
+        )
     )
     blocks.append(
         _figure(shelf, "pair", drawing.telescopelet(report), "One telescopelet, cut along x; millimetres.")
@@ -180,7 +184,7 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
     from clacad.report.parts_in_3d import picture
 
     plan = {
-        "file": shelf.put("plan", drawing.plan(report)),
+        "file": shelf.put("plan", drawing.plan(content.sheet)),
         "caption": "The sheet as light sees it.",
         "alt": "plan",
     }

@@ -108,8 +108,8 @@ def of_worst_cell(report: Report) -> tuple[Report, str]:
     seen = worst_cell(report.window, report.design.check.field)
     i, j = seen.cell.tolist()
     words = (
-        f"Every cell of this sheet differs. What is drawn and told below is of a sheet of equal cells like cell ({i}, {j}), "
-        "by which the sheet is judged, but for what one eye gets of the whole sheet"
+        f"Every cell of this sheet differs. Numbers and drawings are those of the uniform equivalent of cell ({i}, {j}), by which "
+        "the sheet is judged; the count of cells, outer sizes, volumes, plan, side view and the viewer's share are of the whole sheet"
     )
     facts = feasibility(seen.buildable, *report.design.viewing_places).with_steps_of(report.facts)
     return replace(report, window=seen.buildable, facts=facts), words

@@ -278,8 +278,11 @@ def _file_row(found: FileReport) -> dict[str, Any]:
     return dict(plain(row))
 
 
-def asked_and_built(report: Report) -> list[tuple[str, str, str]]:
-    """What was asked beside what was built and measured, as rows for a person: name, asked, built or measured."""
+def asked_and_built(report: Report, sheet: Window) -> list[tuple[str, str, str]]:
+    """Return what was requested and what was built and measured, as rows for a person: name, requested, built or measured.
+
+    sheet : the whole sheet, of which `report.window` may be the uniform equivalent of one cell.
+    """
     design, window, law, fit = report.design, report.window, report.design.law, report.optics.fit
     dark = "not measured"
     index = (
@@ -294,7 +297,7 @@ def asked_and_built(report: Report) -> list[tuple[str, str, str]]:
         ("φ, θ, ψ (deg)", ", ".join(f"{a:g}" for a in design.law_spec.euler_degrees)
          + f" ({design.law_spec.euler_axes} axes)", "held in the fit; see the check tilt"),
         ("form, recipe", f"{design.pair.form}, {'given' if design.pair.given else design.pair.confocal}", window.form),
-        ("cells", " × ".join(str(n) for n in design.lattice.count), str(window.lattice.cell_count)),
+        ("cells", " × ".join(str(n) for n in design.lattice.count), str(sheet.lattice.cell_count)),
         ("refractive index", index, ", ".join(f"{body.index:.6g}" for body in window.bodies)),
         ("wavelength (nm)", f"{1e9 * design.pair.wavelength:g}", f"{1e9 * report.facts.wavelength:g}"),
         ("cone of test rays (deg)", f"{degrees(design.check.field):g}", str(report.optics.main)),

@@ -194,9 +194,9 @@ def test_the_numbers_of_the_drawings_are_those_of_the_part(made):
     window = made.window
     x0, x1, y0, y1 = whole_extent(window)
     low, high = window.z_range
-    said = words(drawing.assembly(made))
+    said = words(drawing.assembly(made.window))
     assert {f"{x1 - x0:.5g}", f"{high - low:.5g}"} <= set(said)
-    assert {f"{x1 - x0:.5g}", f"{y1 - y0:.5g}"} <= set(words(drawing.plan(made)))
+    assert {f"{x1 - x0:.5g}", f"{y1 - y0:.5g}"} <= set(words(drawing.plan(made.window)))
     assert "0.5" in words(drawing.telescopelet(made))
     for array, lens in enumerate(made.facts.lenses):
         text = " ".join(words(drawing.lens_detail(made, array)))
@@ -207,7 +207,7 @@ def test_the_numbers_of_the_drawings_are_those_of_the_part(made):
 def test_drawings_are_to_scale(made):
     """Width over height of the drawn body is that of the part."""
     window = made.window
-    svg = drawing.assembly(made)
+    svg = drawing.assembly(made.window)
     points = [np.array([[float(v) for v in p.split(",")] for p in s.split()])
               for s in re.findall(r'<polygon class="(?:body|cut)" points="([^"]+)"', svg)]  # fmt: skip
     drawn = np.ptp(np.concatenate(points), axis=0)
@@ -319,4 +319,5 @@ def test_a_round_sheet_has_the_area_of_its_circle():
     from clacad.report.fabrication import fabrication_dict
 
     design = Design.from_dict({**TEXT, "lattice": {"pitch": 0.5, "count": 8, "outline": {"circle": 4.0}}})
-    assert fabrication_dict(Shown(design, prescribe(design)))["footprint_mm2"] == pytest.approx(4.0 * pi)
+    window = prescribe(design)
+    assert fabrication_dict((), window, window)["footprint_mm2"] == pytest.approx(4.0 * pi)

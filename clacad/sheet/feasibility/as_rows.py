@@ -43,8 +43,11 @@ def length_unit(metres: float) -> tuple[float, str]:
     return next((pair for pair in LENGTHS if pair[0] <= metres * (1.0 + 1e-9)), LENGTHS[-1])
 
 
-def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
-    """Rows of all derived numbers, lengths in a common unit near the design's own."""
+def describe(window: Window, facts: Feasibility, sheet: Window | None = None) -> tuple[FactRow, ...]:
+    """Rows of all derived numbers, lengths in a common unit near the design's own.
+
+    sheet : the whole sheet, where `window` is the uniform equivalent of one of its cells.
+    """
     size, name = length_unit(window.unit)
     scale = window.unit / size
 
@@ -52,7 +55,7 @@ def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
         values = value if isinstance(value, tuple) else (value,)
         return ", ".join(digits(v * scale) for v in values)
 
-    rows = _sheet_rows(window, facts, of_length, name)
+    rows = _sheet_rows(window if sheet is None else sheet, facts, of_length, name)
     rows += [row for lens in facts.lenses for row in _lens_rows(lens, of_length, name)]
     rows += [row for body in facts.bodies for row in _body_rows(body, of_length, name)]
     if isfinite(facts.clearance):
@@ -121,12 +124,10 @@ def _sheet_rows(
         1.0 + 1e-12
     )  # no array stands beside the other
     low, top = min(body.low for body in facts.bodies), max(body.high for body in facts.bodies)
-    n1, n2 = lattice.count
-    cells = f"{n1} x {n2}" if lattice.outline is None else f"{lattice.cell_count} of {n1} x {n2}"
     return [
         FactRow("sheet", "outer size", f"{wide} round" if is_round else f"{wide} x {high}", name, "of all bodies, seen along z"),
         FactRow("sheet", "height", of_length(top - low), name, "from the lowest point of all bodies to the highest"),
-        FactRow("sheet", "cells", cells, "", "telescopelets" if lattice.outline is None else
+        FactRow("sheet", "cells", lattice.count_text, "", "telescopelets" if lattice.outline is None else
             "telescopelets that lie wholly inside the outline"),
         FactRow("sheet", "index ratio n1/n2, lens x, y", ", ".join(digits(1.0 / m) for m in focal_ratio(window.thin)), "",
             "−f1/f2 = 1/η: near the lens axis the sheet acts as the interface from a medium of index n1 to one of n2"),
