@@ -13,6 +13,7 @@ from clacad.formats.drawing.orientation_notes import orientation
 from clacad.report.fabrication import FabricationLine, fabrication
 from clacad.report.light_rows import LightRows
 from clacad.sheet.feasibility import FactRow, describe
+from clacad.sheet.feasibility.as_rows import cells_text
 from clacad.verification.limit_sources import Origin
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ class Content:
     @property
     def cells(self) -> str:
         """How many cells the whole sheet has."""
-        return self.sheet.lattice.count_text.replace(" x ", " × ")
+        return cells_text(self.sheet.lattice).replace(" x ", " × ")
 
     @property
     def viewer(self) -> str:

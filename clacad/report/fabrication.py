@@ -14,6 +14,7 @@ from clacad.base.even_orders import MONOMIALS, POWER, RAISED
 from clacad.base.units import millimetres
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.sheet.feasibility import FaceShape
+from clacad.sheet.feasibility.as_rows import cells_text
 from clacad.sheet.lattice import Circle, polygon_area
 from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
@@ -87,7 +88,7 @@ def _sheet(window: Window, mm: float) -> list[FabricationLine]:
         FabricationLine("array", "lattice", "hexagonal" if lattice.hexagonal else "square" if lattice.pitch[0] == lattice.pitch[1]
              else "rectangular", ""),
         FabricationLine("array", "pitch x, y", tuple(p * mm for p in lattice.pitch)),
-        FabricationLine("array", "cells", lattice.count_text.replace(" x ", " × "), ""),
+        FabricationLine("array", "cells", cells_text(lattice).replace(" x ", " × "), ""),
         FabricationLine("array", "extent of the cells x, y", ((x1 - x0) * mm, (y1 - y0) * mm)),
         FabricationLine("array", "fill: optical zone over cell", (zone,), ""),
     ]  # fmt: skip

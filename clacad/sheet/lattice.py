@@ -293,12 +293,6 @@ class Lattice:
             found += [(min(max(i, first), first + n1 - 1), j) for i in (near - 1, near, near + 1)]
         return np.unique(np.array(found, dtype=np.int64), axis=0)
 
-    @property
-    def count_text(self) -> str:
-        """How many cells the sheet has: "24 x 24", or "392 of 24 x 24" where an outline leaves some out."""
-        n1, n2 = self.count
-        return f"{n1} x {n2}" if self.outline is None else f"{self.cell_count} of {n1} x {n2}"
-
     def extent(self) -> tuple[float, float, float, float]:
         """Bounding box (x_min, x_max, y_min, y_max) of the kept cells' footprints (lengths)."""
         if self.outline is not None:

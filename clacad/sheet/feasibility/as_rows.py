@@ -14,7 +14,7 @@ from clacad.base.types import Pair2
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
 from clacad.sheet.feasibility.imaging_rows import imaging_rows
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
-from clacad.sheet.lattice import Circle, Outline
+from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.plate import Plate
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
@@ -127,12 +127,18 @@ def _sheet_rows(
     return [
         FactRow("sheet", "outer size", f"{wide} round" if is_round else f"{wide} x {high}", name, "of all bodies, seen along z"),
         FactRow("sheet", "height", of_length(top - low), name, "from the lowest point of all bodies to the highest"),
-        FactRow("sheet", "cells", lattice.count_text, "", "telescopelets" if lattice.outline is None else
+        FactRow("sheet", "cells", cells_text(lattice), "", "telescopelets" if lattice.outline is None else
             "telescopelets that lie wholly inside the outline"),
         FactRow("sheet", "index ratio n1/n2, lens x, y", ", ".join(digits(1.0 / m) for m in focal_ratio(window.thin)), "",
             "−f1/f2 = 1/η: near the lens axis the sheet acts as the interface from a medium of index n1 to one of n2"),
         *_plate_rows(rim, of_length, name),
     ]  # fmt: skip
+
+
+def cells_text(lattice: Lattice) -> str:
+    """How many cells a sheet has: "24 x 24", or "392 of 24 x 24" where an outline leaves some out."""
+    n1, n2 = lattice.count
+    return f"{n1} x {n2}" if lattice.outline is None else f"{lattice.cell_count} of {n1} x {n2}"
 
 
 def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
