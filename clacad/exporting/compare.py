@@ -10,7 +10,7 @@ from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.exporting.compare_instances import standing
 from clacad.exporting.measure_instances import measure_mesh
-from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times
+from clacad.formats.mesh.closed_stream import Measure
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.mesh.saddle_bevel import in_corners
 from clacad.sheet.volume_and_extent import Integral, distance_to_face, least_extent, whole_extent
@@ -20,9 +20,6 @@ from clacad.storage.errors import FileDisagrees
 
 SAMPLES = 6000
 """Facets looked at closely in a file; about 1,000 and more on each optical face."""
-
-EDGE_COUNT_LIMIT = 3_000_000
-"""Up to this many facets every edge is counted, beyond it only balanced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +59,6 @@ class Verdict:
 
     volume: float
     volume_exact: float | None
-    crowded: int | None
     checks: tuple[str, ...]
 
 
@@ -102,11 +98,8 @@ def compare_mesh(
     exact = None
     if volume is not None:
         exact = _compare_volume(found, window, promise, chord, slack, volume, name)
-    crowded = None
-    if found.facets <= EDGE_COUNT_LIMIT and not any(part.repeated for part in mesh.parts):
-        crowded = sum(crowded_edges(edge_times(part.welded()[1])) for part in mesh.parts)
     checks = ("closed", "shape") if exact is None else ("closed", "volume", "shape")
-    return Verdict(found.volume, exact, crowded, checks)
+    return Verdict(found.volume, exact, checks)
 
 
 def rounding(window: Window, single: bool) -> float:

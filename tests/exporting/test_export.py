@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import time
+import tracemalloc
 from collections.abc import Iterator
 from hashlib import sha256
 from importlib import import_module
@@ -30,8 +31,9 @@ from clacad.exporting.export_design import (
     export,
 )
 from clacad.exporting.tessellations import Tessellation
-from clacad.formats.mesh.file_mesh import FileMesh, Part
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.readers import read_mesh
+from clacad.formats.mesh.stl import write_stl
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.volume_and_extent import body_volume
 from clacad.sheet.window import lens_height
@@ -381,6 +383,24 @@ def held(corners: Any, window: Any, promise: Promise) -> None:
 
 def test_the_good_mesh_passes(good: tuple[Any, Any, Promise]) -> None:
     held(*good)
+
+
+def test_reading_back_a_stream_takes_memory_for_a_chunk_of_it_whatever_its_size(tmp_path: Path) -> None:
+    """Few facets were welded, which took more than a hundred times the bytes of their corners; many were not."""
+    window = clacad.prescribe(design("paper-a-covered.toml").with_cells((30, 30)))
+    tessellation = Tessellation(window, 8)
+    promise = tessellation.promise(instanced=False, single=True)
+    write_stl(tessellation.mesh.bodies, tmp_path / "x.stl", window.unit * 1e3, "x")
+    mesh = read_mesh(tmp_path / "x.stl")
+    compare_mesh(mesh, window, promise, "x.stl")
+    tracemalloc.start()
+    try:
+        compare_mesh(mesh, window, promise, "x.stl")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert promise.facets > 2 * CHUNK
+    assert peak < 8 * CHUNK * 72  # corners of a facet: 72 bytes
 
 
 def mutations() -> Iterator[tuple[str, Any]]:
