@@ -234,6 +234,40 @@ def test_a_damaged_cell_is_found(tmp_path, soup):
     assert states(bad)["shape"] == "fail"
 
 
+def test_the_cell_that_stands_out_most_is_told_by_its_depth_and_by_what_its_like_have(soup):
+    middle = soup.mean(axis=1)
+    dent = (np.abs(middle[:, 0] - 2.0) < 0.5) & (np.abs(middle[:, 1] + 1.0) < 0.5)
+    scan = soup + np.random.default_rng(1).normal(0.0, 1e-4, soup.shape)
+    window, bodies = prescribe(DESIGN), ("array1", "array2")
+    value, most = deviation_map(window, "mm", [scan], bodies, len(scan)).worst_cell(1e-4)
+    assert value <= most
+    scan[dent, :, 2] -= 2e-2
+    value, most = deviation_map(window, "mm", [scan], bodies, len(scan)).worst_cell(1e-4)
+    assert value == pytest.approx(
+        2e-2, rel=0.05
+    )  # what was put in, less the slope of the lens and noise of 1e-4
+    assert 0.0 < most < 2e-3
+
+
+@pytest.mark.slow
+def test_the_numbers_of_a_failed_scan_are_those_of_its_failure(tmp_path, soup):
+    """A dent in one cell of a noisy scan: the faces are right on average, and only that cell is not."""
+    middle = soup.mean(axis=1)
+    dent = (np.abs(middle[:, 0] - 2.0) < 0.5) & (np.abs(middle[:, 1] + 1.0) < 0.5)
+    scan = soup + np.random.default_rng(1).normal(0.0, 1e-4, soup.shape)
+    scan[dent, :, 2] -= 2e-2
+    report = judged(tmp_path, scan, role="scan")
+    failed = [c for c in report.checks if c.state == "fail" and c.relation == "<="]
+    shape = next(c for c in failed if c.id == "shape")
+    assert shape.value == pytest.approx(2e-2, rel=0.05)  # the depth that was put in, noise of 1e-4 aside
+    assert all(c.value > c.limit for c in failed if isinstance(c.value, float))
+    light = next(c for c in report.checks if c.id == "file_law_rms")
+    (verdict,) = report.verdicts
+    assert verdict.word == "failed"
+    assert verdict.rms == pytest.approx(light.detail["with_noise"])
+    assert verdict.rms > verdict.limit
+
+
 def test_something_else_cannot_be_registered(tmp_path, soup):
     for wrong in (soup * [1.0, 1.0, 3.0], soup[:40]):
         with pytest.raises(CannotRegister, match=r"measures .* mm"):

@@ -80,13 +80,30 @@ class FaceMap:
         limit : length
             What a sound face of this file may be off.
         """
+        with np.errstate(invalid="ignore"):
+            bad = np.any([found > most for found, most in self._against(limit)] or [self.cells < 0.0], axis=0)
+        return [(int(i), int(j)) for i, j in np.argwhere(bad)]
+
+    def worst_cell(self, limit: float) -> tuple[float, float]:
+        """Deviation of the cell that stands out most from its like, and what it may be (lengths); NaN where too few are known.
+
+        limit : length
+            As of `damaged`.
+        """
+        pairs = [(float(np.nanmax(found)), most) for found, most in self._against(limit)]
+        return max(
+            pairs, key=lambda pair: pair[0] / pair[1] if pair[1] > 0.0 else pair[0], default=(nan, nan)
+        )
+
+    def _against(self, limit: float) -> list[tuple[Floats, float]]:
+        """The rms and the peaks of the cells (n1, n2), each with the most that a cell may have; none of fewer than four cells."""
         known = np.isfinite(self.cells)
         if known.sum() < 4:
             return []
-        with np.errstate(invalid="ignore"):
-            bad = self.cells > OUTLIER * float(np.median(self.cells[known])) + limit
-            bad |= self.peaks > OUTLIER * float(np.median(self.peaks[known])) + 3.0 * limit
-        return [(int(i), int(j)) for i, j in np.argwhere(bad)]
+        return [
+            (found, OUTLIER * float(np.median(found[known])) + allowed)
+            for found, allowed in ((self.cells, limit), (self.peaks, 3.0 * limit))
+        ]
 
     @property
     def systematic(self) -> float:
@@ -141,6 +158,14 @@ class DeviationMap:
             for face in self.faces
             for i, j in face.damaged(limit)
         ]
+
+    def worst_cell(self, limit: float) -> tuple[float, float]:
+        """Of all faces, see `FaceMap.worst_cell`: the one farthest beyond what it may be."""
+        pairs = [face.worst_cell(limit) for face in self.faces]
+        known = [pair for pair in pairs if pair[0] == pair[0]]
+        return max(
+            known, key=lambda pair: pair[0] / pair[1] if pair[1] > 0.0 else pair[0], default=(nan, nan)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content: numbers with seven digits, null in empty bins."""

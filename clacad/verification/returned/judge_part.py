@@ -26,7 +26,7 @@ from clacad.verification.files.mesh_shape import clean_forecast, own_sag_error
 from clacad.verification.files.open_surface import is_open_surface, rims
 from clacad.verification.limit_sources import LimitSource, other
 from clacad.verification.returned.damage import SHOWN, find_dents, find_features
-from clacad.verification.returned.deviation_map import DeviationMap, Mapper
+from clacad.verification.returned.deviation_map import OUTLIER, DeviationMap, Mapper
 from clacad.verification.returned.registration import Placed
 
 if TYPE_CHECKING:
@@ -139,17 +139,34 @@ def _with_damage(
     facts = {**evidence.facts, "deviation": mapped}
     if not told:
         return checks, replace(evidence, facts=facts)
-    lost = bool(detail["dents"]) or any(feature["cells"] for feature in detail["features"])
-    named = [_named(c, told, detail, lost) if c.id == "shape" else c for c in checks]
+    named = [
+        _with_failure(
+            replace(c, sentence=f"{c.sentence}; {told}", detail={**c.detail, **detail}), mapped, limit
+        )
+        if c.id == "shape"
+        else c
+        for c in checks
+    ]
     return named, replace(evidence, facts=facts)
 
 
-def _named(check: Check, told: str, detail: dict[str, Any], lost: bool) -> Check:
-    """The check of shape with what was found; a part that lost cells' faces fails it."""
-    return replace(
-        check, sentence=f"{check.sentence}; {told}", detail={**(check.detail or {}), **detail},
-        state="fail" if lost else check.state,
-    )  # fmt: skip
+def _with_failure(check: Check, mapped: DeviationMap, limit: float) -> Check:
+    """The check of shape failed by dents, or by holes and steps that took cells, with the value and the limit of that.
+
+    A check that fails by its own value keeps it.
+
+    limit : length
+        What a sound face of the file may be off.
+    """
+    lost = {tuple(cell) for feature in check.detail["features"] for cell in feature["cells"]}
+    if check.state == "fail" or not (lost or check.detail["dents"]):
+        return check
+    if check.detail["dents"]:
+        value, most = mapped.worst_cell(limit)
+        source = other(f"{OUTLIER:g} × the median cell, and what facets of this size give")
+        return replace(check, state="fail", value=value, limit=most, limit_source=source)
+    source = other("no cell may lose its face")
+    return replace(check, state="fail", value=float(len(lost)), limit=0.0, unit="cells", limit_source=source)
 
 
 def _damage(placed: Placed, mapped: DeviationMap, limit: float) -> tuple[DeviationMap, str, dict[str, Any]]:
@@ -312,9 +329,8 @@ def _shape(
             **more,
         },
     }
-    if more["dents"] or any(feature["cells"] for feature in more["features"]):
-        return Check("shape", "fail", sentence, worst.systematic, limit, **common), mapped
-    return judge("shape", worst.systematic, limit, sentence, **common), mapped
+    check = judge("shape", worst.systematic, limit, sentence, **common)
+    return _with_failure(check, mapped, limit), mapped
 
 
 def _shape_limit(
