@@ -6,7 +6,6 @@ Read with the same kinds of value as a design file, so that units, ranges and me
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees, radians
@@ -19,6 +18,7 @@ from clacad.config.compound_kinds import Several
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.quantities import Quantity
+from clacad.config.toml_text import toml_value
 from clacad.config.value_kinds import Refusal, Word, shown
 from clacad.design.keys import CHECK, LAW, PAIR, REQUIRED, Key
 from clacad.design.process_profiles import profile
@@ -151,13 +151,12 @@ def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
 
 
 def written(text: str) -> Any:
-    """A typed value: a number or [list] where it reads as one (0 may be left out before a point), else the text."""
+    """A typed value: a number or [list] where it reads as one, else the text."""
     text = text.strip()
     if text.startswith("[") and text.endswith("]"):
         return [written(part) for part in text[1:-1].split(",")]
-    number = re.sub(r"^([+-]?)[.](?=[0-9])", r"\g<1>0.", text)
     try:
-        return tomllib.loads(f"value = {number}")["value"]
+        return toml_value(text)
     except ValueError:
         return text.strip("\"'")
 

@@ -8,6 +8,7 @@ from typing import IO, Any
 import numpy as np
 
 from clacad.base.text import printable
+from clacad.base.whole_numbers import array_lengths
 
 
 def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -23,6 +24,10 @@ def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]
         read = (
             np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         )
-        return read(stream)
+        shape, fortran, kind = read(stream)
     except (ValueError, TypeError, SyntaxError, MemoryError, TokenError) as error:
         raise ValueError(printable(str(error).partition("\n")[0])[:160]) from None
+    lengths = array_lengths(shape)
+    if lengths is None:
+        raise ValueError(f"its shape is {printable(str(shape))[:80]}, not whole numbers >= 0")
+    return lengths, bool(fortran), kind

@@ -199,6 +199,16 @@ def _usage(error: Exception) -> int:
     return BAD_INPUT
 
 
+LONGEST_LINE = 500
+"""Characters of a line on the error stream; what was given may be any number of them."""
+
+
+def _shortened(line: str) -> str:
+    """A line with its middle left out where it is too long to be read."""
+    return line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE - 200]} ... {line[-190:]}"
+
+
 def _say(text: str) -> None:
     text = printable_lines(text)
-    print(f"clacad: {text}" if "\n" not in text else text, file=sys.stderr)  # noqa: T201
+    lines = text.split("\n") if "\n" in text else [f"clacad: {text}"]
+    print("\n".join(map(_shortened, lines)), file=sys.stderr)  # noqa: T201

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.whole_numbers import whole_number
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_design
 from clacad.cli.option_values import (
@@ -217,4 +218,5 @@ def _numbers(words: str | dict[str, str] | None) -> Any:
     """Words that are whole numbers as such; the others as they are, for `asked_quads` to judge."""
     if isinstance(words, dict):
         return {name: _numbers(word) for name, word in words.items()}
-    return int(words) if words is not None and words.isdecimal() and len(words) < 20 else words
+    number = None if words is None else whole_number(words)
+    return words if number is None else number

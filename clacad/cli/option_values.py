@@ -7,6 +7,8 @@ from math import isfinite, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from clacad.base.whole_numbers import whole_number
+
 if TYPE_CHECKING:
     from clacad.design import Design
 
@@ -54,11 +56,10 @@ def parse_cells(text: str | None) -> tuple[int, int] | None:
     """Read "10x10" (or "10" for 10 by 10) as a pair; None stays None."""
     if text is None:
         return None
-    parts = text.lower().replace("×", "x").split("x")
-    if len(parts) not in (1, 2) or not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
+    numbers = [whole_number(part.strip()) or 0 for part in text.lower().replace("×", "x").split("x")]
+    if len(numbers) not in (1, 2) or min(numbers) <= 0:
         raise BadOption(f"--cells {text}: it is two whole numbers above 0, such as 10x10")
-    a, b = int(parts[0]), int(parts[-1])
-    return a, b
+    return numbers[0], numbers[-1]
 
 
 def parse_slope_error(text: str | None) -> float | Literal["auto"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -146,7 +147,7 @@ def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json:
     counts: dict[str, int] = {}
     progress = Progress(quiet=quiet)
 
-    with forecast(*_cost(request, rays.count, 2 * len(window.bodies)), quiet=quiet):
+    with forecast(*_cost(request, rays.count, 2 * len(window.bodies)), quiet=quiet), _mesh_is_input(request):
         options = _options(window, request)
 
         def write(private: Path) -> None:
@@ -160,6 +161,24 @@ def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json:
         rows = [(name, str(n), f"{n / max(1, rays.count):.4%}") for name, n in counts.items() if n]
         show_text(f"{rays.count} rays, rung {request.rung} -> {request.out}\n{table(rows)}", quiet=quiet)
     return 0
+
+
+@contextmanager
+def _mesh_is_input(request: TraceRequest) -> Iterator[None]:
+    """Within the block a mesh that cannot be read, or is none of this sheet, is bad input; what needs more room is not.
+
+    Raises
+    ------
+    BadRays
+    """
+    from clacad.storage.errors import OverBudget, UnreadableFile
+
+    try:
+        yield
+    except OverBudget:
+        raise
+    except UnreadableFile as error:
+        raise BadRays(f"--mesh {request.mesh}: {error}") from error
 
 
 def _cost(request: TraceRequest, rays: int, faces: int) -> tuple[str, float]:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.whole_numbers import whole_number
 from clacad.config.mistakes import Mistake
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class KeyPlaces:
 def split_key(key: str) -> KeyPath:
     """Split a dotted key; whole numbers become list indices."""
     return (
-        tuple(int(part) if part.isascii() and part.isdigit() else part for part in key.split("."))
+        tuple(part if (number := whole_number(part)) is None else number for part in key.split("."))
         if key
         else ()
     )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clacad.config.key_positions import KeyPath, split_key
 from clacad.config.mistakes import Mistake
+from clacad.config.toml_text import toml_value
 from clacad.config.value_kinds import kind_of
 
 
@@ -24,8 +24,8 @@ def parse(text: str) -> tuple[str, Any] | Mistake:
         return Mistake("CL118", "an override is written key.path=value", path="--set", source_line=text,
                        allowed='such as "law.eta=[-1.4,-1]" or pair.form=slab')  # fmt: skip
     try:
-        return key, tomllib.loads(f"value = {value}")["value"]
-    except (ValueError, RecursionError):
+        return key, toml_value(value)
+    except ValueError:
         if value[0] in "[{\"'" or not value.isprintable():
             return Mistake("CL118", f"the value of {key} is not TOML", path="--set", source_line=text,
                            column=text.find("=") + 2, width=len(value),

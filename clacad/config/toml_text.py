@@ -16,6 +16,7 @@ from typing import Any, Final, NoReturn
 from clacad.base.reading_budgets import BUDGETS
 from clacad.base.regular_file import read_regular
 from clacad.base.text import DEEPEST, did_you_mean, near
+from clacad.base.whole_numbers import beyond_64_bits
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import Place, find, syntax_place
 from clacad.config.mistakes import Mistake
@@ -94,7 +95,13 @@ def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
     except RecursionError:
         _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
     except ValueError as problem:
-        slip = re.sub(r" \(at .*\)$|: line [0-9]+ column.*$", "", str(problem))[:200]
+        slip = re.sub(
+            r"exceeds the limit.*integer string conversion.*",
+            "a whole number of thousands of digits",
+            str(problem),
+            flags=re.I,
+        )
+        slip = re.sub(r" \(at .*\)$|: line [0-9]+ column.*$", "", slip)[:200]
         slip = re.sub(r"\('(.*)',\)", r"[\1]", slip)
         _refuse_syntax(f"not {'JSON' if is_json else 'TOML'}: {slip[:1].lower()}{slip[1:]}", name, text,
                        syntax_place(problem, text))  # fmt: skip
@@ -106,6 +113,24 @@ def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
     if twins:
         _refuse_syntax(f"not a {what}: a key that is there twice", name, text, twins[0])
     return data
+
+
+def toml_value(text: str) -> Any:
+    """Read one value as TOML writes it; 0 may be left out before a point.
+
+    Raises
+    ------
+    ValueError
+        It is none, or holds a whole number of more than 64 bits, which TOML does not have.
+    """
+    try:
+        text = re.sub(r"^([+-]?)[.](?=[0-9])", r"\g<1>0.", text)
+        value = tomllib.loads(f"value = {text}")["value"]
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+    if beyond_64_bits(value):
+        raise ValueError("a whole number of more than 64 bits")
+    return value
 
 
 def top_keys(name: str) -> frozenset[str]:

@@ -15,6 +15,7 @@ from typing import Final
 from clacad.base import units
 from clacad.base.reading_budgets import BUDGETS
 from clacad.base.regular_file import read_regular
+from clacad.base.whole_numbers import whole_number
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
 
@@ -72,15 +73,19 @@ def text_lines(folder: str, name: str) -> list[str]:
 Pair = tuple[int, str, int]
 """Group code, value, line."""
 
+LARGEST_CODE = 10_000
+"""Above every group code that DXF has."""
+
 
 def group_pairs(lines: list[str], name: str) -> list[Pair]:
     """Group codes and values."""
     found: list[Pair] = []
     for n in range(0, len(lines) - 1, 2):
-        code = lines[n].strip()
-        if not (code.lstrip("-").isdecimal() and len(code) < 6):
-            raise Unfit("CL100", f"{name}, line {n + 1}: {shown(code[:20])} is not a group code of DXF")
-        found.append((int(code), lines[n + 1].strip(), n + 2))
+        code = whole_number(lines[n].strip(), signed=True)
+        if code is None or not -5 <= code < LARGEST_CODE:
+            said = shown(lines[n].strip()[:20])
+            raise Unfit("CL100", f"{name}, line {n + 1}: {said} is not a group code of DXF")
+        found.append((code, lines[n + 1].strip(), n + 2))
     if not found or found[-1][:2] != (0, "EOF"):
         raise Unfit("CL100", f"{name}: cut short, or no DXF file: it does not end with EOF")
     return found
@@ -166,7 +171,8 @@ def unit_factor(header: dict[str, str], unit: Fraction, name: str) -> Fraction:
     """Design units of a unit of the drawing."""
     said = header.get("$INSUNITS", "0")
     words = " | ".join(f"{code} ({word})" for code, word in UNITS.items())
-    if not said.isdecimal() or int(said) not in UNITS:
+    code = whole_number(said)
+    if code not in UNITS:
         why = (
             "states no unit"
             if said in ("0", "")
@@ -178,4 +184,4 @@ def unit_factor(header: dict[str, str], unit: Fraction, name: str) -> Fraction:
             f"$INSUNITS = {words}",
             "set the unit of the drawing to millimetres, say",
         )
-    return units.LENGTHS[UNITS[int(said)]] / unit
+    return units.LENGTHS[UNITS[code]] / unit

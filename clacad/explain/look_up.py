@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from clacad.base.text import did_you_mean, near
 from clacad.base.units import LENGTHS, Unit
+from clacad.base.whole_numbers import whole_number
 from clacad.config.mistakes import CODES as DESIGN
 from clacad.design.keys import ROOT, SECTIONS, homes
 from clacad.explain.check_explanations import CHECKS
@@ -70,7 +71,7 @@ def explain(asked: str) -> Entry:
     """
     known = entries()
     word = asked.strip()
-    code = f"CL{word}" if word.isdigit() else word.upper()
+    code = word.upper() if whole_number(word) is None else f"CL{word}"
     if code in known:
         return known[code]
     by_name = {entry.name: entry for entry in known.values() if entry.name}
@@ -121,10 +122,10 @@ def _bare(name: str) -> str:
 
 def _nearest(word: str, known: dict[str, Entry], names: list[str]) -> str:
     """What was probably meant."""
-    digits = "".join(sign for sign in word if sign.isdigit())
-    if digits and (word[:2].upper() == "CL" or word.isdigit()):
+    number = whole_number(word[2:] if word[:2].upper() == "CL" else word)
+    if number is not None:
         codes = [code for code in known if known[code].code]
-        nearest = sorted(codes, key=lambda code: (abs(int(code[2:]) - int(digits)), code))[:3]
+        nearest = sorted(codes, key=lambda code: (abs(int(code[2:]) - number), code))[:3]
         return f"the nearest codes are {', '.join(sorted(nearest))}"
     close = near(word.lower(), names, 0.4, most=3)
     return did_you_mean(close) or "`clacad explain` lists all codes and words"

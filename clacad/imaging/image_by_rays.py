@@ -189,6 +189,8 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
     if rays < 64:
         raise ValueError(f"{rays} rays tell of no image: at least 64")
     wrong = [rung for rung in rungs if rung not in RUNGS]
+    if not rungs:
+        raise ValueError('no rung is named; there are "law", "thin" and "surfaces"')
     if wrong:
         raise ValueError(f'rung is {wrong[0]!r}, not "law", "thin" or "surfaces"')
     sent, which = sent_to(window, place, rays)

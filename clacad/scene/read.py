@@ -9,6 +9,7 @@ from typing import Any
 from clacad.base import units
 from clacad.base.text import DEEPEST, plain
 from clacad.base.units import Unit
+from clacad.base.whole_numbers import whole_number
 from clacad.config import overrides as override
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import located, split_key
@@ -107,7 +108,7 @@ def _numbered(data: Any, kind: str, name: str) -> str:
     names = [o.get("id") if isinstance(o, dict) else None for o in listed]
     if name in names:
         return str(names.index(name))
-    if not name.isdigit():
+    if whole_number(name) is None:
         known = ", ".join(str(name) for name in names if name) or "none has an id"
         raise LookupError(f"there is no {kind} {name}; {kind}s: {known}")
     return name

@@ -364,9 +364,9 @@ def serve(answers: int, parent: int, memory: int | None, cpu: int | None, preloa
     from importlib import import_module
 
     if memory is not None:
-        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+        _limit(resource.RLIMIT_AS, memory, memory)
     if cpu is not None:
-        resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 1))
+        _limit(resource.RLIMIT_CPU, cpu, cpu + 1)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for module in preload:
         with suppress(ImportError, MemoryError):  # the call that needs it will say so
@@ -374,6 +374,16 @@ def serve(answers: int, parent: int, memory: int | None, cpu: int | None, preloa
     requests = sys.stdin.buffer
     while len(head := requests.read(8)) == 8:
         _answer(_called(pickle.loads(requests.read(int.from_bytes(head, "little")))))
+
+
+def _limit(kind: int, soft: int, hard: int) -> None:
+    """Limit this process, or leave a lower limit of the user's as it is: only the system may raise that."""
+    import resource
+
+    most = resource.getrlimit(kind)[1]
+    if most != resource.RLIM_INFINITY:
+        soft, hard = min(soft, most), min(hard, most)
+    resource.setrlimit(kind, (soft, hard))
 
 
 def _called(request: tuple[str, tuple[Any, ...], dict[str, Any]]) -> dict[str, Any]:

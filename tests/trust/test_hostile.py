@@ -77,7 +77,7 @@ LINES = [
     ("trace t.toml endless.npz -o out.npz", 3), ("trace t.toml folder -o out.npz", 2), ("trace t.toml rays.npz -o folder", 4), ("trace t.toml rays.npz -o t.toml", 4),
     ("trace t.toml rays.npz -o /dev/null/x.npz", 4), ("trace t.toml rays.npz -o a\nb.npz", 4),
     ("trace t.toml rays.npz -o q.npz --effects magic", 2), ("trace t.toml rays.npz -o q.npz --rung glass", 2),
-    ("trace t.toml rays.npz -o q.npz --rung mesh --mesh missing.stl", 2), ("trace t.toml rays.npz -o q.npz --rung mesh --mesh noise.stl", 1),
+    ("trace t.toml rays.npz -o q.npz --rung mesh --mesh missing.stl", 2), ("trace t.toml rays.npz -o q.npz --rung mesh --mesh noise.stl", 2),
     ("trace t.toml rays.npz -o q.npz --rung mesh --quads 0", 2), ("trace t.toml rays.npz -o q.npz --rung mesh --normals up", 2),
     ("verify t.toml --rays 99999999999999999999", 2), ("verify t.toml --rays -1", 2), ("accuracy t.toml --rays 9e9", 2),
     ("accuracy t.toml --target nan", 2), ("verify t.toml --files folder", 2), ("verify t.toml --files broken.toml", 2),

@@ -39,9 +39,12 @@ def read_mesh(path: str | os.PathLike[str], heard: Overheard | None = None) -> F
     with path.open("rb") as stream:
         head = stream.read(512)
     try:
-        return _reader(head, path.suffix.lower(), heard)(path)
+        found = _reader(head, path.suffix.lower(), heard)(path)
     except (MemoryError, OverflowError) as error:
         raise OverBudget(f"{path.name}: too large to be read here") from error
+    if found.facet_count == 0:
+        raise UnreadableFile(f"{path.name} holds no triangles")
+    return found
 
 
 def _reader(head: bytes, suffix: str, heard: Overheard | None) -> Callable[[Path], FileMesh]:

@@ -25,6 +25,12 @@ F_LINE, D_LINE, C_LINE = 486.1327e-9, 587.5618e-9, 656.2725e-9
 _EDGE = 1e-12  # relative; a wavelength converted from nm may miss the end of the range by rounding
 
 
+class WavelengthNotKnown(ValueError):
+    """A wavelength at which nothing is known of a material; exit status 2."""
+
+    exit_status = 2
+
+
 @dataclass(frozen=True, slots=True)
 class ThermalNumbers:
     """What is published of a material near room temperature; None where nothing is.
@@ -196,12 +202,13 @@ def constant(index: float, name: str | None = None) -> Material:
 def _within(wavelength: Floats, known: tuple[float, float] | None, what: str) -> None:
     """Refuse wavelengths outside a range, naming both."""
     if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
-        raise ValueError(f"wavelength {wavelength} m is not a positive number")
+        raise WavelengthNotKnown(f"wavelength {wavelength} m is not a positive number")
     if known is None:
         return
     outside = (wavelength < known[0] * (1 - _EDGE)) | (wavelength > known[1] * (1 + _EDGE))
     if outside.any():
         worst = float(np.atleast_1d(wavelength)[np.atleast_1d(outside)][0])
-        raise ValueError(
-            f"wavelength {worst * 1e9:.6g} nm: {what} from {known[0] * 1e9:.6g} to {known[1] * 1e9:.6g} nm only"
+        said = f"{worst * 1e9:.6g} nm" if worst < 1.0 else f"{worst:.6g} m"
+        raise WavelengthNotKnown(
+            f"wavelength {said}: {what} from {known[0] * 1e9:.6g} to {known[1] * 1e9:.6g} nm only"
         )

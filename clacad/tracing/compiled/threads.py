@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from clacad.base.types import Floats, Rows
+from clacad.base.whole_numbers import whole_number
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.ledger import Ledger
@@ -49,6 +50,7 @@ def thread_count(asked: int | None) -> int:
     text = os.environ.get("CLACAD_THREADS", "") if asked is None else str(asked)
     if text == "":
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not text.isdigit() or int(text) < 1:
+    number = whole_number(text) or 0
+    if number < 1:
         raise ValueError(f"threads (or CLACAD_THREADS) is {text!r}, not a positive whole number")
-    return int(text)
+    return number

@@ -27,6 +27,12 @@ MATCH = 0.02
 """Share by which the extents of a file without a unit may differ from the window's."""
 
 
+class UnusableMesh(ValueError):
+    """A mesh that light cannot be traced through as requested, or is none of this sheet; exit status 2."""
+
+    exit_status = 2
+
+
 @dataclass(frozen=True, eq=False)
 class TriangleSoup:
     """Triangles of all bodies, sheet frame, window units.
@@ -69,14 +75,14 @@ def read_soup(path: str | os.PathLike[str], window: Window, search: Search = "tr
 
     found = read_mesh(path)
     if search == "embree" and not installed():
-        raise ValueError('search = "embree" needs the package embreex: pip install "clacad[pictures]"')
+        raise UnusableMesh('search = "embree" needs the package embreex: pip install "clacad[pictures]"')
     return replace(soup_of(found, window), search=search)
 
 
 def soup_of(found: Any, window: Window) -> TriangleSoup:
     """Triangles of a `FileMesh`, every placement expanded, in the window's units."""
     if not found.expandable:
-        raise ValueError(f"the mesh stands for {found.facet_count} triangles: too many to hold them all")
+        raise UnusableMesh(f"the mesh stands for {found.facet_count} triangles: too many to hold them all")
     corners, normals = [], []
     for part in found.parts:
         own = part.corners(0, part.facet_count)
@@ -94,8 +100,6 @@ def soup_of(found: Any, window: Window) -> TriangleSoup:
 
 def _factor(corners: Floats, window: Window) -> float:
     """Window units per file unit, by size."""
-    if len(corners) == 0:
-        raise ValueError("the mesh holds no triangles")
     x0, x1, y0, y1 = window.lattice.extent()
     if window.outline is not None:
         boxes = [body.box for body in lay_out(window).bodies]
@@ -108,7 +112,7 @@ def _factor(corners: Floats, window: Window) -> float:
     wanted = np.array([x1 - x0, y1 - y0])
     fits = [f for f in UNITS if (np.abs(size * f / wanted - 1.0) < MATCH).all()]
     if len(fits) != 1:
-        raise ValueError(
+        raise UnusableMesh(
             f"the mesh is {size[0]:.6g} by {size[1]:.6g} and says no unit; the window is "
             f"{wanted[0]:.6g} by {wanted[1]:.6g}: no unit fits"
         )
@@ -124,13 +128,13 @@ def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[
         A body of the window has no triangles, or vertex normals are asked of a file without them.
     """
     if normals == "vertex" and soup.normals is None:
-        raise ValueError('normals = "vertex", but the mesh has none; they are never estimated')
+        raise UnusableMesh('normals = "vertex", but the mesh has none; they are never estimated')
     exact = lay_out(window)
     owner = _owners(exact, soup.corners)
     bodies = [np.flatnonzero(owner == b) for b in range(len(exact.bodies))]
     for mine, body in zip(bodies, window.bodies, strict=True):
         if len(mine) == 0:
-            raise ValueError(f"no triangles of the mesh belong to {body.name!r}")
+            raise UnusableMesh(f"no triangles of the mesh belong to {body.name!r}")
     rank, trees = hierarchy([soup.corners[mine] for mine in bodies])
     if normals == "vertex":
         trees = trees._replace(corner_normal=_upward(soup, np.concatenate(bodies)[rank]))

@@ -22,6 +22,7 @@ from time import monotonic
 from typing import Any, Protocol, cast
 
 from clacad import __version__
+from clacad.base.whole_numbers import whole_number
 from clacad.storage.child_path import safe_children
 
 Work = Callable[[str, Any], list[Any]]
@@ -99,8 +100,8 @@ class Farm:
 
 def cores() -> int:
     """Cores this process may use."""
-    asked = os.environ.get("CLACAD_THREADS", "")
-    return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
+    asked = whole_number(os.environ.get("CLACAD_THREADS", "")) or 0
+    return asked if asked > 0 else len(os.sched_getaffinity(0))
 
 
 def told(work: Work, study: str, piece: Any) -> tuple[str, list[Any]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -15,7 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad import __version__
+from clacad.base import units
 from clacad.base.types import Progress
+from clacad.base.whole_numbers import whole_number
+from clacad.config.toml_text import toml_value
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
@@ -43,10 +45,7 @@ BUILT: Mapping[str, str] = {
 }  # fmt: skip
 """Numbers of a point by geometry: the worst of its lenses or bodies."""
 
-_RANGE = re.compile(r"(?P<start>[^:]+):(?P<stop>[^:]+):(?P<count>[0-9]+)(?P<log>:log)?\Z")
-_NUMBER = re.compile(
-    r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?)\s*(?P<unit>[A-Za-z%]*)\s*\Z"
-)
+_RANGE = re.compile(r"(?P<start>[^:]+):(?P<stop>[^:]+):(?P<count>[^:]+)(?P<log>:log)?\Z")
 
 Axis = tuple[str, tuple[Any, ...]]
 """A dotted key and its values."""
@@ -104,26 +103,26 @@ def parse_vary(text: str) -> Axis:
     found = _RANGE.match(values)
     if found is None:
         return key, tuple(_value(part) for part in _split(values))
-    count = int(found["count"])
+    count = whole_number(found["count"]) or 0
     if not 1 <= count <= MOST_POINTS:
         raise CannotVary(f"--vary {text!r}: COUNT is a whole number from 1 to {MOST_POINTS}")
-    start, stop = _NUMBER.match(found["start"]), _NUMBER.match(found["stop"])
-    if start is None or stop is None or start["unit"] != stop["unit"]:
+    start, stop = units.split(found["start"]), units.split(found["stop"])
+    if start is None or stop is None or start[1] != stop[1]:
         raise CannotVary(f"--vary {text!r}: FROM and TO are two numbers with the same unit, or with none")
-    if found["log"] and not Fraction(start["number"]) * Fraction(stop["number"]) > 0:
+    if found["log"] and not start[0] * stop[0] > 0:
         raise CannotVary(f"--vary {text!r}: a logarithmic range does not reach or cross 0")
-    numbers = _spaced(start["number"], stop["number"], count, bool(found["log"]))
-    return key, tuple(f"{n!r} {start['unit']}" if start["unit"] else n for n in numbers)
+    ends = (found[end].strip().removesuffix(start[1]).strip() for end in ("start", "stop"))
+    whole = all(whole_number(end.removeprefix("+"), signed=True) is not None for end in ends)
+    numbers = _spaced(start[0], stop[0], count, by_ratio=bool(found["log"]), whole=whole)
+    return key, tuple(f"{n!r} {start[1]}" if start[1] else n for n in numbers)
 
 
-def _spaced(start: str, stop: str, count: int, by_ratio: bool) -> Sequence[float]:
-    """Numbers of a range, each rounded once; whole ones where both ends and all steps are whole."""
-    low, high = Fraction(start), Fraction(stop)
+def _spaced(low: Fraction, high: Fraction, count: int, *, by_ratio: bool, whole: bool) -> Sequence[float]:
+    """Numbers of a range, each rounded once; `whole` ones where all steps are whole."""
     if by_ratio:
         ratio = float(high / low)
         return [float(low) * ratio ** (k / max(1, count - 1)) for k in range(count)]
     steps = [low + (high - low) * Fraction(k, max(1, count - 1)) for k in range(count)]
-    whole = all("." not in end and "e" not in end.lower() for end in (start, stop))
     if whole and all(step.denominator == 1 for step in steps):
         return [int(step) for step in steps]
     return [float(step) for step in steps]
@@ -148,8 +147,8 @@ def _split(values: str) -> list[str]:
 
 def _value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return toml_value(text)
+    except ValueError:
         return text
 
 
