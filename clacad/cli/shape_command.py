@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from clacad.cli.announce_cost import forecast
@@ -162,18 +162,19 @@ def _published(
     from clacad.imaging.shape import rendered, table_text
     from clacad.imaging.shape_picture import plot_png
     from clacad.prescription.prescribe import prescribe
-    from clacad.storage.atomic import write_content
+    from clacad.storage.atomic import scratch_folder, write_set
 
     out, table, picture = paths
     data = {key: value for key, value in design.given.items()}
-    data["law"] = {k: v for k, v in data["law"].items() if k != "delta"} | {"varying": {"table": table.name}}
+    cells = table_text(found).encode("ascii")
+    named = {"file": table.name, "sha256": sha256(cells).hexdigest()}
+    data["law"] = {k: v for k, v in data["law"].items() if k != "delta"} | {"varying": {"table": named}}
     head = f"# Parallel light along the normal goes into {_name(request.target.name)}, {distance:g} {design.unit} behind array 2.\n"
     text = head + to_toml(data)
-    cells = table_text(found)
-    with TemporaryDirectory() as folder:  # a sheet that cannot be built leaves no file
-        Path(folder, table.name).write_text(cells, encoding="ascii", newline="\n")
-        Path(folder, "design.toml").write_text(text, encoding="utf-8", newline="\n")
-        made = load(Path(folder, "design.toml"))
+    with scratch_folder() as folder:  # a sheet that cannot be built leaves no file
+        (folder / table.name).write_bytes(cells)
+        (folder / "design.toml").write_text(text, encoding="utf-8", newline="\n")
+        made = load(folder / "design.toml")
         try:
             window = prescribe(made)
         except DesignError as error:
@@ -182,8 +183,9 @@ def _published(
                             "--width, bends the light less") from error  # fmt: skip
         seen = rendered(window, found, distance, request.rays)
     drawing = plot_png(seen, design.name, design.unit)
-    for path, content in ((table, cells), (picture, drawing), (out, text)):
-        write_content(path, content, overwrite=request.overwrite)
+    write_set(
+        out.parent, {table.name: cells, picture.name: drawing, out.name: text}, overwrite=request.overwrite
+    )
     return seen
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from clacad.report import drawing, figures, plots
 from clacad.report.content import Content
+from clacad.storage.atomic import scratch_folder
 
 Block = dict[str, Any]
 
@@ -44,8 +44,7 @@ def pdf_bytes(content: Content) -> bytes:
     PdfMissing
     """
     typst = typesetter()
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
+    with scratch_folder() as place:
         made = _document(content, _Shelf(place))
         (place / "content.json").write_text(json.dumps(made), encoding="utf-8")
         (place / "main.typ").write_bytes((Path(__file__).parent / "pdf.typ").read_bytes())

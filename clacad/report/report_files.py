@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.regular_file import read_regular
-from clacad.storage.atomic import write_content
+from clacad.storage.atomic import RUN_FACTS, write_set
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress
@@ -82,30 +82,26 @@ def _write_all(
     made = report if isinstance(report, contents.Content) else contents.content(report, tell, timings)
     html, numbers = folder / "report.html", folder / "report.json"
     written = [html, numbers]
-    texts = ((numbers, _json(contents.numbers(made))), (html, page(made, MARK, more, tell)))
-    for path, text in texts:
-        write_content(path, text, overwrite=overwrite or is_report(path))
+    files: dict[str, str | bytes] = {
+        numbers.name: _json(contents.numbers(made)), html.name: page(made, MARK, more, tell),
+    }  # fmt: skip
     if pdf:
         from clacad.report.pdf import pdf_bytes
 
         tell("setting the PDF", 0.0)
-        paper, data = folder / "report.pdf", pdf_bytes(made)
-        write_content(paper, data, overwrite=overwrite or is_report(paper))
-        written.append(paper)
-    _write_run(folder / "run.json", made.evidence.ladder.measured(), time.monotonic() - began)
+        written.append(folder / "report.pdf")
+        files["report.pdf"] = pdf_bytes(made)
+    if not (folder / RUN_FACTS).exists() or is_report(
+        folder / RUN_FACTS
+    ):  # run facts of an export there are left alone
+        facts = {"what": RUN_MARK, "seconds": round(time.monotonic() - began, 3)}
+        files[RUN_FACTS] = _json(facts | {"accuracy": made.evidence.ladder.measured()})
+    write_set(folder, files, overwrite=overwrite, replace=is_report)
     return tuple(written)
 
 
 def _json(numbers: dict[str, Any]) -> str:
     return json.dumps(numbers, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _write_run(path: Path, measured: list[dict[str, Any]], seconds: float) -> None:
-    """Seconds of this run; run facts of an export in the same folder are left alone."""
-    if path.exists() and not is_report(path):
-        return
-    facts = {"what": RUN_MARK, "seconds": round(seconds, 3), "accuracy": measured}
-    write_content(path, _json(facts), overwrite=True)
 
 
 def is_report(path: Path) -> bool:
@@ -120,7 +116,7 @@ def is_report(path: Path) -> bool:
         text = read_regular(path, LARGEST).decode()
     except (OSError, UnicodeDecodeError):
         return False
-    if path.name == "run.json":
+    if path.name == RUN_FACTS:
         return RUN_MARK in text
     if path.suffix == ".html":
         return MARK in text[:4096]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from clacad.design.cell_table import table_path
 from clacad.design.sections import AimedAt
 from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells
 from clacad.sheet.window import Window
+from clacad.storage.atomic import scratch_folder
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress
@@ -114,10 +114,10 @@ def seen_by_viewer(design: Design, window: Window) -> bytes | None:
 @contextmanager
 def _scene_of(design: Design, window: Window, place: _Viewpoint, rung: str, pixels: int) -> Iterator[Scene]:
     """The scene of a viewpoint, with a copy of the design as long as it is used."""
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "design.toml").write_text(design.canonical_toml(), encoding="utf-8")
-        _copy_table(design, Path(folder))
-        yield _scene(design, window, folder, place, rung, pixels)
+    with scratch_folder() as folder:
+        (folder / "design.toml").write_text(design.canonical_toml(), encoding="utf-8")
+        _copy_table(design, folder)
+        yield _scene(design, window, str(folder), place, rung, pixels)
 
 
 def _copy_table(design: Design, folder: Path) -> None:

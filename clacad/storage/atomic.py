@@ -1,9 +1,10 @@
 """The one writer of files: at a final name there is the old file or the complete new one, never half.
 
 Files are written into a private folder `.clacad-<pid>-<start>-<random>` inside the target folder,
-flushed to the disk, read back by the caller's own check, and only then renamed. The set is sealed by
-renaming the complete `manifest.json` inside the private folder: from that instant the next export
-finishes the publication if this process dies; before it, the next export removes what is left.
+flushed to the disk, read back by the caller's own check, and only then renamed. A set of files is sealed by
+renaming the complete `manifest.json` inside the private folder, or an empty file where there is no manifest:
+from that instant the next writer into the folder finishes the publication if this process dies; before it, the
+next writer removes what is left.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import re
 import secrets
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -29,6 +31,7 @@ from clacad.storage.staging import BUSY, OLD, Unfinished, exchange, flush, undis
 MANIFEST = "manifest.json"
 RUN_FACTS = "run.json"
 _SEALED = "sealed-manifest.json"
+_SEALED_SET = "sealed-set"
 _PRIVATE = re.compile(r"\.clacad-(\d+)-(\d+)-[0-9a-f]+\Z")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}\Z")
 
@@ -79,7 +82,7 @@ def abandon_all() -> None:
     with suppress(RuntimeError):
         if BUSY.acquire(timeout=10.0):
             for private in tuple(_OPEN):
-                if not (private / _SEALED).exists():
+                if not _sealed(private):
                     shutil.rmtree(private, ignore_errors=True)
 
 
@@ -108,6 +111,7 @@ class Stage:
         self._lock: int | None = None
         self._torn = False
         self._found: dict[str, tuple[int, ...] | None] = {}
+        self._replaceable: set[str] = set()
 
     def __enter__(self) -> Stage:
         with translated(self.folder):
@@ -136,8 +140,14 @@ class Stage:
             os.close(self._lock)
         self._private = self._lock = None
 
-    def path(self, name: str) -> Path:
+    def path(self, name: str, *, replace: bool = False) -> Path:
         """Where to write the file that shall be called `name`.
+
+        Parameters
+        ----------
+        name : str
+        replace : bool
+            Whether a file of that name may be replaced, whoever wrote it.
 
         Raises
         ------
@@ -149,6 +159,8 @@ class Stage:
         if not _NAME.match(name):
             raise CannotWrite(f"{name!r} is not a file name this program writes")
         self._found.setdefault(name, _identity(self.folder / name))
+        if replace:
+            self._replaceable.add(name)
         self._may_replace(name)
         return self._private / name
 
@@ -163,7 +175,7 @@ class Stage:
             return
         if target.is_dir() and not target.is_symlink():
             raise CannotWrite(f"{target} is a folder; the file {name} cannot take its place")
-        if self.overwrite:
+        if self.overwrite or name in self._replaceable:
             return
         if target.is_symlink():
             raise ExportRefused(
@@ -192,21 +204,23 @@ class Stage:
             names = sorted(p.name for p in self._private.iterdir())
             for name in names:
                 flush(self._private / name)
-            if manifest is None:
+            if manifest is None and len(names) < 2:  # one file changes places by one act of the system
                 with undisturbed(), _publishing(self.folder):
                     self._refuse_rivals(names)
                     exchange(self._private, self.folder, names, [])
                     flush(self.folder)
                 return
-            draft = self.path(MANIFEST)
-            self._write_json(draft, manifest)
+            draft, seal = self._private / "draft", _SEALED_SET
+            if manifest is None:
+                draft.touch()
+            else:
+                draft, seal = self.path(MANIFEST), _SEALED
+                self._write_json(draft, manifest)
             flush(draft)
             flush(self._private)
             with undisturbed(), _publishing(self.folder):
-                self._refuse_rivals([MANIFEST, *names])
-                os.replace(
-                    draft, self._private / _SEALED
-                )  # from here on a killed publication is finished later
+                self._refuse_rivals(names if manifest is None else [MANIFEST, *names])
+                os.replace(draft, self._private / seal)  # from here on a killed publication is finished later
                 flush(self._private)
                 self._torn = True
                 try:
@@ -226,7 +240,8 @@ class Stage:
         """
         for name in names:
             target = self.folder / name
-            if (name == MANIFEST or not self.overwrite) and self._found.get(name) != _identity(target):
+            kept = name == MANIFEST or not (self.overwrite or name in self._replaceable)
+            if kept and self._found.get(name) != _identity(target):
                 raise ExportRefused(
                     f"{target} was written by another program meanwhile: what it wrote stands, and nothing of this was "
                     "published; do it again, or choose another folder"
@@ -312,13 +327,68 @@ def write_content(path: str | os.PathLike[str], content: str | bytes, *, overwri
     ------
     CannotWrite, ExportRefused
     """
+    write_file(path, lambda private: _write(private, content), overwrite=overwrite)
 
-    def write(private: Path) -> None:
-        # what of a file's name is no text is spelt out
-        data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
-        private.write_bytes(data)
 
-    write_file(path, write, overwrite=overwrite)
+def _write(private: Path, content: str | bytes) -> None:
+    # what of a file's name is no text is spelt out
+    private.write_bytes(content.encode(errors="backslashreplace") if isinstance(content, str) else content)
+
+
+def write_set(
+    folder: str | os.PathLike[str],
+    contents: Mapping[str, str | bytes],
+    *,
+    overwrite: bool = False,
+    replace: Callable[[Path], bool] = lambda _: False,
+) -> None:
+    """Write several files into one folder: all of them appear, or none.
+
+    Parameters
+    ----------
+    folder : path
+        Made if missing.
+    contents : mapping of file name to text (UTF-8, as it stands) or bytes
+    overwrite : bool
+        Whether existing files may be replaced.
+    replace : callable(Path) -> bool
+        Whether an existing file may be replaced all the same, one by one.
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+    """
+    with Stage(folder, overwrite=overwrite) as stage, translated(stage.folder):
+        for name, content in contents.items():
+            _write(stage.path(name, replace=replace(stage.folder / name)), content)
+        stage.publish()
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Give a private folder for temporary files; what dead processes left there is removed first, and it itself at the end.
+
+    Raises
+    ------
+    CannotWrite
+    """
+    place = Path(tempfile.gettempdir())
+    own: int | None = None
+    private = place / _private_name()
+    _OPEN.add(private)
+    try:
+        with translated(place):
+            for left, lock in _abandoned(place):  # removed, never published: anyone may write there
+                shutil.rmtree(left, ignore_errors=True)
+                os.close(lock)
+            private.mkdir(mode=0o700)
+            own = _locked(private)
+        yield private
+    finally:
+        shutil.rmtree(private, ignore_errors=True)
+        _OPEN.discard(private)
+        if own is not None:
+            os.close(own)
 
 
 def owns(manifest: Mapping[str, Any], target: Path) -> bool:
@@ -336,21 +406,11 @@ def owns(manifest: Mapping[str, Any], target: Path) -> bool:
 def sweep(folder: Path) -> None:
     """Finish or remove what dead processes left in `folder`.
 
-    A private folder whose manifest is sealed held files that were all read back: they are published.
-    Any other is removed. A folder whose process still lives (same id and start time), or that is
-    locked by a process elsewhere, is left alone.
+    A private folder that is sealed held files that were all read back: they are published. Any other is removed.
     """
-    for private in sorted(folder.iterdir()):
-        match = _PRIVATE.match(private.name)
-        if not match or private.is_symlink() or not private.is_dir():
-            continue
-        if _alive(int(match[1]), int(match[2]), private):
-            continue
-        lock = _locked(private)
-        if lock is None:
-            continue
+    for private, lock in _abandoned(folder):
         try:
-            if (private / _SEALED).is_file():
+            if _sealed(private):
                 with _publishing(folder):
                     _finish(private, folder)
             shutil.rmtree(private, ignore_errors=True)
@@ -358,12 +418,44 @@ def sweep(folder: Path) -> None:
             os.close(lock)
 
 
+def _abandoned(folder: Path) -> Iterator[tuple[Path, int]]:
+    """Private folders of dead processes, each with the lock that is now held on it.
+
+    A folder of another user, one whose process still lives (same id and start time), or one that is locked by a process
+    elsewhere is left alone.
+    """
+    for private in sorted(folder.glob(".clacad-*")):
+        match = _PRIVATE.match(private.name)
+        if not match or private.is_symlink() or not private.is_dir():
+            continue
+        if _alive(int(match[1]), int(match[2]), private):
+            continue
+        try:
+            lock = _locked(private)
+        except (PermissionError, FileNotFoundError):  # another user's; gone meanwhile
+            continue
+        if lock is not None:
+            yield private, lock
+
+
+def _sealed(private: Path) -> bool:
+    """Whether the publication of a private folder's files was begun, and is to be finished."""
+    return any((private / seal).is_file() for seal in (_SEALED, _SEALED_SET))
+
+
 def _finish(private: Path, folder: Path) -> None:
     """Carry out a sealed publication; may be repeated from any point it was broken off at.
 
     Under the folder's lock. The old manifest goes first: while files of two exports stand side by side, none vouches
-    for them.
+    for them. A set without a manifest leaves that of an export beside it alone.
     """
+    if (private / _SEALED_SET).exists():
+        names = sorted(
+            p.name for p in private.iterdir() if p.name != _SEALED_SET and not p.name.startswith(OLD)
+        )
+        exchange(private, folder, names, [])
+        flush(folder)
+        return
     gone = [MANIFEST] if os.path.lexists(folder / MANIFEST) else []
     gone += _dropped(private, folder)
     names = sorted(p.name for p in private.iterdir() if p.name != _SEALED and not p.name.startswith(OLD))

@@ -11,11 +11,13 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
+from clacad.storage import atomic
 from clacad.storage.atomic import (
     MANIFEST,
     Stage,
@@ -293,3 +295,83 @@ def test_whichever_write_fails_the_folder_holds_the_old_set_or_the_new(tmp_path:
         assert done.returncode == 4
         assert now == {"1.bin": 3}
     raise AssertionError("no limit was wide enough")
+
+
+# -- sets of files without a manifest, and temporary folders ---------------------------------------
+
+
+def _killed(work: Callable[[], object]) -> None:
+    """Do something in a fork that ends without another word, as a killed process does."""
+    child = os.fork()
+    if child == 0:
+        try:
+            work()
+        finally:
+            os._exit(9)
+    assert os.waitpid(child, 0)[1] != 0
+
+
+@pytest.mark.parametrize("moves", [0, 1, 2, 3])
+def test_a_set_killed_between_its_files_is_finished_by_the_next_writer(tmp_path: Path, moves: int) -> None:
+    """Of three files so many had changed places; before the first the set was complete, so that it counts."""
+    names = ("a.csv", "b.png", "c.toml")
+    atomic.write_set(tmp_path, dict.fromkeys(names, "old"))
+
+    def work() -> None:
+        real, done = os.replace, 0
+
+        def replace(old: Path, new: Path) -> None:
+            nonlocal done
+            if Path(new).name in names:
+                if done == moves:
+                    os._exit(9)
+                done += 1
+            real(old, new)
+
+        os.replace = replace
+        atomic.write_set(tmp_path, dict.fromkeys(names, "new"), overwrite=True)
+
+    _killed(work)
+    assert sorted((tmp_path / name).read_text() for name in names) == sorted(["new"] * moves + ["old"] * (3 - moves))
+    atomic.write_content(tmp_path / "another", "")
+    assert {(tmp_path / name).read_text() for name in names} == {"new"}
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*names, "another"])
+
+
+@pytest.mark.parametrize("failing", ["a.csv", "b.png", "c.toml"])
+def test_a_set_of_which_one_file_cannot_be_moved_leaves_all_as_they_were(
+    tmp_path: Path, failing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("a.csv", "b.png", "c.toml")
+    atomic.write_set(tmp_path, dict.fromkeys(names, "old"))
+    real = os.replace
+
+    def full(old: Path, new: Path) -> None:
+        if Path(new).name == failing and Path(old).name == failing:
+            raise OSError(28, "No space left on device")
+        real(old, new)
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(CannotWrite, match="no space left"):
+        atomic.write_set(tmp_path, dict.fromkeys(names, "new"), overwrite=True)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(names, "old")
+
+
+def test_a_temporary_folder_of_a_killed_process_is_removed_by_the_next_and_never_published(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(atomic.tempfile, "gettempdir", lambda: str(tmp_path))
+
+    def work() -> None:
+        with atomic.scratch_folder() as folder:
+            (folder / "precious").write_text("half")
+            (folder / "sealed-set").touch()
+            os._exit(9)
+
+    _killed(work)
+    assert len(list(tmp_path.iterdir())) == 1
+    with atomic.scratch_folder() as folder:
+        assert list(tmp_path.iterdir()) == [folder]
+        with atomic.scratch_folder() as another:
+            assert folder.is_dir() and another.is_dir(), "one that is in use stays"  # noqa: PT018
+    assert not list(tmp_path.iterdir())

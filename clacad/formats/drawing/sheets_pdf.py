@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from clacad.formats.drawing.canvas import STYLE
 from clacad.formats.drawing.sheet_layout import MARGIN, Sheet
+from clacad.storage.atomic import scratch_folder
 from clacad.storage.errors import FileDisagrees
 
 
@@ -29,8 +29,7 @@ def write_drawing_pdf(made: Sequence[Sheet], path: Path) -> None:
     """Write all sheets, a page each; the same sheets give the same bytes."""
     import typst
 
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
+    with scratch_folder() as place:
         lines = []
         for number, sheet in enumerate(made):
             (place / f"{number}.svg").write_text(sheet_svg(sheet), encoding="utf-8")
@@ -40,7 +39,9 @@ def write_drawing_pdf(made: Sequence[Sheet], path: Path) -> None:
             )
         main = '#set document(title: "drawing", author: "clacad", date: none)\n' + "\n".join(lines)
         (place / "main.typ").write_text(main, encoding="utf-8")
-        path.write_bytes(bytes(typst.compile(str(place / "main.typ"), root=folder, ignore_system_fonts=True)))
+        path.write_bytes(
+            bytes(typst.compile(str(place / "main.typ"), root=str(place), ignore_system_fonts=True))
+        )
 
 
 def check_drawing_pdf(path: Path, pages: int) -> None:

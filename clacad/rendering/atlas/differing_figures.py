@@ -8,10 +8,8 @@ what goes through corresponding lenslets comes, in the mean, s t/2 beside C, and
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +23,7 @@ from clacad.rendering.screen_measure import coordinate_scene, measure, sheet_poi
 from clacad.scene import Scene
 from clacad.sheet.vignetting import partner_share
 from clacad.sheet.window import Window
+from clacad.storage.atomic import scratch_folder
 
 if TYPE_CHECKING:
     from clacad.imaging.shape import Rendered
@@ -136,15 +135,15 @@ def _shaped() -> Rendered:
     }  # fmt: skip
     design = Design.from_dict(data)
     found = shaped(design, lattice_of(design), of_picture(_silhouette(), SHAPED_WIDTH), SHAPED_DISTANCE)
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "cells.csv").write_text(table_text(found), encoding="ascii", newline="\n")
+    with scratch_folder() as folder:
+        (folder / "cells.csv").write_text(table_text(found), encoding="ascii", newline="\n")
         text = (
             Design.from_dict(data)
             .canonical_toml()
             .replace("[law]\n", '[law]\nvarying = {table = "cells.csv"}\n')
         )
-        Path(folder, "design.toml").write_text(text, encoding="utf-8", newline="\n")
-        window = prescribe(load(Path(folder, "design.toml")))
+        (folder / "design.toml").write_text(text, encoding="utf-8", newline="\n")
+        window = prescribe(load(folder / "design.toml"))
     return rendered(window, found, SHAPED_DISTANCE, SHAPED_RAYS)
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import ceil
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from clacad.base.types import Bools, Floats, Rows
 from clacad.base.units import millimetres
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
+from clacad.storage.atomic import scratch_folder
 from clacad.verification.accuracy.error_and_seconds import AccuracyRow
 from clacad.verification.accuracy.measure_rungs import TracedRays, statistics
 
@@ -59,8 +58,8 @@ def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow 
 
     size = 2 * REACH + 1
     small = ladder.window.with_cells((size, size))
-    with tempfile.TemporaryDirectory(prefix="clacad-") as folder, Worker() as worker:
-        path = Path(folder) / "spot.step"
+    with scratch_folder() as folder, Worker() as worker:
+        path = folder / "spot.step"
         began = time.process_time()
         write_step(small, path, "fused")  # one solid a body: touching cells would add faces inside the glass
         prepare = time.process_time() - began

@@ -6,7 +6,6 @@ through the file's own faces, set down as the design lies.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from clacad.base.units import MILLIMETRE, millimetres
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.window import Window
+from clacad.storage.atomic import scratch_folder
 from clacad.storage.errors import ExportError
 from clacad.verification.checks import Check, State, not_run
 from clacad.verification.files.find_files import Subject
@@ -70,9 +70,9 @@ def judge_turned(
     kept = [check for check in checks if check.id in KEPT]
     whole = prescribe(asked.design) if window is None else window
     asked.progress("meshing the solids", 0.0)
-    with tempfile.TemporaryDirectory(prefix="clacad-") as folder:
+    with scratch_folder() as folder:
         try:
-            mesh = _meshed(asked, subject, Path(folder) / "part.stl", _deflection(whole, facts))
+            mesh = _meshed(asked, subject, folder / "part.stl", _deflection(whole, facts))
         except (ExportError, OSError) as error:
             return (
                 [*kept, not_run("pose", f"its solids cannot be meshed: {error}", **asked.common)],
