@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -292,11 +293,23 @@ def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_w
     assert not (tmp_path / "x.cells.csv").exists()
 
 
-def test_a_shaped_design_whose_table_was_exchanged_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_shaped_design_whose_table_was_exchanged_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The design names the table with its hash: a new table beside an old design is no sheet."""
     for name, points in (("one", "x,y\n0,0\n2,1\n"), ("two", "x,y\n1,0\n0,3\n")):
         (tmp_path / f"{name}.csv").write_text(points)
-        words = ["shape", str(tmp_path / f"{name}.csv"), "--distance", "300", "--cells", "4x4", "--rays", "64", "-o"]
+        words = [
+            "shape",
+            str(tmp_path / f"{name}.csv"),
+            "--distance",
+            "300",
+            "--cells",
+            "4x4",
+            "--rays",
+            "64",
+            "-o",
+        ]
         assert main([*words, str(tmp_path / f"{name}.toml")]) == 0
     (tmp_path / "one.cells.csv").write_bytes((tmp_path / "two.cells.csv").read_bytes())
     capsys.readouterr()

@@ -332,7 +332,9 @@ def test_a_set_killed_between_its_files_is_finished_by_the_next_writer(tmp_path:
         atomic.write_set(tmp_path, dict.fromkeys(names, "new"), overwrite=True)
 
     _killed(work)
-    assert sorted((tmp_path / name).read_text() for name in names) == sorted(["new"] * moves + ["old"] * (3 - moves))
+    assert sorted((tmp_path / name).read_text() for name in names) == sorted(
+        ["new"] * moves + ["old"] * (3 - moves)
+    )
     atomic.write_content(tmp_path / "another", "")
     assert {(tmp_path / name).read_text() for name in names} == {"new"}
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*names, "another"])
