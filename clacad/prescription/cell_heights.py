@@ -49,11 +49,12 @@ def border_overlap(window: Window, body: Body) -> float:
 
     Negative: the columns stand apart there by that much.
     """
-    least = np.inf
-    steps = window.lattice.steps
+    least, array = np.inf, _array(body)
+    lattice = window.lattice_of(array)
+    steps = lattice.steps
     for number in range(len(steps) // 2):
-        here = border_points(window, number)
-        there = here - np.asarray(window.lattice.offset(*steps[number]))
+        here = border_points(window, number, array)
+        there = here - np.asarray(lattice.offset(*steps[number]))
         low = [_lens_column(body, p) for p in (here, there)]
         overlap = np.fmin(low[0][1], low[1][1]) - np.fmax(low[0][0], low[1][0])
         least = min(least, -np.inf if np.isnan(overlap).any() else float(overlap.min()))
@@ -62,7 +63,7 @@ def border_overlap(window: Window, body: Body) -> float:
 
 def least_thickness(window: Window, body: Body) -> float:
     """Least lens thickness along z over the optical zone (length), −inf where a lens is missing."""
-    front, back = _lens_column(body, zone_points(window))
+    front, back = _lens_column(body, zone_points(window, _array(body)))
     thickness = back - front
     return -np.inf if np.isnan(thickness).any() else float(thickness.min())
 
@@ -71,9 +72,14 @@ def proud_of_land(window: Window, body: Body) -> float:
     """Least height of both lens faces over their land within the optical zone (length); inf without land."""
     if body.front.land is None or body.back.land is None:
         return np.inf
-    front, back = _lens_column(body, zone_points(window))
+    front, back = _lens_column(body, zone_points(window, _array(body)))
     proud = np.fmin(body.front.land - front, back - body.back.land)
     return -np.inf if np.isnan(proud).any() else float(proud.min())
+
+
+def _array(body: Body) -> int:
+    """The array whose lenses a body carries; of a slab, which carries both, the first."""
+    return next(face.array for face in (body.front, body.back) if face.array is not None)
 
 
 def _lens_column(body: Body, points: Floats) -> tuple[Floats, Floats]:

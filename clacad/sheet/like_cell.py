@@ -2,7 +2,7 @@
 
 Its partner stands where that cell's does, its lenses stand as there. Neighbours stand in for neighbours: of two that meet
 in a border the stand-in has the outer one twice, so that the step between them is bounded from above. Where array 2 has
-another pitch the cells of the stand-in are as wide as the wider array's, so that no lens is judged by less than its cell.
+another pitch the cells of the stand-in are as wide as the wider array's, or as those of the array whose lens is judged.
 """
 
 from __future__ import annotations
@@ -31,9 +31,19 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
     widest : bool
         Whether its cells are as wide as those of the wider array, else as those of array 1.
     """
+    scales = [max(place.scale(window.lattice)) for place in window.placements]
+    return _of_width(window, index, max(scales) if widest else 1.0)
+
+
+def cell_of_array(window: Window, index: Ints, array: int) -> Window:
+    """Give the window of equal cells like the cell at `index` (2,), as wide as those of an array."""
+    return _of_width(window, index, max(window.placements[array].scale(window.lattice)))
+
+
+def _of_width(window: Window, index: Ints, wider: float) -> Window:
+    """The window of equal cells like the cell at `index` (2,), `wider` times as wide as those of array 1."""
     if window.uniform:
         return window
-    wider = max(max(place.scale(window.lattice)) for place in window.placements) if widest else 1.0
     first = window.centres(0, index)
     bodies = tuple(
         replace(body, front=window.in_cell(body.front, index), back=window.in_cell(body.back, index))
@@ -60,7 +70,7 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
         placements=places,
         law=window.law_at(index),
         cell_laws=None,
-        lattice=_wider(window.lattice, wider),
+        lattice=_scaled(window.lattice, wider),
         outline=None if window.outline is None else _larger(window.outline, wider),
         thin=replace(
             pair, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0,
@@ -109,9 +119,9 @@ def sampled_cells(window: Window, count: int = SAMPLED) -> Ints:
     return found[:count]
 
 
-def _wider(lattice: Lattice, factor: float) -> Lattice:
-    """The same cells, kept or not, `factor` (from 1 on) times as wide."""
-    if factor <= 1.0:
+def _scaled(lattice: Lattice, factor: float) -> Lattice:
+    """The same cells, kept or not, `factor` times as wide."""
+    if factor == 1.0:
         return lattice
     pitch = (lattice.pitch[0] * factor, lattice.pitch[1] * factor)
     outline = None if lattice.outline is None else _larger(lattice.outline, factor)

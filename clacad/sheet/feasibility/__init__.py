@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from clacad.base.types import Ints
 from clacad.optics.aperture import equivalent_widths, first_zeros
 from clacad.sheet.bundle import central_cell
 from clacad.sheet.feasibility.as_rows import FactRow, describe
@@ -33,7 +34,7 @@ from clacad.sheet.feasibility.lenses import (
     thicker,
 )
 from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
-from clacad.sheet.like_cell import like_cell
+from clacad.sheet.like_cell import cell_of_array, like_cell
 from clacad.sheet.own_steps import highest_step
 from clacad.sheet.vignetting import (
     aperture_slope,
@@ -48,7 +49,7 @@ from clacad.sheet.window import Body, Window
 
 __all__ = [
     "BodyFacts", "BorderFacts", "FaceShape", "Feasibility", "LensFacts", "FactRow", "body_facts", "body_of", "body_range",
-    "connectedness", "describe", "feasibility", "least_thickness", "lens_margin", "thicker",
+    "cell_feasibility", "connectedness", "describe", "feasibility", "least_thickness", "lens_margin", "thicker",
 ]  # fmt: skip
 
 
@@ -60,7 +61,27 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
     viewer, distance : float, metres, optional
         From the sheet to the eye before it (1 m), and to what is looked at behind it (ten separations).
     """
-    whole, window = window, like_cell(window, np.array(central_cell(window)))
+    found = cell_feasibility(window, np.array(central_cell(window)), viewer, distance)
+    if window.uniform:
+        return found
+    bodies = (_of_the_whole(one, window, body) for one, body in zip(found.bodies, window.bodies, strict=True))
+    return replace(found, bodies=tuple(bodies))
+
+
+def cell_feasibility(
+    whole: Window, cell: Ints, viewer: float | None = None, distance: float | None = None
+) -> Feasibility:
+    """Derive all numbers of a sheet of equal cells like one of a window, each lens over a cell of its own array.
+
+    Parameters
+    ----------
+    whole : Window
+    cell : (2,) ints
+        Without effect where cells are equal.
+    viewer, distance : float, metres, optional
+        As of `feasibility`.
+    """
+    window = like_cell(whole, cell)
     cells = thin_cells(window)
     wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
     width = [float(np.ptp(cells.zone[:, k])) for k in (0, 1)]
@@ -68,9 +89,6 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
     lit = equivalent_widths(zone)
     offset = window.thin.offset
     bodies = tuple(body_facts(window, body) for body in window.bodies)
-    clearance = min((b.low - a.high for a, b in pairwise(bodies)), default=np.inf)
-    if not whole.uniform:
-        bodies = tuple(_of_the_whole(one, whole, body) for one, body in zip(bodies, whole.bodies))
     fresnel = fresnel_numbers(cells, wave)
     eye = viewing(
         focal_ratio(window.thin),
@@ -80,9 +98,9 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
         wave * window.unit,
     )
     return Feasibility(
-        lenses=(lens_facts(window, 0, width), lens_facts(window, 1, width), *field_facts(window, width)),
+        lenses=(*(_lens_facts(whole, cell, array) for array in (0, 1)), *field_facts(window, width)),
         bodies=bodies,
-        clearance=clearance,
+        clearance=min((b.low - a.high for a, b in pairwise(bodies)), default=np.inf),
         separation=window.thin.separation,
         aperture=aperture_slope(window),
         undeviated=(offset[0] / offset[2], offset[1] / offset[2]),
@@ -95,6 +113,13 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
         viewing=eye,
         wavelength=wave * window.unit,
     )
+
+
+def _lens_facts(whole: Window, cell: Ints, array: int) -> LensFacts:
+    """Numbers of the lens of an array over a cell as wide as those of the array."""
+    window = cell_of_array(whole, cell, array)
+    zone = thin_cells(window).zone
+    return lens_facts(window, array, [float(np.ptp(zone[:, k])) for k in (0, 1)])
 
 
 def _of_the_whole(cell: BodyFacts, whole: Window, body: Body) -> BodyFacts:

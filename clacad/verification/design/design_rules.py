@@ -15,7 +15,7 @@ from clacad.base.digits import digits
 from clacad.base.text import count_text
 from clacad.design.process_profiles import profile
 from clacad.sheet.coherent_orders import order_steps
-from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, feasibility, least_thickness
+from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell, outer_cells
 from clacad.sheet.own_steps import highest_step
 from clacad.sheet.window import Window
@@ -71,7 +71,7 @@ def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple
     fields = [min(whole.half_field)]
     for cell in outer_cells(window):
         like = like_cell(window, cell)
-        facts = feasibility(like, *design.viewing_places).with_steps_of(whole)
+        facts = cell_feasibility(window, cell, *design.viewing_places).with_steps_of(whole)
         fields += facts.half_field if window.many_sizes else ()
         for check in _cell_checks(design, like, facts):
             key, known = (check.id, check.subject), worst.get((check.id, check.subject))

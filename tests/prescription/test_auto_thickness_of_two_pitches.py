@@ -1,0 +1,52 @@
+"""Thickness "auto" where the cells of array 2 have a size of their own: each lens covers the cells of its own array."""
+
+from __future__ import annotations
+
+from math import hypot, sqrt
+
+import pytest
+
+from clacad.design import Design
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import feasibility
+from clacad.verification import design_checks
+
+WEB = 0.1
+BICONVEX = {
+    "format": 1, "name": "sharp", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+    "pair": {"form": "biconvex", "separation": 10.0, "material": "PMMA", "thickness": "auto", "web": WEB},
+    "lattice": {"pitch": 0.5, "count": [9, 9]},
+}  # fmt: skip
+FOCUS = {"pair": BICONVEX["pair"] | {"focus": {"object": -300, "image": 400}}}
+WIDER = {"lattice": BICONVEX["lattice"] | {"pitch_2": 0.52}}
+NARROWER = {"lattice": BICONVEX["lattice"] | {"pitch_2": 0.48}}
+
+
+@pytest.mark.parametrize("change", [FOCUS, WIDER, NARROWER], ids=["focus", "wider", "narrower"])
+def test_each_lens_is_as_thick_as_the_cells_of_its_own_array_ask(change):
+    """Two equal spheres of radius R meet the web at the corner of a cell: T = web + 2 (R − √(R² − ρ²)), ρ = p_k/√2."""
+    design = Design.from_dict(BICONVEX | change)
+    window = prescribe(design)
+    facts = feasibility(window)
+    for array, lens in enumerate(facts.lenses[:2]):
+        pitch = window.lattice_of(array).pitch
+        rho, radius = hypot(0.5 * pitch[0], 0.5 * pitch[1]), lens.radius[0]
+        assert lens.thickness == pytest.approx(WEB + 2.0 * (radius - sqrt(radius**2 - rho**2)), rel=1e-9)
+        assert lens.corner == pytest.approx(WEB, rel=1e-9)
+        assert lens.f_number[0] == pytest.approx(lens.focal_length[0] / pitch[0], rel=1e-6)
+    assert window.lattice_of(1).pitch != window.lattice.pitch
+    checks = [c for c in design_checks(design, window, facts) if c.id == "cover"]
+    assert [c.state for c in checks] == ["pass", "pass"]
+
+
+def test_a_lens_that_is_too_thin_for_its_array_is_the_one_that_fails():
+    made = prescribe(Design.from_dict(BICONVEX | WIDER))
+    thick = [lens.thickness for lens in feasibility(made).lenses]
+    for array in (0, 1):
+        given = [t * (0.97 if k == array else 1.03) for k, t in enumerate(thick)]
+        design = Design.from_dict(BICONVEX | WIDER | {"pair": BICONVEX["pair"] | {"thickness": given}})
+        window = prescribe(design)
+        checks = {c.subject: c for c in design_checks(design, window, feasibility(window)) if c.id == "cover"}
+        assert checks[f"lens {array + 1}"].state == "fail"
+        assert f"lens {array + 1} fills" in checks[f"lens {array + 1}"].sentence
+        assert checks[f"lens {2 - array}"].state == "pass"
