@@ -218,11 +218,11 @@ def _refuse_options(request: TraceRequest) -> None:
     if request.mesh is not None and not request.mesh.is_file():
         raise BadRays(f"{request.mesh}: there is no such file")
     if request.effects:
-        from clacad.effects.engine.passes import NAMES
+        from clacad.effects import registry
 
-        unknown = [name for name in request.effects if name not in NAMES]
+        unknown = [name for name in request.effects if name not in registry.NAMES]
         if unknown:
-            raise BadRays(f"--effects {unknown[0]}: it is one of {', '.join(NAMES)}")
+            raise BadRays(f"--effects {unknown[0]}: it is one of {', '.join(registry.NAMES)}")
 
 
 def _options(window: Any, request: TraceRequest) -> dict[str, Any]:

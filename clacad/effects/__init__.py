@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
-    "NAMES": "engine.passes",
+    "NAMES": "registry",
     "Effect": "engine.effect",
     "trace_with": "engine.passes",
     "Setting": "engine.parameters",

@@ -17,7 +17,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.effects.engine.block import FaceCrossing, RayBlock, inside_plate, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, Losses, When
+from clacad.effects.engine.effect import Declaration, Effect, Losses, When
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Body, Window
@@ -114,3 +114,6 @@ def bound(situation: Situation) -> Bound:
     total = sum(lengths) * window.unit
     lost = 1.0 - exp(-depth)
     return Bound(0.0, lost, f"at most {lost:.2g} of the light is absorbed over {total * 1e3:.3g} mm", 1.15)
+
+
+DECLARED = Declaration(NAME, effect, bound, attenuations=attenuations)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.repeatable_draws import disc
 from clacad.optics.rays import Rays
@@ -53,3 +53,30 @@ def bound(situation: Situation) -> Bound:
         f"an entrance of {setting.aperture:g} blurs what is not at {setting.focus:g} by up to {angle:.2g} rad"
     )
     return Bound(angle, 0.0, why, 1.0)
+
+
+def measured(situation: Situation) -> tuple[float, float]:
+    """Largest angle (radians) by which the camera's opening blurs what is nearest and farthest; no change of radiance."""
+    setting, rays = situation.setting, situation.rays
+    launch = effect(situation.window, setting).launch
+    assert launch is not None
+    moved = launch(situation.window, rays)
+    axis = np.array(setting.axis)
+    worst = 0.0
+    for depth in (situation.near, min(situation.far, 1e9 * setting.focus)):
+        places = []
+        for bundle in (rays, moved):
+            reach = (depth - (bundle.position - rays.position) @ axis) / (bundle.direction @ axis)
+            places.append(bundle.position + reach[:, None] * bundle.direction)
+        worst = max(
+            worst, 2.0 * float(np.linalg.norm(places[1] - places[0], axis=1).max(initial=0.0)) / depth
+        )
+    return worst, 0.0
+
+
+def stated(situation: Situation) -> bool:
+    """Whether the camera has an opening."""
+    return situation.setting.aperture > 0.0
+
+
+DECLARED = Declaration(NAME, effect, bound, measured, stated=stated, camera=True)

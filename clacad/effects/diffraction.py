@@ -22,7 +22,8 @@ from clacad.base.unique_rows import distinct
 from clacad.base.units import millimetres
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
+from clacad.effects.engine.measured_change import turned_angles
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.repeatable_draws import uniform
 from clacad.optics.aperture import equivalent_widths
@@ -152,3 +153,11 @@ def bound(situation: Situation) -> Bound:
         f"{wave * 1e9:.0f} nm light by {angle:.2g} rad"
     )
     return Bound(angle, 0.0, why, COST)
+
+
+def measured(situation: Situation) -> tuple[float, float]:
+    """Angle that holds half of the light."""
+    return float(np.median(turned_angles(situation, NAME))), 0.0
+
+
+DECLARED = Declaration(NAME, effect, bound, measured, waves=True)

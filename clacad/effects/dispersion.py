@@ -16,7 +16,8 @@ from math import hypot
 import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
+from clacad.effects.engine.measured_change import MOST, angles, traced_with
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, thin_cells
@@ -116,3 +117,17 @@ def tilt_term(window: Window, epsilon: float) -> float:
         for f1, m in zip(window.thin.focal_length[0], focal_ratio(window.thin), strict=True)
     )
     return epsilon * (index - 1.0) * theta * power
+
+
+def measured(situation: Situation) -> tuple[float, float]:
+    """Largest angle of 99 % of the light that keeps its order, over the wavelengths."""
+    from clacad.tracing.trace import trace
+
+    base, worst = traced_with(situation), 0.0
+    for rays in passes(situation.rays, situation.wavelengths):
+        turned = angles(base, trace(situation.window, rays, path="size"), Fate.GHOST)
+        worst = max(worst, float(np.quantile(turned, MOST)) if len(turned) else 0.0)
+    return worst, 0.0
+
+
+DECLARED = Declaration(NAME, effect, bound, measured, lines=True)

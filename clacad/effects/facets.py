@@ -14,8 +14,10 @@ from math import hypot, sqrt
 import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
+from clacad.effects.engine.measured_change import turned_angles
 from clacad.effects.engine.parameters import Setting
+from clacad.optics.rays import Fate
 from clacad.optics.surface import principal_radii
 from clacad.sheet.vignetting import focal_ratio, thin_cells
 from clacad.sheet.window import Window
@@ -49,3 +51,12 @@ def bound(situation: Situation) -> Bound:
     quads = situation.setting.quads
     angle = forecast(situation.window, quads)
     return Bound(angle, 0.0, f"{quads} quads a cell side turn light by {angle:.2g} rad rms", 5.0)
+
+
+def measured(situation: Situation) -> tuple[float, float]:
+    """Rms angle of the light that obeys the law."""
+    turned = turned_angles(situation, NAME, Fate.ALIVE)
+    return float(np.sqrt(np.mean(turned**2))), 0.0
+
+
+DECLARED = Declaration(NAME, effect, bound, measured, rung="mesh")

@@ -14,7 +14,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import trace_with
 from clacad.optics.rays import Fate
@@ -99,3 +99,6 @@ def bound(situation: Situation) -> Bound:
     kind = "coated" if coated else "bare"
     why = f"{situation.faces} {kind} faces lose {measured:.1%} of the light"
     return Bound(0.0, radiance * 1.01, why, 1.2)
+
+
+DECLARED = Declaration(NAME, effect, bound, loses=True)

@@ -13,7 +13,7 @@ from math import degrees
 import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
 from clacad.effects.engine.homogeneous_light import shares
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Fate
@@ -52,3 +52,6 @@ def closed_share(situation: Situation) -> float:
         return 0.0
     cells = thin_cells(situation.window)
     return float(max(0.0, cells.part - shares(cells, situation.slopes, (0, 0)).mean()))
+
+
+DECLARED = Declaration(NAME, effect, bound, shows=Fate.GHOST)

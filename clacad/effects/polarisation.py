@@ -24,8 +24,11 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.effects.engine.block import FaceCrossing, RayBlock, crossings, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
+from clacad.effects.engine.measured_change import MOST, traced_with
 from clacad.effects.engine.parameters import Setting
+from clacad.effects.fresnel import NAME as FRESNEL
+from clacad.effects.reflections import NAME as REFLECTIONS
 from clacad.optics.rays import Fate
 from clacad.optics.surface.fresnel_coefficients import amplitudes, deviation, reflected
 from clacad.sheet.window import Window
@@ -166,3 +169,15 @@ def bound(situation: Situation) -> Bound:
     return Bound(
         0.0, radiance, f"no polariser or analyser; what the faces polarise counts {radiance:.2g}", 2.0
     )
+
+
+def measured(situation: Situation) -> tuple[float, float]:
+    """Change of the light of all but a hundredth of the rays that pass, against losses of unpolarised light."""
+    plain, own = traced_with(situation, FRESNEL), traced_with(situation, NAME)
+    passing = plain.fate <= Fate.LAND
+    if not passing.any():
+        return 0.0, 0.0
+    return 0.0, float(np.quantile(np.abs(own.flux[passing] - plain.flux[passing]), MOST))
+
+
+DECLARED = Declaration(NAME, effect, bound, measured, loses=True, includes=(FRESNEL, REFLECTIONS))

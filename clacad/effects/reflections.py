@@ -12,8 +12,10 @@ radiance that matters. *Cost* 1.75 N², compiled.
 from __future__ import annotations
 
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect
+from clacad.effects.engine.effect import Declaration, Effect
+from clacad.effects.engine.measured_change import light_with
 from clacad.effects.engine.parameters import Setting
+from clacad.effects.fresnel import NAME as FRESNEL
 from clacad.effects.fresnel import effect as straight
 from clacad.effects.fresnel import mean_loss
 from clacad.optics.surface.fresnel_coefficients import normal_loss
@@ -43,3 +45,16 @@ def bound(situation: Situation) -> Bound:
         f"(contrast {situation.contrast:.2g}), one sends {n * r:.2g} of the camera's side back"
     )
     return Bound(0.0, forward + front, why, COST * n * n)
+
+
+def measured(situation: Situation) -> tuple[float, float]:
+    """Light that split paths add: forward with the scene's contrast, back with the brightness of the camera's side."""
+    extra, own = light_with(situation, NAME), light_with(situation, FRESNEL)
+    n = max(len(situation.met), 1)
+    back = extra.direction[:, 2] < 0.0
+    front = float(extra.flux[back].sum()) / n
+    forward = (float(extra.flux[~back].sum()) - float(own.flux.sum())) / n
+    return 0.0, forward * situation.contrast + front * situation.front
+
+
+DECLARED = Declaration(NAME, effect, bound, measured, splits=True, loses=True, includes=(FRESNEL,))

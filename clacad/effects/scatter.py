@@ -17,7 +17,8 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 from clacad.effects.engine.block import FaceCrossing, RayBlock, bend, lens_slopes
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
+from clacad.effects.engine.measured_change import radiance_change, turned_angles
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.repeatable_draws import normal
 from clacad.sheet.vignetting import focal_ratio, scale_of_image, thin_cells
@@ -96,3 +97,12 @@ def bound(situation: Situation) -> Bound:
         f"{setting.slope_rms:.2g} rad of slope error blur by {angle:.2g} rad"
     )
     return Bound(angle, lost, why, COST)
+
+
+def measured(situation: Situation) -> tuple[float, float]:
+    """Rms angle, and the mean change of the light."""
+    turned = turned_angles(situation, NAME)
+    return float(np.sqrt(np.mean(turned**2))), radiance_change(situation, NAME)
+
+
+DECLARED = Declaration(NAME, effect, bound, measured)

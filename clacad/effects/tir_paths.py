@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
@@ -34,3 +34,6 @@ def bound(situation: Situation) -> Bound:
     counted = situation.share(Fate.TIR)
     radiance = situation.most(counted) if counted > 0.0 else 0.0
     return Bound(0.0, radiance, f"{counted:.2%} of the light is reflected totally", 1.0 + 30.0 * counted)
+
+
+DECLARED = Declaration(NAME, effect, bound, shows=Fate.TIR, follows=True)

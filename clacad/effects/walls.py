@@ -13,7 +13,7 @@ import numpy as np
 
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Effect, When
+from clacad.effects.engine.effect import Declaration, Effect, When
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
@@ -54,3 +54,6 @@ def step_share(window: Window) -> float:
     from clacad.effects.engine.cell_averages import mean_steps
 
     return mean_steps(window)
+
+
+DECLARED = Declaration(NAME, effect, bound, shows=Fate.WALL, follows=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from importlib.util import find_spec
 from math import inf, pi
 from pathlib import Path
 
-import clacad.effects
 from clacad.design.combinations import BUILT, ITSELF, matrix
 from clacad.design.process_profiles import ProcessProfile, profiles
-from clacad.effects.engine.passes import NAMES
+from clacad.effects import registry
 from clacad.explain.entry import Entry
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
@@ -24,7 +24,7 @@ def named_things() -> Iterator[Entry]:
     """Entries of all processes, effects and materials."""
     yield _combinations()
     yield from map(_process, profiles())
-    yield from map(_effect, NAMES)
+    yield from map(_effect, registry.NAMES)
     yield from (_material(find(name)) for name in names())
 
 
@@ -103,7 +103,10 @@ def _length(metres: float) -> str:
 
 def _effect(name: str) -> Entry:
     """An effect by the docstring of its module: title, *Model*, *Law*, *On when*."""
-    text = (Path(clacad.effects.__file__).parent / f"{name}.py").read_text(encoding="utf-8")
+    place = find_spec(f"clacad.effects.{name}")
+    assert place is not None
+    assert place.origin is not None
+    text = Path(place.origin).read_text(encoding="utf-8")
     title, _, body = (ast.get_docstring(ast.parse(text)) or "").partition("\n")
     parts = re.split(r"\n\*(Model|Law|On)\b([^*]*)\*", f"\n{body.strip()}")
     found = {

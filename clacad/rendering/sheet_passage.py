@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Rung
+from clacad.effects.registry import declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.scene import Scene, SheetSpec
 from clacad.sheet.stack import Stack, StackedSheet, standing
@@ -79,7 +80,12 @@ class Passage:
             return True
         names = self.plan.traced()
         homogeneous = self.rung == "law" and (names or self.plan.rung_why != "as asked")
-        return not homogeneous and set(names) <= {"ghosts"}
+        return not homogeneous and all(kind.shows is Fate.GHOST for kind in declared_all(names))
+
+    @property
+    def by_lines(self) -> bool:
+        """Whether an effect of any sheet traces each wavelength by itself."""
+        return any(kind.lines for kind in declared_all(self.names))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -235,8 +241,8 @@ def _passage(scene: Scene, sheet: SheetSpec, plan: Plan, window: Window) -> Pass
         from clacad.mesh import tessellate
 
         mesh = scene.file(sheet.mesh) if sheet.mesh else tessellate(window, quads=sheet.quads)
-    ghosts = (int(Fate.GHOST),) if "ghosts" in plan.names else ()
-    shining = (int(Fate.ALIVE), int(Fate.LAND), *ghosts)
+    ghosts = Fate.GHOST in {kind.shows for kind in declared_all(plan.names)}
+    shining = (int(Fate.ALIVE), int(Fate.LAND), *((int(Fate.GHOST),) if ghosts else ()))
     return Passage(cast(Rung, plan.rung), shining, plan, mesh, continuous=_smooth(sheet, window))
 
 

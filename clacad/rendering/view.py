@@ -43,7 +43,7 @@ def set_up(
     scale = scene.unit_m / window.unit
     front = 0.0 if planned.rung in ("law", "thin") else window.z_range[0] / scale
     box = _box_of_all(planned, window) / scale
-    colours = lines(scene.light, window, "dispersion" in planned.names)
+    colours = lines(scene.light, window, planned.by_lines)
     opaque, before = (
         sheet and scene.sheet.surround == "opaque",
         may_stand_before(stage, front, scene.camera, box),

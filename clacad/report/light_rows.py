@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.digits import plainly
 from clacad.base.units import millimetres
+from clacad.effects.registry import declared
 
 if TYPE_CHECKING:
     from clacad.verification import Report
@@ -132,7 +133,7 @@ class LightRows:
             if r.angle
             else f"{r.effect} ≤ {100 * r.radiance:.2g} % of the light"
             for r in plan.rows
-            if not r.on and r.known and (r.angle or r.radiance) and r.effect != "facets"
+            if not r.on and r.known and (r.angle or r.radiance) and declared(r.effect).rung is None
         ]
         unknown = [r.effect for r in plan.rows if not r.on and not r.known]
         text = f"A picture would simulate: {', '.join(plan.names) or 'nothing beyond refraction'}; left out: "

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
 from clacad.base.types import Progress
+from clacad.effects.registry import declared_all
 from clacad.sheet.feasibility import feasibility
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy.report_ladder import Ladder, climb
@@ -86,7 +87,9 @@ def gather_evidence(report: Report, progress: Progress) -> Evidence:
         plan = plan_effects(report.design)
     except ValueError:
         plan = None
-    called = report.design.light.coherent or (plan is not None and "diffraction" in plan.names)
+    called = report.design.light.coherent or (
+        plan is not None and any(kind.waves for kind in declared_all(plan.names))
+    )
     return Evidence(attributions, focus, ghosts, ladder, plan, _waves(report, progress) if called else None)
 
 

@@ -21,8 +21,8 @@ from clacad.effects import Setting, light_reaching_camera, trace_with
 from clacad.effects.engine.block import inside_plate
 from clacad.effects.engine.homogeneous_light import overlap
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
-from clacad.effects.engine.passes import NAMES
 from clacad.effects.engine.probe_rays import cone
+from clacad.effects.registry import NAMES
 from clacad.optics.material.material import Material
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.surface import Quadric

@@ -7,7 +7,7 @@ from random_situations import draw, fresh
 
 from clacad.effects.engine.bounds import DOUBT
 from clacad.effects.engine.measured_change import measure
-from clacad.effects.engine.passes import NAMES, module_of
+from clacad.effects.registry import NAMES, declared
 
 SLACK = 1.1
 TINY = 1e-9
@@ -26,10 +26,10 @@ def broken(seeds):
                 name == "facets"
             ):  # rung mesh's own forecast is held against traced meshes where meshes are tested
                 continue
-            bound = module_of(name).bound(situation)
+            bound = declared(name).bound(situation)
             if not bound.known:
                 continue
-            changes = measure(fresh(situation), name)
+            changes = measure(fresh(situation), declared(name))
             for kind, foretold, found in zip(("angle", "radiance"), (bound.angle, bound.radiance), changes):
                 checked += found > TINY
                 if found > SLACK * foretold + TINY:

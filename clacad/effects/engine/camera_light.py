@@ -22,6 +22,7 @@ from clacad.effects.engine.light_rays import LightRays, join_light
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import trace_with
 from clacad.effects.engine.split_paths import reflected_paths
+from clacad.effects.registry import declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.need_window import need_one_eta
 from clacad.sheet.window import Window
@@ -58,18 +59,20 @@ def light_reaching_camera(
     """
     setting = setting or Setting()
     names = tuple(effect if isinstance(effect, str) else effect.name for effect in effects)
+    kinds = declared_all(names)
+    ghosts = any(kind.shows is Fate.GHOST for kind in kinds)
     result = trace_with(window, rays, rung, effects, setting=setting, **options)
     if rung == "law":
-        if "ghosts" in names:
+        if ghosts:
             need_one_eta(
                 window,
                 "ghosts on rung law",
                 "rungs thin and surfaces trace those of cells with an eta of their own",
             )
-        return law_light(window, rays, result, "ghosts" in names), result
+        return law_light(window, rays, result, ghosts), result
     rows = np.flatnonzero(shining(result, names))
     light = LightRays(rows, result.position[rows], result.direction[rows], result.flux[rows])
-    if "reflections" in names and rung in ("surfaces", "mesh"):
+    if any(kind.splits for kind in kinds) and rung in ("surfaces", "mesh"):
         compiled = options.get("path") == "numba" or (options.get("path") != "numpy" and len(rays) > MANY)
         light = join_light(
             light, reflected_paths(window, rays, result, replace(setting, active=names), compiled)
@@ -79,10 +82,5 @@ def light_reaching_camera(
 
 def shining(result: TraceResult, names: Sequence[str]) -> Bools:
     """Which rows of a trace shine, given the effects that are on, (n,)."""
-    fates = [Fate.ALIVE, Fate.LAND]
-    fates += [
-        fate
-        for name, fate in (("ghosts", Fate.GHOST), ("walls", Fate.WALL), ("tir_paths", Fate.TIR))
-        if name in names
-    ]
-    return np.isin(result.fate, fates) & (result.flux > 0.0)
+    fates = {Fate.ALIVE, Fate.LAND, *(kind.shows for kind in declared_all(names) if kind.shows is not None)}
+    return np.isin(result.fate, list(fates)) & (result.flux > 0.0)

@@ -9,7 +9,9 @@ from typing import Any
 
 from clacad.base.types import Rung
 from clacad.effects.engine.block import FaceCrossing, RayBlock
-from clacad.optics.rays import Rays
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.optics.rays import Fate, Rays
 from clacad.sheet.window import Window
 
 
@@ -67,3 +69,63 @@ class Effect:
     options: dict[str, Any] = field(default_factory=dict)
     colours: bool = True
     losses: Callable[[float | None], Losses] | None = None
+
+
+def _never(_: Situation) -> bool:
+    return False
+
+
+@dataclass(frozen=True, eq=False)
+class Declaration:
+    """What the package knows of an effect; its model, law and cost are in its module's docstring.
+
+    Attributes
+    ----------
+    name : str
+        Word by which scenes and options name it; the name of its module.
+    effect : callable
+        `effect(window, setting)` → `Effect`, ready to run.
+    bound : callable
+        `bound(situation)` → `Bound` of what is left out when the effect is off.
+    measured : callable or None
+        `measured(situation)` → change of direction (radians) and of radiance (relative), from traces with and without the effect.
+        None: the direction is kept, and the radiance is that of the light reaching the camera.
+    shows : Fate or None
+        Fate of the rays that carry light with the effect and are black without it. Its bound is the share of those rays.
+    follows : bool
+        Whether rays of that fate are traced on, with every loss: such effects run last and have the last word on those rows.
+    splits : bool
+        Whether one ray becomes several.
+    includes : tuple of str
+        Effects whose losses on the straight path it counts itself.
+    loses : bool
+        Whether faces reflect a share of the light.
+    attenuations : callable or None
+        `attenuations(window, setting, wavelength)` → loss of each body (1/length).
+    lines : bool
+        Whether each wavelength of the light is traced by itself.
+    waves : bool
+        Whether it calls for the light of one telescopelet as a wave.
+    rung : Rung or None
+        Rung that it replaces the exact surfaces by; that rung alone switches it.
+    stated : callable
+        `stated(situation)`: whether the scene states it, whatever its bound.
+    camera : bool
+        Whether the camera runs it, and not the trace of its rays.
+    """
+
+    name: str
+    effect: Callable[[Window, Setting], Effect]
+    bound: Callable[[Situation], Bound]
+    measured: Callable[[Situation], tuple[float, float]] | None = None
+    shows: Fate | None = None
+    follows: bool = False
+    splits: bool = False
+    includes: tuple[str, ...] = ()
+    loses: bool = False
+    attenuations: Callable[[Window, Setting, float | None], tuple[float, ...]] | None = None
+    lines: bool = False
+    waves: bool = False
+    rung: Rung | None = None
+    stated: Callable[[Situation], bool] = _never
+    camera: bool = False

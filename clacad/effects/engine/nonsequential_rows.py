@@ -7,26 +7,26 @@ import numpy as np
 from clacad.effects.engine.block import RayBlock
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.parameters import Setting
+from clacad.effects.registry import declared_all
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 
 
 def rules_for(window: Window, setting: Setting, wavelength: float | None, order: int = 0) -> Rules:
     """Rules of the interfaces with the effects that are on."""
-    on = set(setting.active)
-    losses = bool(on & {"fresnel", "reflections", "polarisation"})
+    kinds = declared_all(setting.active)
+    follows = {kind.shows for kind in kinds if kind.follows}
     attenuation: tuple[float, ...] = ()
-    if "absorption" in on:
-        from clacad.effects.absorption import attenuations
-
-        attenuation = attenuations(window, setting, wavelength)
+    for kind in kinds:
+        if kind.attenuations is not None:
+            attenuation = kind.attenuations(window, setting, wavelength)
     ratio = 1.0
     if window.wavelength is not None and wavelength is not None:
         ratio = window.wavelength / wavelength
     return Rules(
-        walls="walls" in on,
-        total="tir_paths" in on,
-        losses=losses,
+        walls=Fate.WALL in follows,
+        total=Fate.TIR in follows,
+        losses=any(kind.loses for kind in kinds),
         order=order,
         faces=setting.faces,
         attenuation=attenuation,

@@ -9,30 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Rung
+from clacad.effects import registry
 from clacad.effects.engine.block import RayBlock, crossings
 from clacad.effects.engine.block_order import Chosen, OrderedResult
 from clacad.effects.engine.effect import Effect, When
 from clacad.effects.engine.parameters import Setting
+from clacad.effects.registry import declared, declared_all
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.window import Window
-
-if TYPE_CHECKING:
-    from clacad.effects.engine.bounds import Bound, Situation
-
-NAMES = (
-    "ghosts", "walls", "fresnel", "absorption", "dispersion", "reflections", "tir_paths", "diffraction",
-    "scatter", "polarisation", "depth_of_field", "facets",
-)  # fmt: skip
-"""Every effect, in the order in which plans list them."""
-
-FOLLOWED = ("walls", "tir_paths")
-"""Effects that trace ended rays anew, with every loss: they run last and have the last word on those rows."""
 
 BLOCK = 8192
 """Rays at a time: the hits of four faces take 1.5 MB."""
@@ -43,16 +32,6 @@ LIGHT_BLOCK = 65536
 
 Place = tuple[Chosen, float | None]
 """Rows of a block, and the wavelength (metres) of all its rays or None."""
-
-
-class EffectModule(Protocol):
-    """What a module of this package with an effect's name offers."""
-
-    def effect(self, window: Window, setting: Setting) -> Effect:
-        """Make the effect's pass."""
-
-    def bound(self, situation: Situation) -> Bound:
-        """Bound what is left out when the effect is off."""
 
 
 def resolve(names: Sequence[str | Effect], window: Window, setting: Setting | None = None) -> list[Effect]:
@@ -68,27 +47,14 @@ def resolve(names: Sequence[str | Effect], window: Window, setting: Setting | No
     found: dict[str, Effect] = {}
     for name in names:
         if isinstance(name, str):
-            found[name] = module_of(name).effect(window, setting)
+            found[name] = declared(name).effect(window, setting)
         else:
             found[name.name] = name
-    if "polarisation" in found or "reflections" in found:
-        found.pop("fresnel", None)  # they hold it
-    if "polarisation" in found:
-        found.pop("reflections", None)  # its losses on the straight path
-    return sorted(found.values(), key=lambda e: (e.when.value, e.name in FOLLOWED, NAMES.index(e.name)))
-
-
-def module_of(name: str) -> EffectModule:
-    """Import the module of an effect.
-
-    Raises
-    ------
-    ValueError
-        An unknown name.
-    """
-    if name not in NAMES:
-        raise ValueError(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
-    return cast("EffectModule", import_module(f"clacad.effects.{name}"))
+    for included in {name for kind in declared_all(found) for name in kind.includes}:
+        found.pop(included, None)
+    return sorted(
+        found.values(), key=lambda e: (e.when.value, declared(e.name).follows, registry.NAMES.index(e.name))
+    )
 
 
 def trace_with(

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from clacad.base.types import Rung
+from clacad.effects import registry
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.cheapest_rung import choose_rung
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import FOLLOWED, NAMES, module_of
 from clacad.effects.engine.stand_ins import with_stand_ins, worst_bound
+from clacad.effects.registry import declared, declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 
@@ -107,14 +108,19 @@ class Plan:
     @property
     def wavelengths(self) -> tuple[float, ...]:
         """Lines to be traced apart, metres; empty: one line."""
-        return self.setting.wavelengths if "dispersion" in self.names else ()
+        return self.setting.wavelengths if self.by_lines else ()
+
+    @property
+    def by_lines(self) -> bool:
+        """Whether an effect traces each wavelength by itself."""
+        return any(one.lines for one in declared_all(self.names))
 
     @property
     def cost(self) -> float:
         """Predicted time over the bare trace of the same rung."""
-        lines = max((row.cost for row in self.rows if row.on and row.effect == "dispersion"), default=1.0)
-        others = (row for row in self.rows if row.on and row.effect not in ("dispersion", "facets"))
-        return lines * (1.0 + sum(row.cost - 1.0 for row in others))
+        on = [(declared(row.effect), row.cost) for row in self.rows if row.on]
+        lines = max((cost for kind, cost in on if kind.lines), default=1.0)
+        return lines * (1.0 + sum(cost - 1.0 for kind, cost in on if not (kind.lines or kind.rung)))
 
     def row(self, effect: str) -> PlanRow:
         """The row of an effect.
@@ -131,7 +137,9 @@ class Plan:
 
     def traced(self) -> tuple[str, ...]:
         """Effects that run on camera rays: the camera itself sees to its opening and to the lines."""
-        return tuple(name for name in self.names if name not in ("depth_of_field", "dispersion", "facets"))
+        return tuple(
+            kind.name for kind in declared_all(self.names) if not (kind.camera or kind.lines or kind.rung)
+        )
 
     def light(self, window: Window, rays: Rays, **options: Any) -> tuple[LightRays, TraceResult]:
         """Trace rays as planned and give the light they see; see `clacad.effects.light_reaching_camera`."""
@@ -141,7 +149,7 @@ class Plan:
 
     def left_out(self) -> tuple[float, float]:
         """Largest angle, and the sum of radiances, of all that is left out."""
-        off = [row for row in self.rows if not row.on and row.effect != "facets"]
+        off = [row for row in self.rows if not row.on and declared(row.effect).rung is None]
         return max((row.angle for row in off), default=0.0), sum(row.radiance for row in off)
 
     def summary(self) -> str:
@@ -283,8 +291,8 @@ class Wishes:
         if merged.mode not in ("auto", "list", "none"):
             raise ValueError(f'mode is {merged.mode!r}, not "auto", "list" or "none"')
         for name in (*merged.chosen, *merged.force, *merged.without):
-            if name not in NAMES:
-                raise ValueError(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
+            if name not in registry.NAMES:
+                raise ValueError(f"no effect is called {name!r}; known are {', '.join(registry.NAMES)}")
         return merged
 
 
@@ -321,10 +329,13 @@ def _within(situation: Situation, tolerance: float | tuple[float, float] | None)
 
 def _bounds(situation: Situation, rung: Rung, exact: bool) -> dict[str, Bound]:
     """Bound of every effect on a rung, measured by traces if `exact`."""
-    bounds = {name: worst_bound(situation, name, module_of(name).bound) for name in NAMES}
+    bounds = {name: worst_bound(situation, declared(name)) for name in registry.NAMES}
     if exact:
-        for name in NAMES:
-            if name != "facets" or rung == "mesh":  # else a mesh would be made to judge what is not simulated
+        for name in registry.NAMES:
+            if declared(name).rung in (
+                None,
+                rung,
+            ):  # else a mesh would be made to judge what is not simulated
                 bounds[name] = _measured(situation, name, bounds[name])
     if rung == "mesh":
         bounds = {name: _smooth(name, bound) for name, bound in bounds.items()}
@@ -333,9 +344,10 @@ def _bounds(situation: Situation, rung: Rung, exact: bool) -> dict[str, Bound]:
 
 def _state(name: str, bound: Bound, situation: Situation, wishes: Wishes, rung: Rung) -> State:
     """Whether an effect is simulated and who decided it."""
-    if name == "facets":  # the rung decides
-        return "on" if rung == "mesh" else "off"
-    if name == "depth_of_field" and situation.setting.aperture > 0.0 and name not in wishes.without:
+    kind = declared(name)
+    if kind.rung is not None:  # the rung decides
+        return "on" if rung == kind.rung else "off"
+    if kind.stated(situation) and name not in wishes.without:
         return "on"
     if wishes.mode == "none":
         return "without" if _matters(bound, situation) else "off"
@@ -363,7 +375,7 @@ def _row(name: str, bound: Bound, state: State, measured: bool) -> PlanRow:
 
 def _smooth(name: str, bound: Bound) -> Bound:
     """What effects that trace paths of their own leave out on rung mesh."""
-    if name not in (*FOLLOWED, "reflections"):
+    if not (declared(name).follows or declared(name).splits):
         return bound
     return replace(bound, why=f"{bound.why}; these paths follow the exact surfaces, not the facets")
 
@@ -373,6 +385,6 @@ def _measured(situation: Situation, name: str, bound: Bound) -> Bound:
 
     if not bound.known or (bound.angle == 0.0 and bound.radiance == 0.0):
         return bound
-    angle, radiance = measure(situation, name)
+    angle, radiance = measure(situation, declared(name))
     why = f"{bound.why}; measured {degrees(angle):.2g}° and {radiance:.2g}"
     return replace(bound, angle=EXACT_MARGIN * angle, radiance=EXACT_MARGIN * radiance, why=why)

@@ -7,7 +7,7 @@ leaves out is then at most what it leaves out in the worst of them. What only co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
 from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.effect import Declaration
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import aperture_slope
@@ -32,15 +33,12 @@ RAYS = 512
 TINY = 1e-300
 """In place of an angle or a radiance of which nothing is tolerated."""
 
-COUNTED = {"ghosts": Fate.GHOST, "walls": Fate.WALL, "tir_paths": Fate.TIR}
-"""Effects whose bound is a share of rays: it is counted over the whole sheet too."""
 
-
-def worst_bound(situation: Situation, name: str, bound: Callable[[Situation], Bound]) -> Bound:
+def worst_bound(situation: Situation, kind: Declaration) -> Bound:
     """Bound of an effect: that of the sheet where its cells are alike, else that of the worst cell tried."""
     if not situation.stand_ins:
-        return bound(situation)
-    every = [bound(one) for _, one in situation.stand_ins]
+        return kind.bound(situation)
+    every = [kind.bound(one) for _, one in situation.stand_ins]
     unknown = [one for one in every if not one.known]
     if unknown:
         return unknown[0]
@@ -50,10 +48,10 @@ def worst_bound(situation: Situation, name: str, bound: Callable[[Situation], Bo
     ]
     worst = int(np.argmax(parts))
     i, j = situation.stand_ins[worst][0]
-    counted = situation.share(COUNTED[name]) if name in COUNTED else 0.0
+    counted = 0.0 if kind.shows is None else situation.share(kind.shows)
     radiance = max(one.radiance for one in every)
     if (
-        name == "walls" and situation.window.many_sizes
+        kind.shows is Fate.WALL and situation.window.many_sizes
     ):  # steps between lenses of unlike sizes: equal cells have none
         radiance = max(radiance, situation.most(counted))
     return Bound(
