@@ -72,7 +72,10 @@ def refuse_early(design: Design, formats: Sequence[str], quads: Mapping[str, Qua
         if name in STL_FORMATS:
             asked = quads.get(name, "auto")
             grid = QUADS[-1] if asked == "auto" else asked
-            _refuse_facets(name, grid * grid * cells * faces, grid, (n1, n2))
+            across = (
+                1 if 1.0 in design.law_spec.eta or design.pair.given else grid
+            )  # cylinders take one along them
+            _refuse_facets(name, grid * across * cells * faces, grid, (n1, n2))
 
 
 def refuse_cells(n1: int, n2: int) -> None:
@@ -160,8 +163,9 @@ def _weldable(meshes: Meshes, formats: Sequence[str], quads: int) -> bool:
 
 def facets_at_least(window: Window, quads: int) -> int:
     """Bound from below on the facets, before any mesh is made: half the grid, should a lens not fill its cell."""
-    structured = sum(face.array is not None for face in window.faces)
-    return quads * quads * structured * window.lattice.cell_count
+    from clacad.mesh.grid_steps import lens_squares
+
+    return lens_squares(window, quads) * window.lattice.cell_count
 
 
 def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -> None:

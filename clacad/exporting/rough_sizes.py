@@ -39,6 +39,8 @@ class RoughSheet:
         Lenslets lean, so that neighbours do not meet at their borders.
     repeats : bool
         Whether the sheet is nothing but equal cells side by side.
+    cylinders : bool
+        Every lenslet is a cylinder along its cell, which takes one step of the grid that way.
     """
 
     lenses: int
@@ -48,6 +50,7 @@ class RoughSheet:
     hexagonal: bool
     tilted: bool
     repeats: bool
+    cylinders: bool = False
 
     @staticmethod
     def of_design(design: Design) -> RoughSheet:
@@ -57,30 +60,35 @@ class RoughSheet:
         return RoughSheet(
             4 if form == "biconvex" else 2, 1 if form == "slab" else 2, n1 * n2, (n1, n2), lattice.kind == "hexagonal",
             design.law.rotation.tolist() != IDENTITY, lattice.outline is None,
+            1.0 in design.law_spec.eta and design.law.rotation.tolist() == IDENTITY and not design.pair.given,
         )  # fmt: skip
 
     @staticmethod
     def of_window(window: Window) -> RoughSheet:
         """From the sheet as built."""
+        from clacad.mesh.grid_steps import lens_squares
+
         lattice = window.lattice
         n1, n2 = (int(n) for n in lattice.count)
         lenses = [face for face in window.faces if face.array is not None]
         tilted = not all(face.untilted for face in lenses)
         return RoughSheet(
             len(lenses), len(window.bodies), max(1, lattice.cell_count), (n1, n2), lattice.hexagonal, tilted,
-            window.uniform and window.outline is None,
+            window.uniform and window.outline is None, lens_squares(window, 2) == 2 * len(lenses),
         )  # fmt: skip
 
     def facets(self, quads: int) -> int:
         """Of one cell of all bodies: two triangles a square of the grid of each lens, and some for the walls of tilted ones."""
-        lens = 2 * quads * quads * (3 if self.hexagonal else 1)
-        return self.lenses * (lens + (4 * quads if self.tilted else 0))
+        return self.lenses * (self._lens(quads) + (4 * quads if self.tilted else 0))
 
     def piece(self, quads: int) -> int:
         """Of one cell with its sides, which is what formats repeat; a flat back is cut into a fan."""
         flat = 4 if self.lenses == self.bodies > 1 else 0
-        lens = 2 * self.lenses * quads * quads * (3 if self.hexagonal else 1)
-        return lens + (8 + flat) * quads * self.bodies
+        return self.lenses * self._lens(quads) + (8 + flat) * quads * self.bodies
+
+    def _lens(self, quads: int) -> int:
+        """Facets of one lens."""
+        return 2 * quads * (1 if self.cylinders else quads) * (3 if self.hexagonal else 1)
 
     @property
     def listed(self) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
+from clacad.mesh.grid_steps import Steps
 from clacad.mesh.integer_heights import FAR, CellLevels, cluster, shortest
 from clacad.sheet.lattice import Step
 
@@ -30,7 +31,7 @@ class BorderSamples:
 
 
 def with_borders(
-    make: CellLevels, plan: pl.Planar, quads: int
+    make: CellLevels, plan: pl.Planar, steps: Steps
 ) -> tuple[pl.Planar, list[Floats], list[BorderSamples]]:
     """Give the tile's sides the complex's breaks: the same samples on both sides of every border.
 
@@ -42,9 +43,12 @@ def with_borders(
     borders : m BorderSamples
         Of each side: of the first half the cell is the left one, of the others it is the right one.
     """
-    own = [border_samples(make, k, quads) for k in range(len(make.tiling.borders))]
+    quads = [
+        steps[(k + 1) % 2] for k in range(len(make.tiling.borders))
+    ]  # side 0 runs along the second half axis
+    own = [border_samples(make, k, quads[k]) for k in range(len(quads))]
     there = [make.beside(_back(border.step)) for border in make.tiling.borders]
-    theirs = [border_samples(other, k, quads) for k, other in enumerate(there)]
+    theirs = [border_samples(other, k, quads[k]) for k, other in enumerate(there)]
     placed = [(b.t, b.grid_at) for b in own] + [(1.0 - b.t[::-1], 1.0 - b.grid_at[::-1]) for b in theirs]
     if not _seamed(make):
         plan = pl.with_side_samples(plan, make.tiling.tile, placed)

@@ -39,7 +39,7 @@ class Planar:
     fixed: Bools
 
 
-def grid(lattice: Lattice, tile: Floats, zone: Floats, quads: int, diagonal: int) -> Planar:
+def grid(lattice: Lattice, tile: Floats, zone: Floats, steps: tuple[int, int], diagonal: int) -> Planar:
     """Triangulate a tile: a regular grid over its optical zone, and a ring of land if the zone is smaller.
 
     Parameters
@@ -47,12 +47,12 @@ def grid(lattice: Lattice, tile: Floats, zone: Floats, quads: int, diagonal: int
     lattice : Lattice
     tile, zone : (m, 2) lengths
         Corners of the cell and of its optical zone (the same polygon where there is no seam).
-    quads : int
-        Grid steps along each side.
+    steps : (int, int)
+        Grid steps along both half axes of a rectangle; a hexagon has as many along each side.
     diagonal : +1 or −1
         Squares are split along (+x, +y) or along (+x, −y); hexagons have no choice.
     """
-    xy, triangles, sides = _hexagon(zone, quads) if lattice.hexagonal else _square(zone, quads, diagonal)
+    xy, triangles, sides = _hexagon(zone, steps[0]) if lattice.hexagonal else _square(zone, steps, diagonal)
     fixed = np.zeros(len(xy), dtype=bool)
     for side in sides:
         fixed[side] = True
@@ -60,13 +60,13 @@ def grid(lattice: Lattice, tile: Floats, zone: Floats, quads: int, diagonal: int
     return planar if np.array_equal(tile, zone) else _with_ring(planar, tile)
 
 
-def _square(zone: Floats, q: int, diagonal: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
-    """Points (n, 2), triangles (t, 3) and the points of each side of a rectangle cut into q × q."""
-    steps = (2 * np.arange(q + 1) - q) / q  # symmetric about the centre to the last bit
-    x, y = np.meshgrid(steps, steps)
+def _square(zone: Floats, steps: tuple[int, int], diagonal: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
+    """Points (n, 2), triangles (t, 3) and the points of each side of a rectangle cut into p × q."""
+    p, q = steps
+    x, y = np.meshgrid(*((2 * np.arange(n + 1) - n) / n for n in steps))  # symmetric to the last bit
     (ax, ay), (bx, by) = half_axes(zone)
     xy = np.stack([(ax * x + bx * y).ravel(), (ay * x + by * y).ravel()], axis=1)
-    number = np.arange((q + 1) ** 2).reshape(q + 1, q + 1)
+    number = np.arange((p + 1) * (q + 1)).reshape(q + 1, p + 1)
     p00, p10, p01, p11 = (
         n.ravel() for n in (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import BorderSamples, settle_inside, settle_sides, with_borders
+from clacad.mesh.grid_steps import Steps, grid_steps
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels
 from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
@@ -93,7 +94,7 @@ class Prototile:
 
 
 def make_prototile(make: CellLevels, quads: int) -> Prototile:
-    """Mesh one cell of a body's tiling, with `quads` grid steps along each side of its optical zone.
+    """Mesh one cell of a body's tiling, with `quads` grid steps along each side of its optical zone that bends.
 
     Raises
     ------
@@ -102,7 +103,8 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
         with no defined edge.
     """
     window = make.window
-    plan, side_t, borders = with_borders(make, _grid(make, quads), quads)
+    steps = _steps(make, quads)
+    plan, side_t, borders = with_borders(make, _grid(make, steps), steps)
     lens = settle_sides(plan, settle_inside(make, make.levels(make.heights(plan.xy))), borders)
     plan, lens, part = _with_rims(make, plan, lens)
     if (part == VOID).all():
@@ -132,13 +134,25 @@ def _on_left(make: CellLevels, borders: list[BorderSamples]) -> tuple[Floats, ..
     )
 
 
-def _grid(make: CellLevels, quads: int) -> pl.Planar:
+def _steps(make: CellLevels, quads: int) -> Steps:
+    """Grid steps along each half axis of a cell, the same in all cells of a tiling."""
+    if make.bevel > 0.0:  # bevels are cut into a grid of its own steps on all sides
+        return quads, quads
+    if ("steps", quads) not in make.common:
+        faces = (make.body.front, make.body.back)
+        mine = [face for face, here in zip(faces, make.meshed(), strict=True) if here]
+        make.common["steps", quads] = grid_steps(make.window, make.tiling.array, mine, quads)
+    found: Steps = make.common["steps", quads]
+    return found
+
+
+def _grid(make: CellLevels, steps: Steps) -> pl.Planar:
     """The regular grid over a cell, common to all cells of a tiling: that of the first for which it is asked."""
-    if ("grid", quads) not in make.common:
+    if ("grid", steps) not in make.common:
         zone = optical_tile(make.window, make.tiling.array)
-        diagonal = _diagonal(make, zone, quads)
-        make.common["grid", quads] = pl.grid(make.window.lattice, make.tiling.tile, zone, quads, diagonal)
-    found: pl.Planar = make.common["grid", quads]
+        diagonal = _diagonal(make, zone, steps)
+        make.common["grid", steps] = pl.grid(make.window.lattice, make.tiling.tile, zone, steps, diagonal)
+    found: pl.Planar = make.common["grid", steps]
     return found
 
 
@@ -196,14 +210,16 @@ def _parts(make: CellLevels, material: Bools, proud: list[Bools]) -> NDArray[np.
     return part
 
 
-def _diagonal(make: CellLevels, zone: Floats, quads: int) -> int:
+def _diagonal(make: CellLevels, zone: Floats, steps: Steps) -> int:
     """Split squares along the direction in which the surfaces bend less."""
     if make.window.lattice.hexagonal:
         return 1
-    at = (2 * np.arange(5) - 4) / 4 * (1 - 1 / quads)
-    x, y = (v.ravel()[:, None] for v in np.meshgrid(at, at))
+    x, y = (
+        v.ravel()[:, None] for v in np.meshgrid(*((2 * np.arange(5) - 4) / 4 * (1 - 1 / q) for q in steps))
+    )
     a, b = pl.half_axes(zone)
     places = x * a + y * b
+    a, b = a / steps[0], b / steps[1]
 
     def bend(step: Floats) -> float:
         middle = make.heights(places)
@@ -212,4 +228,4 @@ def _diagonal(make: CellLevels, zone: Floats, quads: int) -> int:
             second = np.abs(ends[0] + ends[1] - 2.0 * middle)
         return float(np.nansum(second[np.isfinite(second)]))
 
-    return 1 if bend(a / quads + b / quads) <= bend(a / quads - b / quads) * (1.0 + 1e-9) else -1
+    return 1 if bend(a + b) <= bend(a - b) * (1.0 + 1e-9) else -1

@@ -170,13 +170,35 @@ LEAST_SAG = 1e-14
 """Height of a lens over its cell, part of the separation, below which it is lost in the rounding of its place."""
 
 
+def _lens_reach(intent: Intent) -> tuple[Pair2, tuple[str, str]]:
+    """How far a lens must reach from the middle of its cell along lens x and y (lengths), and half of what that is.
+
+    A cylinder, which has no power along its other axis, bends across its cell alone; any other lens must reach the corners.
+    """
+    corner = intent.lattice.circumradius
+    across = np.abs(intent.lattice.tile() @ intent.turn[:2, :2]).max(axis=0)
+    cylinder = [other == 1.0 for other in reversed(intent.eta)]
+    x, y = (float(half) if alone else corner for half, alone in zip(across, cylinder, strict=True))
+    first, second = ("width" if alone else "diagonal" for alone in cylinder)
+    return (x, y), (first, second)
+
+
+def _smaller_pitch(intent: Intent, axis: str, where: str, part: float) -> str:
+    """The pitch that would do, as a hint: a cylinder on an upright rectangle needs it along one side alone."""
+    pitch = intent.lattice.pitch
+    upright = where == "width" and not intent.lattice.hexagonal and abs(intent.turn[0, 1]) < 1e-12
+    if upright:
+        k = "xy".index(axis)
+        return f"pitch along {axis} < {pitch[k] * part:.6g}"
+    return f"pitch < {max(pitch) * part:.6g}"
+
+
 def _refuse_radius(intent: Intent) -> None:
-    """A face whose radius is below half the cell's diagonal ends inside its cell; one of next to no sag is no lens."""
-    reach = intent.lattice.circumradius
+    """A face whose radius is below its reach in the cell ends inside it; one of next to no sag is no lens."""
     factor = intent.index - 1.0
     if intent.design.pair.form == "biconvex":
         factor *= 2.0
-    for axis, value in zip("xy", intent.eta, strict=True):
+    for axis, value, reach, where in zip("xy", intent.eta, *_lens_reach(intent), strict=True):
         for number, f in enumerate(thin_focal_lengths(value, separation_of(intent)), start=1):
             radius = abs(factor * f)
             sag = reach * reach / (2.0 * radius) if radius > reach else reach
@@ -189,10 +211,10 @@ def _refuse_radius(intent: Intent) -> None:
                 )
             if radius < reach:
                 raise NoSuchLens(
-                    f"lens {number} would have the radius {radius:.6g} in {axis}, less than half the diagonal of "
+                    f"lens {number} would have the radius {radius:.6g} in {axis}, less than half the {where} of "
                     f"its cell ({reach:.6g}): the surface ends inside the cell",
                     key="lattice.pitch",
-                    hint=f"pitch < {max(intent.lattice.pitch) * radius / reach:.6g}, or separation > "
+                    hint=f"{_smaller_pitch(intent, axis, where, radius / reach)}, or separation > "
                     f"{separation_of(intent) * reach / radius:.6g}",
                 )
 

@@ -1,0 +1,63 @@
+"""Steps of a cell's facet grid in each of its directions: one along a cylinder, `quads` elsewhere.
+
+A surface that is ruled along a side of its cell is followed exactly by facets as long as the cell, so more of them would
+add bytes and no accuracy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.mesh.cell_triangulation import half_axes
+from clacad.optics.surface import Biconic, Quadric
+from clacad.sheet.window import Face, Window, optical_tile
+from clacad.topology.build_complex import one_tiling
+
+Steps = tuple[int, int]
+"""Along the first half axis of a rectangular cell (towards its first side), and along the second."""
+
+Number = TypeVar("Number", int, float)
+
+ALIGNED = 1e-12
+"""Sine of the largest angle between a cylinder and the side of its cell that counts as none."""
+
+
+def grid_steps(window: Window, array: int, faces: Sequence[Face], quads: Number) -> tuple[Number, Number]:
+    """Steps of the grid that some faces share over the cells of an array."""
+    if window.lattice.hexagonal:
+        return quads, quads
+    first, second = (
+        1 if all(_ruled(face, axis) for face in faces) else quads
+        for axis in half_axes(optical_tile(window, array))
+    )
+    return first, second
+
+
+def lens_squares(window: Window, quads: Number) -> Number:
+    """Squares of the grids over all lens faces of one cell; a hexagonal cell has three times as many."""
+    total = quads - quads
+    for body in window.bodies:
+        lenses = [face for face in (body.front, body.back) if face.array is not None]
+        together = bool(lenses) and len(one_tiling(window, body)) == 1
+        for face in lenses:
+            assert face.array is not None
+            along, across = grid_steps(window, face.array, lenses if together else [face], quads)
+            total += along * across
+    return total
+
+
+def _ruled(face: Face, axis: Floats) -> bool:
+    """Whether a face is the same all along a direction (2,) of the sheet: a plane, or a cylinder that lies so."""
+    if face.array is None:
+        return True
+    if not isinstance(face.surface, Quadric | Biconic):
+        return False
+    along = np.abs(np.array([*axis, 0.0]) @ face.rotation) / np.hypot(*axis)
+    curvatures = face.surface.curvature_x, face.surface.curvature_y
+    return any(
+        curvature == 0.0 and np.delete(along, k).max() <= ALIGNED for k, curvature in enumerate(curvatures)
+    )
