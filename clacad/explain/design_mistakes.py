@@ -114,9 +114,9 @@ MISTAKES: dict[str, Text] = {
     ),
     "CL120": (
         "No lens pair has what is asked: the radii cannot be solved, a lens would be thicker than its focal length allows, the "
-        "surface would end inside its cell, or the planes of pair.focus lie too near to the foci of the lenses.",
+        "surface would end inside its cell, the planes of pair.focus lie too near to the foci of the lenses, or one lens is a cylinder in x and the other in y.",
         "The thick-lens equation has no root there; the message names lens and meridian.",
-        "R_k = (n − 1) f_k (1 + √(1 − T_k/(n f_k))),  T_k < n f_k,  R_k > half the diagonal of a cell",
+        "R_k = (n − 1) f_k (1 + √(1 − T_k/(n f_k))),  T_k < n f_k,  R_k > half the diagonal of a cell (of a cylinder: half its width)",
         "Take a smaller pitch, a larger separation, a thinner lens or a higher index; the message says which and how much.",
     ),
     "CL121": (

@@ -35,7 +35,7 @@ from clacad.prescription.field_lens import (
     thin_field,
     two_plates,
 )
-from clacad.prescription.given import GivenFaces, given_pair, refuse_no_faces
+from clacad.prescription.given import GivenFaces, given_pair, refuse_crossed, refuse_no_faces
 from clacad.prescription.plates import cells_outline, with_plate
 from clacad.prescription.radii import (
     LensPair,
@@ -100,7 +100,9 @@ class Intent:
 def build_window(design: Design) -> Window:
     """Build the window of a design; see `clacad.prescription.prescribe.prescribe`."""
     intent = _intent(design)
-    if not design.pair.given:
+    if design.pair.given:
+        refuse_crossed(design.pair)
+    else:
         _refuse_radius(intent)
     window = _FORMS[design.pair.form](intent)
     if design.pair.given:

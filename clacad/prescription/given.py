@@ -80,6 +80,30 @@ def _focal_lengths(curvatures: list[Pair2], thickness: float, index: float) -> P
     return found[0], found[1]
 
 
+def refuse_crossed(pair: PairSpec) -> None:
+    """Refuse lenses of which one is a cylinder in x and the other in y: no law relates light before and behind them.
+
+    Raises
+    ------
+    NoSuchLens
+    """
+    powers = [
+        [any(face.curvature[axis] != 0.0 for face in pair.face[pair.lens_faces(lens)]) for axis in (0, 1)]
+        for lens in (0, 1)
+    ]
+    if sorted(powers) != [[False, True], [True, False]]:
+        return
+    axis = "xy"[powers[0].index(True)]
+    other = "yx"[powers[0].index(True)]
+    raise NoSuchLens(
+        f"lens 1 is a cylinder with power in {axis}, lens 2 one with power in {other}: eta = -f2/f1 is infinite in {axis} "
+        f"and 0 in {other}, for each axis needs two lenses",
+        key="pair.face.0.radius",
+        hint=f"power in {axis} on both lenses (law.eta = {'[-1, 1]' if axis == 'x' else '[1, -1]'}), and a sheet with power in {other} "
+        f"(law.eta = {'[1, -1]' if axis == 'x' else '[-1, 1]'}) behind it, at a separation of its own: clacad stack A.toml B.toml",
+    )
+
+
 def refuse_no_faces(window: Window) -> None:
     """Refuse given faces that are no lens over their whole cell, or that cross there.
 

@@ -14,6 +14,9 @@ from clacad.exporting.rough_sizes import RoughSheet
 from clacad.exporting.tessellations import Meshes
 from clacad.mesh import count_facets, tessellate
 from clacad.mesh.tessellation import slope_error_at
+from clacad.sheet.bundle import bundle
+from clacad.sheet.stack import stacked
+from clacad.stacking.stack_rays import launched
 
 ROOT = Path(__file__).parents[2]
 KEYS = {"law.eta": [-1.0, 1.0], "lattice.kind": "rectangular", "lattice.pitch": [0.5, 6.0], "lattice.count": [6, 3],
@@ -108,3 +111,37 @@ def test_forecasts_before_a_mesh_is_made_know_cylinders():
     refuse_early(SHEET.replace({"lattice.count": [1000, 200]}), ["stl"], {"stl": 64})
     with pytest.raises(Exception, match="facets"):
         refuse_early(SHEET.replace({"lattice.count": [1000, 200], "law.eta": [-1, -1]}), ["stl"], {"stl": 64})
+
+
+def test_crossed_cylinders_as_a_pair_are_refused_and_two_sheets_of_cylinders_are_what_works():
+    faces = [{"radius": [2.5, "inf"]}, {"radius": ["inf", 2.5]}]
+    plain = clacad.load(ROOT / "designs" / "window-100mm.toml")
+    with pytest.raises(clacad.DesignError) as caught:
+        clacad.prescribe(plain.replace({"pair.prescription": "given", "pair.face": faces}))
+    said = str(caught.value)
+    assert "each axis needs two lenses" in said
+    assert "law.eta = [-1, 1]" in said
+    assert "law.eta = [1, -1]" in said
+    pair = [
+        clacad.prescribe(plain.replace({"law.eta": eta, "lattice.count": [8, 8], "pair.separation": s}))
+        for eta, s in (([-1, 1], 10.0), ([1, -1], 12.0))
+    ]
+    made = stacked(pair, [2.0])
+    rays = launched(made, 256, 0.004)
+    out = clacad.trace_stack(made, rays)
+    alive = out.fate == clacad.Fate.ALIVE
+    assert alive.mean() > 0.5
+    slopes = [d[alive, :2] / d[alive, 2:] for d in (rays.direction, out.direction)]
+    np.testing.assert_allclose(slopes[1], -slopes[0], atol=1e-3)  # eta = -1 in x by sheet a, in y by sheet b
+
+
+def test_light_through_long_facets_goes_as_through_the_cylinders():
+    """Within twice what the slopes of the facets, p/(q R sqrt 12) on either face, bend by n - 1."""
+    window = clacad.prescribe(SHEET)
+    rays = bundle(window, 2000, 0.01).rays
+    mesh, exact = clacad.trace(window, rays, "mesh", mesh=64), clacad.trace(window, rays)
+    alive = (mesh.fate == clacad.Fate.ALIVE) & (exact.fate == clacad.Fate.ALIVE)
+    assert alive.mean() > 0.9
+    slope = 0.5 * abs(window.faces[0].surface.curvature_x) / (64 * 12**0.5)
+    apart = np.linalg.norm(mesh.direction - exact.direction, axis=1)[alive]
+    assert np.sqrt(np.mean(apart**2)) < 2.0 * slope
