@@ -42,6 +42,11 @@ class LawSpec:
     varying: VaryingSpec | None = None
 
     @property
+    def cylinders(self) -> bool:
+        """Whether the lenses of the law have power along one of their axes alone."""
+        return 1.0 in self.eta
+
+    @property
     def euler(self) -> tuple[float, float, float]:
         """φ, θ, ψ in radians."""
         phi, theta, psi = (math.radians(angle) for angle in self.euler_degrees)

@@ -73,7 +73,7 @@ def refuse_early(design: Design, formats: Sequence[str], quads: Mapping[str, Qua
             asked = quads.get(name, "auto")
             grid = QUADS[-1] if asked == "auto" else asked
             across = (
-                1 if 1.0 in design.law_spec.eta or design.pair.given else grid
+                1 if design.law_spec.cylinders or design.pair.given else grid
             )  # cylinders take one along them
             _refuse_facets(name, grid * across * cells * faces, grid, (n1, n2))
 
@@ -163,7 +163,7 @@ def _weldable(meshes: Meshes, formats: Sequence[str], quads: int) -> bool:
 
 def facets_at_least(window: Window, quads: int) -> int:
     """Bound from below on the facets, before any mesh is made: half the grid, should a lens not fill its cell."""
-    from clacad.mesh.grid_steps import lens_squares
+    from clacad.sheet.grid_steps import lens_squares
 
     return lens_squares(window, quads) * window.lattice.cell_count
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from clacad.sheet.grid_steps import lens_squares
+
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.window import Window
@@ -60,14 +62,12 @@ class RoughSheet:
         return RoughSheet(
             4 if form == "biconvex" else 2, 1 if form == "slab" else 2, n1 * n2, (n1, n2), lattice.kind == "hexagonal",
             design.law.rotation.tolist() != IDENTITY, lattice.outline is None,
-            1.0 in design.law_spec.eta and design.law.rotation.tolist() == IDENTITY and not design.pair.given,
+            design.law_spec.cylinders and design.law.rotation.tolist() == IDENTITY and not design.pair.given,
         )  # fmt: skip
 
     @staticmethod
     def of_window(window: Window) -> RoughSheet:
         """From the sheet as built."""
-        from clacad.mesh.grid_steps import lens_squares
-
         lattice = window.lattice
         n1, n2 = (int(n) for n in lattice.count)
         lenses = [face for face in window.faces if face.array is not None]

@@ -8,8 +8,8 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
-from clacad.mesh.grid_steps import Steps
 from clacad.mesh.integer_heights import FAR, CellLevels, cluster, shortest
+from clacad.sheet.grid_steps import Steps
 from clacad.sheet.lattice import Step
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.unique_rows import unique_rows
+from clacad.sheet.grid_steps import half_axes
 from clacad.sheet.lattice import Lattice
 
 Tags = TypeVar("Tags", NDArray[np.bool_], NDArray[np.uint8])
@@ -77,11 +78,6 @@ def _square(zone: Floats, steps: tuple[int, int], diagonal: int) -> tuple[Floats
     triangles = np.stack([np.stack(t, axis=1) for t in pair], axis=1).reshape(-1, 3)
     sides = (number[:, -1], number[-1, ::-1], number[::-1, 0], number[0, :])
     return xy, triangles, tuple(np.array(s) for s in sides)
-
-
-def half_axes(zone: Floats) -> tuple[Floats, Floats]:
-    """From the middle of a rectangle (4, 2), turned or not, to that of its first side and of its second, lengths."""
-    return 0.5 * (zone[0] + zone[1]), 0.5 * (zone[1] + zone[2])
 
 
 def _hexagon(zone: Floats, q: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:

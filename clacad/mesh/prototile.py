@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import BorderSamples, settle_inside, settle_sides, with_borders
-from clacad.mesh.grid_steps import Steps, grid_steps
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels
 from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
+from clacad.sheet.grid_steps import Steps, grid_steps, half_axes
 from clacad.sheet.window import optical_tile
 from clacad.topology.cannot_build import CannotBuild
 
@@ -217,7 +217,7 @@ def _diagonal(make: CellLevels, zone: Floats, steps: Steps) -> int:
     x, y = (
         v.ravel()[:, None] for v in np.meshgrid(*((2 * np.arange(5) - 4) / 4 * (1 - 1 / q) for q in steps))
     )
-    a, b = pl.half_axes(zone)
+    a, b = half_axes(zone)
     places = x * a + y * b
     a, b = a / steps[0], b / steps[1]
 

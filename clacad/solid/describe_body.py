@@ -10,6 +10,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.sheet.grid_steps import one_tiling
 from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle, Step
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window
@@ -21,7 +22,7 @@ from clacad.solid.shells import MERGE, Shells, Writer
 from clacad.solid.tiling_borders import Layer, Surround
 from clacad.solid.tiling_columns import Columns
 from clacad.solid.wall_segments import Column
-from clacad.topology.build_complex import cell_complex, one_tiling
+from clacad.topology.build_complex import cell_complex
 from clacad.topology.cannot_build import CannotBuild
 
 KEPT_CELLS = 4096

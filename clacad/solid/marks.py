@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from clacad.base.units import millimetres
 from clacad.sheet.gap import NoFixture, plane_of
+from clacad.sheet.grid_steps import one_tiling
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
 from clacad.solid.lettering import lettering
-from clacad.topology.build_complex import one_tiling
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Body, Window

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+from clacad.sheet.grid_steps import one_tiling
 from clacad.sheet.pieces_and_holes import count_together
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import make_border
@@ -64,17 +65,6 @@ def _make_tiling(
     nodes = make_nodes(window, body, array, names, merge)
     tile = window.lattice_of(array).tile()
     return Tiling(array, window.shifts[array], tile, borders, nodes)
-
-
-def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
-    """Give the array(s) whose cells cut a body: one where the faces' cells coincide, else both."""
-    arrays = [face.array for face in (body.front, body.back) if face.array is not None]
-    if not arrays:
-        raise ValueError(f"body {body.name!r} has no lenslet face")
-    alike = len(arrays) == 2 and window.placements[arrays[0]] == window.placements[arrays[1]]
-    if len(set(arrays)) == 1 or alike:
-        return (arrays[0],)
-    return (arrays[0], arrays[1])
 
 
 def saddle_count(cells: CellComplex) -> int:

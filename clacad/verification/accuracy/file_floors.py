@@ -248,6 +248,6 @@ def _with_confirmation(seen: Probe, family: Family, found: Floor, confirm: bool)
 
 def _facets(window: Window, quads: float) -> float:
     """Facets of the optical faces of the whole sheet."""
-    from clacad.mesh.grid_steps import lens_squares
+    from clacad.sheet.grid_steps import lens_squares
 
     return 2.0 * lens_squares(window, quads) * window.lattice.cell_count

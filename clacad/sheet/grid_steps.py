@@ -12,10 +12,8 @@ from typing import TypeVar
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.mesh.cell_triangulation import half_axes
 from clacad.optics.surface import Biconic, Quadric
-from clacad.sheet.window import Face, Window, optical_tile
-from clacad.topology.build_complex import one_tiling
+from clacad.sheet.window import Body, Face, Window, optical_tile
 
 Steps = tuple[int, int]
 """Along the first half axis of a rectangular cell (towards its first side), and along the second."""
@@ -48,6 +46,22 @@ def lens_squares(window: Window, quads: Number) -> Number:
             along, across = grid_steps(window, face.array, lenses if together else [face], quads)
             total += along * across
     return total
+
+
+def half_axes(zone: Floats) -> tuple[Floats, Floats]:
+    """From the middle of a rectangle (4, 2), turned or not, to that of its first side and of its second, lengths."""
+    return 0.5 * (zone[0] + zone[1]), 0.5 * (zone[1] + zone[2])
+
+
+def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
+    """Give the array(s) whose cells cut a body: one where the faces' cells coincide, else both."""
+    arrays = [face.array for face in (body.front, body.back) if face.array is not None]
+    if not arrays:
+        raise ValueError(f"body {body.name!r} has no lenslet face")
+    alike = len(arrays) == 2 and window.placements[arrays[0]] == window.placements[arrays[1]]
+    if len(set(arrays)) == 1 or alike:
+        return (arrays[0],)
+    return (arrays[0], arrays[1])
 
 
 def _ruled(face: Face, axis: Floats) -> bool:
