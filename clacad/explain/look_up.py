@@ -80,7 +80,7 @@ def explain(asked: str) -> Entry:
     if folded in former:
         now = by_name[former[folded]]
         return replace(now, title=f"{now.title} ({folded} is now called {now.name})")
-    folded = SYNONYMS.get(folded, folded)
+    folded = SYNONYMS.get(folded, SYNONYMS.get(folded.replace("_", " "), folded))
     for name in () if "." in folded else (folded, folded.replace("_", " "), folded.replace("_", "-")):
         if name in by_name:
             return by_name[name]

@@ -8,7 +8,9 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from math import inf, pi
 from pathlib import Path
+from string import ascii_letters
 
+from clacad.base.text import table
 from clacad.design.combinations import BUILT, ITSELF, matrix
 from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.effects import registry
@@ -29,26 +31,36 @@ def named_things() -> Iterator[Entry]:
 
 
 def _combinations() -> Entry:
-    """What sheets whose cells differ are built with, from the table that refuses the rest."""
-    head, *rows = matrix()
-    told = []
-    for column, sheet in enumerate(head[1:], 1):
-        refused: dict[str, list[str]] = {}
-        for row in rows:
-            if row[column] not in (BUILT, ITSELF):
-                refused.setdefault(row[column], []).append(row[0])
-        built = [row[0] for row in rows if row[column] == BUILT]
-        told.append(f"{sheet} is built with: {', '.join(built)}.")
-        told += [f"  not with {', '.join(those)}: {reason}." for reason, those in refused.items()]
+    """What sheets whose cells differ are built with: a matrix, from the table that refuses the rest."""
+    (_, *sheets), *rows = matrix()
+    codes: dict[str, str] = {}
+    lines = [["", *(sheet.rpartition(".")[2] for sheet in sheets)]]
+    for feature, *cells in rows:
+        lines.append([feature, *(_combined(cell, codes) for cell in cells)])
+    legend = [f"{code}  {reason}" for reason, code in codes.items()]
     return Entry(
         "",
         "combinations",
-        "sheets whose cells differ, and what stands beside them",
-        "\n  ".join(told),
+        "non-uniform sheets (columns) with other features (rows)",
+        "\n  ".join(
+            [
+                *table(lines, indent="").splitlines(),
+                f"columns: {', '.join(sheets)}",
+                "yes: built; -: the same key; a letter: refused by CL125, because",
+                *legend,
+            ]
+        ),
         "",
         "",
         "see CL125",
     )
+
+
+def _combined(cell: str, codes: dict[str, str]) -> str:
+    """A cell of the matrix: yes, - or the letter of a reason, which is added to `codes` when it is new."""
+    if cell in (BUILT, ITSELF):
+        return "yes" if cell == BUILT else "-"
+    return codes.setdefault(cell, ascii_letters[len(codes)])
 
 
 def materials_text() -> str:

@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 from clacad.cli import main
+from clacad.design.combinations import matrix
 from clacad.design.process_profiles import profiles
 from clacad.effects import NAMES
+from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.explain.look_up import Unexplained, entries, explain
 from clacad.optics.material.catalogue import names as materials
 from clacad.verification.checks import CODES, Check
@@ -148,3 +150,35 @@ def test_every_process_effect_and_material_is_listed(capsys):
     ):
         assert all(f"{kind} {name}" in listed for name in names)
     assert explain("diffraction").title == "diffraction", "a word keeps its name where an effect has it, too"
+
+
+PLAIN = """resin, printer, flange, mount, homogeniser, superlens, Gabor, fly's eye, steering, viewing, focal length, f-number, aperture,
+conic, sag, tolerance, master, preview, slicer, seam, web, baffle, crosstalk, moiré, ghost, field, pitch, fill factor, diffraction
+limit, Strehl, field of view, lenslet, microlens array, confocal, afocal, Abbe number, refractive index, dispersion, temperature,
+eye, misalignment, roughness, spacer, slab, biconvex, 3D printer, injection molding, lathe, STL, STEP, manifest, drawing,
+infrared, honeycomb, mold, aberration, vignetting, clear aperture, polycarbonate, Zeonex, homogenizer, quads, dowel"""
+
+
+@pytest.mark.parametrize("word", [" ".join(word.split()) for word in PLAIN.split(",")])
+def test_plain_words_of_newcomers_engineers_and_machinists_are_explained(word):
+    entry = explain(word)
+    assert len(entry.means) > 30
+    assert entry.do or entry.code or entry.name in WORDS
+
+
+def test_synonyms_are_no_words_and_lead_to_words():
+    assert set(SYNONYMS.values()) <= {entry.name for entry in entries().values()}
+    assert not set(SYNONYMS) & set(WORDS)
+
+
+def test_combinations_are_a_matrix_of_yes_and_letters_that_fits_a_hundred_columns(capsys):
+    assert main(["explain", "combinations"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (_, *sheets), *rows = matrix()
+    assert [sheet.rpartition(".")[2] for sheet in sheets] == lines[1].split()
+    legend = dict(line.strip().split("  ", 1) for line in lines[len(rows) + 2 :] if line.strip()[1:3] == "  ")
+    for line, (feature, *cells) in zip(lines[2:], rows, strict=False):
+        assert line.strip().startswith(feature)
+        assert len(line) <= 100
+        for shown, cell in zip(line.strip().removeprefix(feature).split(), cells, strict=True):
+            assert {"yes": "built", "-": "itself"}.get(shown) == cell or legend[shown] == cell
