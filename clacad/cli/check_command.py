@@ -26,7 +26,8 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
     from clacad.storage.errors import LimitRefused
 
     judged = judge(_listable(load_design(path, overrides)), remedies=True)
-    forecast = outlook(judged.window)
+    told = json or not quiet  # grids are chosen by light only where somebody reads of them
+    forecast = outlook(judged.window, judged.design if told else None)
     if json:
         show_json(_document(judged, forecast, _advised(judged, quiet=quiet)))
     elif not quiet:

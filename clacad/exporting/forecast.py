@@ -21,8 +21,6 @@ from clacad.exporting.format_names import (
     refuse_other_cells,
 )
 from clacad.exporting.limits import (
-    MOST_BYTES,
-    MOST_FACETS,
     QUADS,
     refuse_cells,
     refuse_over_limits,
@@ -34,13 +32,15 @@ from clacad.sheet.need_window import CellsDiffer
 from clacad.storage.errors import LimitRefused
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.exporting.roles import Prospect
     from clacad.exporting.tessellations import Meshes
     from clacad.formats.step.step_mode import Mode
     from clacad.sheet.window import Window
 
 ROUGH_GRID = 8
-"""Quads a cell side of a mesh of shared vertices, as `check` foresees it."""
+"""Quads a cell side of meshes in an outlook that no design chooses them for."""
+
 DRAWING = 400_000
 """Bytes of DXF and PDF together, about; views are drawn to a fixed number of points."""
 
@@ -333,38 +333,49 @@ def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
     return Forecast(name, size, False, None, None, seconds, (100_000_000, memory), note=note)
 
 
-def outlook(window: Window) -> list[dict[str, Any]]:
-    """Forecast the common formats for `check`: roughly, and at once, what an export with default settings would cost.
+def outlook(window: Window, design: Design | None = None) -> list[dict[str, Any]]:
+    """Forecast the common formats for `check`: what an export with default settings would cost.
 
-    Nothing is meshed or drawn up (`rough_sizes`); what an export would write to the byte, its `--dry-run` says. Each row is
-    `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
+    With its design the facet grids are those that the export chooses, which takes a mesh of one cell. Without it nothing is
+    meshed or drawn up, and grids are coarse. Sizes are rough (`rough_sizes`); what an export would write to the byte, its
+    `--dry-run` says. Each row is `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
     """
     try:
         n1, n2 = window.lattice.count
         refuse_cells(int(n1), int(n2))
     except LimitRefused as refusal:  # said, not counted: counting facets walks along the outline
         return [{"format": name, "refused": str(refusal)} for name in ("step", "stl", "3mf")]
-    sheet = RoughSheet.of_window(window)
-    most = min(MOST_BYTES // 50, MOST_FACETS)
-    quads = next((q for q in QUADS if sheet.facets(q) * sheet.cells <= most), QUADS[-1])
-    mode = chosen_mode(window, "auto")
-    if sheet.repeats:
-        held, times, places = sheet.piece(ROUGH_GRID), sheet.cells, sheet.listed
+    sheet, mode = RoughSheet.of_window(window), chosen_mode(window, "auto")
+    rows = [_step_row(window, mode, about(sheet.step_bytes(mode == "fused")))]
+    unbuilt = []
+    try:
+        rows += _outlook_of_meshes(sheet, window, design)
+    except ValueError as problem:
+        if getattr(problem, "exit_status", None) is None:
+            raise
+        unbuilt = [{"format": name, "refused": str(problem)} for name in ("stl", "3mf")]
+    return [*(row.to_dict() | {"refused": _refusal(window, row)} for row in timed(rows)), *unbuilt]
+
+
+def _outlook_of_meshes(sheet: RoughSheet, window: Window, design: Design | None) -> list[Forecast]:
+    """Rows of STL and 3MF: as an export of a design would choose them, or roughly on a coarse grid."""
+    times, places = (sheet.cells, sheet.listed) if sheet.repeats else (1, 0)
+    if design is None:
+        quads, stl = ROUGH_GRID, sheet.facets(ROUGH_GRID) * sheet.cells
+        held = sheet.piece(quads) if sheet.repeats else stl
+        found = {
+            "stl": (QUADS[-1], sheet.facets(QUADS[-1]) * sheet.cells, 0),
+            "3mf": (quads, held, sheet.threemf_bytes(quads)),
+        }
     else:
-        held, times, places = sheet.facets(ROUGH_GRID) * sheet.cells, 1, 0
-    rows = [
-        _step_row(window, mode, about(sheet.step_bytes(mode == "fused"))),
-        _forecast_stl("stl", about(sheet.facets(quads) * sheet.cells), 1, quads, exact=False),
-        _welded_row(
-            "3mf",
-            about(sheet.threemf_bytes(ROUGH_GRID)),
-            about(held),
-            about(held * times),
-            places,
-            ROUGH_GRID,
-        ),
-    ]
-    return [row.to_dict() | {"refused": _refusal(window, row)} for row in timed(rows)]
+        from clacad.exporting.quads_and_roles import default_meshes
+
+        meshes = default_meshes(design, window, ("stl", "3mf"))
+        found = {name: (one.quads, one.facets, one.bytes) for name, one in meshes.items()}
+    quads, facets, _ = found["stl"]
+    stl_row = _forecast_stl("stl", about(facets), 1, quads, exact=False)
+    quads, facets, size = found["3mf"]
+    return [stl_row, _welded_row("3mf", about(size), about(facets), about(facets * times), places, quads)]
 
 
 def about(number: int) -> int:

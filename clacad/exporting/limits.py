@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.exporting.forecast import Forecast
     from clacad.exporting.request import Quads
-    from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
 
 MOST_FACETS = 50_000_000
@@ -115,27 +114,6 @@ def _refuse_facets(
     )
 
 
-def choose_quads(meshes: Meshes, formats: Sequence[str], force: bool = False) -> int:
-    """Finest facet grid whose files stay within the limits: what slope_error="auto" means.
-
-    Raises
-    ------
-    LimitRefused
-        Not even the coarsest fits.
-    """
-    window = meshes.window
-    for quads in QUADS[:-1]:
-        if facets_at_least(window, quads) * 50 > MOST_BYTES:
-            continue
-        facets = meshes.facets(quads)
-        if facets <= MOST_FACETS and 84 + 50 * facets <= MOST_BYTES and _weldable(meshes, formats, quads):
-            return quads
-    if not force:
-        facets = meshes.facets(QUADS[-1])
-        _refuse_facets("stl", facets, QUADS[-1], window.lattice.count, at_least=False)
-    return QUADS[-1]
-
-
 def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> int:
     """Least number of quads a cell side whose rms slope error is at most the one asked for (radians).
 
@@ -155,10 +133,6 @@ def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> 
     if not force and facets_at_least(window, quads) * 50 > MOST_BYTES:
         _refuse_facets("stl", facets_at_least(window, quads), quads, window.lattice.count)
     return quads
-
-
-def _weldable(meshes: Meshes, formats: Sequence[str], quads: int) -> bool:
-    return all(meshes.welded(quads, f) <= MOST_WELDED for f in formats if f in WELDED_FORMATS)
 
 
 def facets_at_least(window: Window, quads: int) -> int:

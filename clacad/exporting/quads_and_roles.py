@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
@@ -14,9 +14,11 @@ from clacad.exporting.light_forecast import FINE, POWERS, Grader
 from clacad.exporting.roles import Prospect, Role, role_of
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.exporting.forecast import Forecast
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
+    from clacad.sheet.window import Window
 
 COARSEST = 4
 """Facets of a declared preview of which nothing else was said."""
@@ -109,63 +111,96 @@ def _law_of_growth(coarse: int, fine: int) -> tuple[float, float]:
 
 
 def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> dict[str, int]:
-    """Facet grid of each mesh format: as asked, chosen by its light, by slope error, or the finest within the limits.
+    """Facet grid of each mesh format: as asked, by slope error, or by the light through it.
 
-    A declared preview of which nothing was said is as coarse as can be: slope errors are asked of masters.
+    Where nothing was asked it is the coarsest grid that makes a master within the limits of facets and bytes. Where none
+    does, it is the finest within the limits, up to `FINE`: a preview. A declared preview is as coarse as can be.
 
     Raises
     ------
     LimitRefused
-        Not even the coarsest facets fit.
+        The facets that a slope error takes do not fit.
     """
     chosen: dict[str, int] = {}
-    rest: list[str] = []
     sizes = Sizes(grader.meshes)
     for name in formats:
         if name not in MESHES:
             continue
         asked = request.quads.get(name)
-        if asked == "auto":
-            chosen[name] = _automatic(grader, sizes, name)
+        if asked == "auto" or by_default(request, name):
+            most = POWERS[-1] if asked == "auto" else FINE
+            chosen[name] = _master(grader, sizes, name) or min(sizes.finest(name), most)
         elif asked is not None:
             chosen[name] = asked
-        elif request.role.get(name) is Role.PREVIEW:
-            chosen[name] = COARSEST
+        elif request.slope_error != "auto" and request.role.get(name) is not Role.PREVIEW:
+            slope_error = float(request.slope_error)
+            chosen[name] = limits.quads_for_slope(grader.meshes.window, slope_error, request.force)
         else:
-            rest.append(name)
-    if rest:
-        chosen |= dict.fromkeys(rest, _by_default(grader.meshes, request, rest))
+            chosen[name] = COARSEST
     return chosen
 
 
-def _automatic(grader: Grader, sizes: Sizes, format: str) -> int:
-    finest = sizes.finest(format)
-    least = grader.foreseen() if finest > FINE else None
-    if finest > FINE and (least is None or least > finest):
-        return finest  # a preview: nothing that fits is worth tracing
-    return grader.least(finest) or finest
+@dataclass(frozen=True, slots=True)
+class DefaultMesh:
+    """A mesh file that an export writes of which nothing is asked but its format.
+
+    quads : int, a cell side
+    facets, bytes : int
+        Facets it stores and its size, about.
+    """
+
+    quads: int
+    facets: int
+    bytes: int
 
 
-def _by_default(meshes: Meshes, request: Request, formats: Sequence[str]) -> int:
-    if request.slope_error == "auto":
-        return limits.choose_quads(meshes, formats, request.force)
-    return limits.quads_for_slope(meshes.window, float(request.slope_error), request.force)
+def default_meshes(design: Design, window: Window, formats: Sequence[str]) -> dict[str, DefaultMesh]:
+    """Mesh files of an export of which nothing is asked but formats: the grids that `export` itself chooses."""
+    from clacad.exporting.request import DEFAULTS
+    from clacad.exporting.tessellations import Meshes
 
-
-def with_prospects(grader: Grader, rows: Sequence[Forecast], declared: Mapping[str, Role]) -> list[Forecast]:
-    """Rows of a forecast with the role of each file, and what the light through it will do."""
+    grader = Grader.of(Meshes(window), design)
     sizes = Sizes(grader.meshes)
-    return [replace(row, prospect=_prospect(grader, sizes, row, declared)) for row in rows]
+    return {
+        name: DefaultMesh(quads, sizes.facets(name, quads), sizes.bytes(name, quads))
+        for name, quads in chosen_quads(grader, DEFAULTS, formats).items()
+    }
 
 
-def _prospect(grader: Grader, sizes: Sizes, row: Forecast, declared: Mapping[str, Role]) -> Prospect:
-    asked = declared.get(row.format)
+def by_default(request: Request, format: str) -> bool:
+    """Whether neither facets nor a preview were asked of a mesh format: the light through it decides both."""
+    said = request.quads.get(format) is not None or request.slope_error != "auto"
+    return format in MESHES and not said and request.role.get(format) is not Role.PREVIEW
+
+
+def _master(grader: Grader, sizes: Sizes, format: str) -> int | None:
+    """Coarsest grid that makes a master of a format within the limits; None: there is none."""
+    finest = sizes.finest(format)
+    if finest > FINE:
+        least = grader.foreseen()
+        if least is None or least > finest:
+            return None  # nothing that fits is worth tracing
+    return grader.least(finest)
+
+
+def with_prospects(grader: Grader, rows: Sequence[Forecast], request: Request) -> list[Forecast]:
+    """Rows of a forecast with the role of each file, and what the light through it will do.
+
+    A preview whose facets were chosen by default is a declared one: nobody asked for a master of that format.
+    """
+    sizes = Sizes(grader.meshes)
+    return [replace(row, prospect=_prospect(grader, sizes, row, request)) for row in rows]
+
+
+def _prospect(grader: Grader, sizes: Sizes, row: Forecast, request: Request) -> Prospect:
+    asked = request.role.get(row.format)
     if row.quads is None:
         return Prospect(role_of(row.format) if asked is None else asked, asked is not None)
     rms, beyond = _light(grader, row.quads)
     role = asked if asked is not None else (Role.PREVIEW if beyond else Role.MASTER)
     known = rms if isfinite(rms) else None
-    found = Prospect(role, asked is not None, row.quads, known, grader.limits.rms, beyond)
+    declared = asked is not None or (role is Role.PREVIEW and by_default(request, row.format))
+    found = Prospect(role, declared, row.quads, known, grader.limits.rms, beyond)
     if role is Role.MASTER and not beyond:
         return found
     needed = grader.foreseen()

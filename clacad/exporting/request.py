@@ -78,8 +78,9 @@ class Request:
         telescopelet for lens-design programs; optiland needs the extra `optiland`), drawing
         (DXF and PDF, needs the extras `dxf` and `pdf`).
     slope_error : float or "auto"
-        Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
-        cell side whose STL stays within 2 GB and 50 M facets. Files declared previews are left out.
+        Wanted rms angle between facets and surface, radians; "auto" chooses the facets of each format by the light
+        through them, as `quads` "auto" does, but writes a preview of at most 64 quads a cell side where no master
+        stays within the limits, and declares it one. Files declared previews are left out.
     quads : mapping; of `export` also int, "auto" or None
         Facet grid a cell side of each mesh format, as in {"3mf": "auto", "stl": 4}; asked for as one, of all. Overrides
         `slope_error`. "auto" is the smallest power of two from 4 to 1024 through which light is forecast to meet the
@@ -107,8 +108,9 @@ class Request:
         GDSII: number of layers from the lowest to the highest point of a face.
     role : mapping; of `export` also "master", "preview" or None
         What the files of each format are for, as in {"stl": "preview"}; asked for as one, of all. Not declared: a mesh
-        is a master where the light through it is forecast within the design's limits, else a preview (4 quads a cell
-        side where nothing else is said of one that is declared); everything else with optics is a master.
+        is a master where the light through it is forecast within the design's limits, else a preview, which counts as
+        declared where `quads` and `slope_error` were left out too. A preview declared here has 4 quads a cell side
+        where nothing else is said of it. Everything else with optics is a master.
     paper : "a4", "a3" or "a2"
         Sheets of the drawing.
     fused : bool
@@ -120,7 +122,8 @@ class Request:
         "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, zmx, drawing, ...", "F,G",
     ))  # fmt: skip
     slope_error: float | Literal["auto"] = _declared("auto", Option(
-        "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the finest that the limits allow.", "E",
+        "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the coarsest facets that make a master; where none fit, "
+        "the finest that do, up to 64 quads a cell side, a declared preview.", "E",
     ))  # fmt: skip
     quads: Mapping[str, Quads] = _declared(dict, Option(
         "--quads", "Facet grid: N quads per cell side, or 'auto': the coarsest grid that makes a master; of all meshes or "

@@ -173,7 +173,7 @@ def _forecast(
         if not refused:
             limits.refuse_over_limits(meshes.window, rows, where[0])  # the disk holds all of them
     refused.complete()
-    return with_prospects(grader, rows, request.role)
+    return with_prospects(grader, rows, request)
 
 
 def _priced(grader: Grader, formats: tuple[str, ...], request: Request, refused: Refusals) -> list[Forecast]:
