@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.machine_rates import Rates
@@ -18,28 +17,19 @@ from clacad.exporting.format_names import (
     PRESCRIPTIONS,
     SOLIDS,
     WELDED_FORMATS,
-    refuse_other_cells,
 )
 from clacad.exporting.limits import (
     QUADS,
-    refuse_cells,
-    refuse_over_limits,
 )
 from clacad.exporting.request import DEFAULTS, Request
 from clacad.exporting.rough_sizes import RoughSheet
 from clacad.formats.step.step_mode import chosen_mode
-from clacad.sheet.need_window import CellsDiffer
-from clacad.storage.errors import LimitRefused
 
 if TYPE_CHECKING:
-    from clacad.design import Design
     from clacad.exporting.roles import Prospect
     from clacad.exporting.tessellations import Meshes
     from clacad.formats.step.step_mode import Mode
     from clacad.sheet.window import Window
-
-ROUGH_GRID = 8
-"""Quads a cell side of meshes in an outlook that no design chooses them for."""
 
 DRAWING = 400_000
 """Bytes of DXF and PDF together, about; views are drawn to a fixed number of points."""
@@ -144,7 +134,7 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAUL
         return _forecast_marked(meshes, name, quads)
     if name in ("stl", "stl-parts"):
         files = 1 if name == "stl" else len(window.bodies)
-        row = _forecast_stl(name, meshes.facets(quads), files, quads, exact=window.uniform)
+        row = forecast_stl(name, meshes.facets(quads), files, quads, exact=window.uniform)
         return _of_own_cells(window, row, quads)
     if name in WELDED_FORMATS:
         return _of_own_cells(window, _forecast_welded(meshes, name, quads, asked.gpu_instancing), quads)
@@ -191,7 +181,7 @@ def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
     texts = [mark_text(f"{window.name} {body.name}").replace(" ", "") for body in window.bodies]
     letters = 4 * LETTER_POINTS * sum(1 + len(text) for text in texts)
     if name == "marked-stl":
-        plain = _forecast_stl(name, meshes.facets(quads), len(window.bodies), quads, exact=False)
+        plain = forecast_stl(name, meshes.facets(quads), len(window.bodies), quads, exact=False)
     else:
         plain = replace(_forecast_welded(meshes, "3mf", quads), format=name)
     facets = plain.facets or 1
@@ -202,7 +192,7 @@ def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
     )
 
 
-def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
+def forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
     size = 84 * files + 50 * facets
     return Forecast(name, size, exact, facets, quads, costs.stl_seconds(facets), (80_000_000, 400_000_000))
 
@@ -235,10 +225,10 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int, in_one_node: bool = 
     else:
         nodes = threemf_place_bytes(window) if places else 0
         size = threemf_bytes(meshes, quads) + nodes
-    return replace(_welded_row(name, size, held, facets, listed, quads), places=nodes)
+    return replace(welded_row(name, size, held, facets, listed, quads), places=nodes)
 
 
-def _welded_row(name: str, size: int, held: int, facets: int, places: int, quads: int) -> Forecast:
+def welded_row(name: str, size: int, held: int, facets: int, places: int, quads: int) -> Forecast:
     memory = int(700 * held + 400 * places)
     seconds = costs.welded_seconds(name, held, places)
     return Forecast(
@@ -250,7 +240,7 @@ def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast
     from clacad.exporting.file_sizes import step_bytes
 
     mode = chosen_mode(window, step)
-    return _step_row(window, mode, step_bytes(window, mode, pcurves))
+    return step_row(window, mode, step_bytes(window, mode, pcurves))
 
 
 def own_cells_note(window: Window) -> str:
@@ -285,7 +275,7 @@ def _of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
     return replace(row, modelled=row.modelled + more, note=own_cells_note(window))
 
 
-def _step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
+def step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
         each = 250_000 if window.uniform else 50_000  # cells that differ are described one after another
@@ -331,62 +321,3 @@ def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
         seconds, memory = seconds + costs.OWN_GDS * size, memory + int(3.5 * size)
         note = own_cells_note(window)
     return Forecast(name, size, False, None, None, seconds, (100_000_000, memory), note=note)
-
-
-def outlook(window: Window, design: Design | None = None) -> list[dict[str, Any]]:
-    """Forecast the common formats for `check`: what an export with default settings would cost.
-
-    With its design the facet grids are those that the export chooses, which takes a mesh of one cell. Without it nothing is
-    meshed or drawn up, and grids are coarse. Sizes are rough (`rough_sizes`); what an export would write to the byte, its
-    `--dry-run` says. Each row is `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
-    """
-    try:
-        n1, n2 = window.lattice.count
-        refuse_cells(int(n1), int(n2))
-    except LimitRefused as refusal:  # said, not counted: counting facets walks along the outline
-        return [{"format": name, "refused": str(refusal)} for name in ("step", "stl", "3mf")]
-    sheet, mode = RoughSheet.of_window(window), chosen_mode(window, "auto")
-    rows = [_step_row(window, mode, about(sheet.step_bytes(mode == "fused")))]
-    unbuilt = []
-    try:
-        rows += _outlook_of_meshes(sheet, window, design)
-    except ValueError as problem:
-        if getattr(problem, "exit_status", None) is None:
-            raise
-        unbuilt = [{"format": name, "refused": str(problem)} for name in ("stl", "3mf")]
-    return [*(row.to_dict() | {"refused": _refusal(window, row)} for row in timed(rows)), *unbuilt]
-
-
-def _outlook_of_meshes(sheet: RoughSheet, window: Window, design: Design | None) -> list[Forecast]:
-    """Rows of STL and 3MF: as an export of a design would choose them, or roughly on a coarse grid."""
-    times, places = (sheet.cells, sheet.listed) if sheet.repeats else (1, 0)
-    if design is None:
-        quads, stl = ROUGH_GRID, sheet.facets(ROUGH_GRID) * sheet.cells
-        held = sheet.piece(quads) if sheet.repeats else stl
-        found = {
-            "stl": (QUADS[-1], sheet.facets(QUADS[-1]) * sheet.cells, 0),
-            "3mf": (quads, held, sheet.threemf_bytes(quads)),
-        }
-    else:
-        from clacad.exporting.quads_and_roles import default_meshes
-
-        meshes = default_meshes(design, window, ("stl", "3mf"))
-        found = {name: (one.quads, one.facets, one.bytes) for name, one in meshes.items()}
-    quads, facets, _ = found["stl"]
-    stl_row = _forecast_stl("stl", about(facets), 1, quads, exact=False)
-    quads, facets, size = found["3mf"]
-    return [stl_row, _welded_row("3mf", about(size), about(facets), about(facets * times), places, quads)]
-
-
-def about(number: int) -> int:
-    """Two digits of a number that is known no better."""
-    return int(float(f"{number:.1e}"))
-
-
-def _refusal(window: Window, row: Forecast) -> str | None:
-    try:
-        refuse_other_cells(window, row.format)
-        refuse_over_limits(window, [row], Path())
-    except (LimitRefused, CellsDiffer) as refusal:
-        return str(refusal)
-    return None

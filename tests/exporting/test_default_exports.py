@@ -9,7 +9,7 @@ import pytest
 import clacad
 from clacad.exporting import limits
 from clacad.exporting.export_design import export
-from clacad.exporting.forecast import outlook
+from clacad.exporting.outlook import outlook
 from clacad.exporting.request import Request
 from clacad.exporting.roles import Role
 from clacad.exporting.run import forecast_rows

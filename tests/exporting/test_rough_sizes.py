@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 import clacad
-from clacad.exporting.forecast import forecast, outlook
+from clacad.exporting.forecast import forecast
+from clacad.exporting.outlook import outlook
 from clacad.exporting.rough_sizes import RoughSheet
 from clacad.exporting.tessellations import Meshes
 from clacad.prescription.prescribe import prescribe
