@@ -304,7 +304,7 @@ def _rest(content: Content, shelf: _Shelf) -> list[Block]:
     effects = ("effect", "in a picture", "mrad", "% of light", "time", "why")
     drawn = plots.accuracy(report, content.evidence, content.timings)
     blocks: list[Block] = [
-        _heading("Accuracy against time"), _figure(shelf, "accuracy", drawn, "What each rung leaves out, and what it costs."),
+        _heading("Accuracy against time"), _figure(shelf, "accuracy", drawn, f"What each rung leaves out, and what it costs. {content.evidence.ladder.conclusion}"),
         _table(rungs, content.light.ladder, (2, 3, 4, 5), 1),
         _heading("Effects"), {"kind": "text", "text": content.light.effects_sentence},
         *([_table(effects, [(n, s, a, r, c, w) for n, s, w, a, r, c in content.light.effects], (2, 3, 4))] if content.light.effects else []),

@@ -219,11 +219,14 @@ def _stack(panel: Any, found: Attribution) -> None:
 
 def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
     """Error against time over the rungs, log–log."""
+    from clacad.verification.accuracy.accuracy_plot import label_points
+
     ladder = evidence.ladder
     style = {"law": (FAINT, "D"), "thin": ("#b07aa1", "s"), "surfaces": (GREEN, "*"), "mesh": (SECOND, "o")}
 
     def draw(figure: Figure) -> None:
         panel = panels(figure)
+        labels = []
         for row, us in zip(ladder.rows, ladder.forecast, strict=True):
             if not (np.isfinite(row.model_rms) and row.model_rms > 0.0):
                 continue
@@ -234,9 +237,7 @@ def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
                 [time], [1e3 * row.model_rms], marker, color=colour, ms=9 if marker == "*" else 6, mfc="white" if hollow else colour
             )  # fmt: skip
             words = row.rung if row.quads is None else f"{row.quads}"
-            panel.annotate(
-                words, (time, 1e3 * row.model_rms), xytext=(6, 3), textcoords="offset points", fontsize=8
-            )
+            labels.append((words, (time, 1e3 * row.model_rms)))
         limit = 1e3 * report.design.check.law_rms
         panel.axhline(limit, color=BAD, lw=0.9, ls="--")
         panel.annotate("limit of law_rms", (0.99, limit), xycoords=("axes fraction", "data"), ha="right", xytext=(0, 3),
@@ -244,6 +245,7 @@ def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
         panel.set_xlabel("microseconds a ray, " + ("measured in this run" if timings else "forecast"))
         panel.set_ylabel("rms direction error to the exact trace (mrad)")
         panel.margins(0.14, 0.12)
+        label_points(panel, labels)
         from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
         panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))

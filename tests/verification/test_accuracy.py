@@ -11,9 +11,11 @@ from trust.running import clacad as clacad_command
 
 import clacad
 from clacad.cli import main
+from clacad.cli.accuracy_command import accuracy_text
 from clacad.mesh import tessellate
 from clacad.sheet.bundle import bundle
 from clacad.sheet.window import lens_height_and_normal
+from clacad.verification.accuracy import accuracy_plot
 from clacad.verification.accuracy.accuracy_plot import plot_svg
 from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable, TargetOutOfReach, accuracy
 from clacad.verification.accuracy.extended_precision import direction_errors
@@ -310,3 +312,72 @@ def test_a_field_lens_has_its_rows_of_error_and_seconds_and_its_step_faces_are_e
     assert coarse / fine == pytest.approx(2.0, rel=0.15)
     assert row(found, "step").model_rms < 1e-9
     assert all(one.seconds > 0.0 for one in found.rows)
+
+
+# -- the plot and the conclusion ------------------------------------------------------------------------------------
+
+
+def row_of(rung, error, seconds, **more):
+    return AccuracyRow(rung, "", error, error, error, 0.0, 0.0, 0.0, seconds, 0.0, 1000, 1000, **more)
+
+
+def made_table(mesh_seconds):
+    """Exact faces that cost 1.3 × the law, 12 meshes of 1/m or 1/m², a STEP file and the floor of STL."""
+    rows = [row_of("law", 3e-4, 1.0), row_of("thin", 3e-4, 1.2), row_of("surfaces", 1e-16, 1.3)]
+    for m in (4, 8, 16, 32, 64, 128):
+        rows.append(row_of("mesh", 0.08 / m, mesh_seconds, quads=m, normals="facet"))
+        rows.append(row_of("mesh", 5e-4 / m**2, 1.2 * mesh_seconds, quads=m, normals="vertex"))
+    rows.append(row_of("step", 5e-14, 1e4, file_bytes=175_000))
+    floor = Floor("stl, stl-parts", "facet", "f32", "", 0.08, 2e-8, 2000.0, 1e-3, 3.5e-4, 1e9)
+    return AccuracyTable(
+        "made", tuple(rows), {"rms": 1e-16, "max": 2e-16, "digits": 50.0, "rays": 1000.0}, (floor,), rays=1000
+    )
+
+
+def test_the_conclusion_says_what_the_rows_say():
+    table = made_table(1.5)
+    said = table.conclusion
+    assert said == table.to_dict()["conclusion"]
+    assert "Exact faces cost 1.3 × the law and are within 1e-13 mrad" in said
+    assert "No mesh is worth tracing" in said
+    assert "128 quads a cell side with vertex normals, takes 1.4 × the time" in said
+    assert (
+        "Of files, STEP is within 5e-11 mrad in 175 kB; STL comes no closer than 0.35 mrad at any size."
+        in said
+    )
+    assert said in accuracy_text(table)
+
+
+def test_a_mesh_that_is_faster_than_exact_faces_is_said_to_be_worth_its_error():
+    assert "A mesh is worth tracing for speed alone: 128 quads" in made_table(1.05).conclusion
+
+
+def test_no_label_of_the_plot_lies_on_another_or_on_a_curve_and_legends_lie_beside_the_panels():
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.text import Annotation
+
+    figure = Figure(figsize=accuracy_plot.SIZE)
+    canvas = FigureCanvasAgg(figure)
+    table = made_table(1.5)
+    accuracy_plot.draw(figure, table, 1e-6)
+    canvas.draw()
+    drawer = canvas.get_renderer()
+    left, right = figure.axes
+    labels = [one for one in left.get_children() if isinstance(one, Annotation)]
+    boxes = [one.get_window_extent(drawer) for one in labels]
+    assert {"law", "surfaces", "step"} <= {one.get_text() for one in labels}
+    assert not [(a, b) for k, a in enumerate(boxes) for b in boxes[:k] if a.overlaps(b)]
+    for line in left.lines:
+        at = line.get_transform().transform(line.get_xydata())
+        along = np.concatenate([np.linspace(p, q, 500) for p, q in zip(at, at[1:] if len(at) > 1 else at)])
+        assert not any(box.contains(x, y) for box in boxes for x, y in along)
+    for axes in (left, right):
+        assert not axes.get_legend().get_window_extent(drawer).overlaps(axes.bbox)
+        assert "(mrad)" in axes.get_ylabel()
+    caption = next(one for one in figure.texts if "Exact faces" in one.get_text())
+    box = caption.get_window_extent(drawer)
+    assert caption.get_text().replace("\n", " ") == table.conclusion
+    assert not any(box.overlaps(axes.get_legend().get_window_extent(drawer)) for axes in (left, right))
+    assert box.x0 > 0.0
+    assert box.x1 < figure.bbox.x1

@@ -15,7 +15,7 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.law import angle_between
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.window import Window
-from clacad.verification.accuracy.error_and_seconds import AccuracyRow
+from clacad.verification.accuracy.accuracy_row import AccuracyRow
 from clacad.verification.accuracy.extended_precision import direction_errors
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from clacad.base.units import millimetres
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 from clacad.storage.atomic import scratch_folder
-from clacad.verification.accuracy.error_and_seconds import AccuracyRow
+from clacad.verification.accuracy.accuracy_row import AccuracyRow
 from clacad.verification.accuracy.measure_rungs import TracedRays, statistics
 
 if TYPE_CHECKING:
