@@ -242,7 +242,8 @@ CHECKS: dict[str, Text] = {
     ),
     "file_law_rms": (
         "Rms angle between light through the file's own triangles or faces and the asked law; limit law_rms, or check.mesh_law_rms if "
-        "given; fails a master, warns a preview.",
+        "given; fails a master, warns a preview. The value is that of the worst cell looked at; the sentence adds the rms over all of "
+        "them, and where an array is displaced the rms of the light that leaves nearer to the law than to the direction of a neighbouring lens.",
         "Parts are made from the file, not from the design: facets that are too coarse bend light wherever they lie.",
         "√⟨∠(d', A d)²⟩ over ALIVE rays through the file; a facet's slope error falls as its size",
         "Finer facets (--quads, --slope-error, or 3MF, whose one cell repeated is small), or send the STEP; if the file is only looked "

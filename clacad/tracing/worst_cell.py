@@ -8,6 +8,7 @@ sheet, neighbours and all.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.asked_focus import less_focus
 from clacad.sheet.bundle import Bundle, bundle, central_cell
-from clacad.sheet.like_cell import like_cell, outer_cells, sampled_cells
+from clacad.sheet.like_cell import SAMPLED, like_cell, outer_cells, sampled_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 
@@ -25,6 +26,18 @@ TRIED_RAYS = 256
 
 FEWEST_TRIED = 8
 """Of them that must get through for a cell to be judged by where they go."""
+
+MOST_SCREENED = 2000
+"""Cells of a sheet up to which all are screened: a millisecond each."""
+
+SCREENING_RAYS = 32
+"""Rays through each cell that is screened."""
+
+WORST = 8
+"""Cells with the largest error of those screened that are added to the sample."""
+
+_SCREENED: WeakKeyDictionary[Window, dict[float, Ints]] = WeakKeyDictionary()
+"""Worst cells of windows, by the field."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,36 +84,59 @@ class SeenCell:
 
 def worst_cell(window: Window, field: float) -> SeenCell:
     """The cell whose light of a cone (half angle `field`, radians) leaves farthest from the law, of those tried."""
-    return worst_of(tried_cells(window), field)
+    return worst_of(tried_cells(window, field), field)
 
 
-def tried_cells(window: Window) -> list[SeenCell]:
-    """The one cell of a sheet of equal cells; else those whose lenses stand farthest out, and a sample over the sheet."""
+def tried_cells(window: Window, field: float) -> list[SeenCell]:
+    """Cells that a sheet is judged by: the one of a uniform sheet; else a sample, and the outermost and the worst cells.
+
+    Up to `MOST_SCREENED` cells all are screened by few rays, and those with the largest rms direction error are added.
+    """
     if window.uniform:
         return [SeenCell(window, window, np.array(central_cell(window)))]
-    cells = np.unique(np.concatenate([outer_cells(window), sampled_cells(window)]), axis=0)
+    cells = np.concatenate([outer_cells(window), sampled_cells(window)])
+    if SAMPLED < window.lattice.cell_count <= MOST_SCREENED:
+        cells = np.concatenate([cells, _screened(window, field)])
+    return _as_seen(window, np.unique(cells, axis=0))
+
+
+def _as_seen(window: Window, cells: Ints) -> list[SeenCell]:
     return [SeenCell(window, like_cell(window, cell, widest=False), cell, len(cells)) for cell in cells]
+
+
+def _screened(window: Window, field: float) -> Ints:
+    """The cells (WORST, 2) of all through which few rays leave farthest from the law, or get lost; kept with the window."""
+    kept = _SCREENED.setdefault(window, {})
+    if field not in kept:
+        every = _as_seen(window, window.lattice.cells())
+        error = _rms_errors(every, field, SCREENING_RAYS)
+        kept[field] = np.array([every[k].cell for k in np.argsort(-error, kind="stable")[:WORST]])
+    return kept[field]
 
 
 def worst_of(tried: list[SeenCell], field: float) -> SeenCell:
     """That through which next to no light gets, else whose light leaves farthest (rms) from the law."""
     if len(tried) == 1:
         return tried[0]
-    rays, alive, direction = through_all(tried, field)
+    return tried[int(np.argmax(_rms_errors(tried, field, TRIED_RAYS)))]
+
+
+def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
+    """Rms angle (n,) of the light of each cell to the law, by `count` rays; infinite where next to no light gets through."""
+    rays, alive, direction = through_all(tried, field, count)
     each = rays.direction.reshape(len(tried), -1, 3)
     asked = np.concatenate([one.like.law.refract(some) for one, some in zip(tried, each, strict=True)])
     error = np.where(alive, angle_between(direction, asked), np.nan).reshape(len(tried), -1)
     through = alive.reshape(len(tried), -1).sum(axis=1)
-    dark = through < FEWEST_TRIED
     rms = np.sqrt(np.nansum(error**2, axis=1) / np.maximum(through, 1))
-    return tried[int(np.argmax(np.where(dark, np.inf, rms)))]
+    return np.where(through < FEWEST_TRIED * count / TRIED_RAYS, np.inf, rms)
 
 
-def through_all(tried: list[SeenCell], field: float) -> tuple[Rays, Bools, Floats]:
-    """Rays through every cell of a sheet that is tried, as many through each; which are ALIVE, and where they go."""
+def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, Bools, Floats]:
+    """`count` rays through every cell of a sheet that is tried, as many through each; which are ALIVE, and where they go."""
     starts, rays, points = [], [], []
     for one in tried:
-        lit = bundle(one.like, TRIED_RAYS, field)
+        lit = bundle(one.like, count, field)
         starts.append(one.moved(lit))
         rays.append(lit.rays.direction)
         points.append(lit.points)

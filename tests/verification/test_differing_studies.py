@@ -52,7 +52,7 @@ def test_the_worst_cell_is_that_whose_light_leaves_farthest_from_its_law_by_plai
     window = clacad.prescribe(design)
     seen = worst_cell(window, design.check.field)
     errors = {}
-    for one in tried_cells(window):
+    for one in tried_cells(window, design.check.field):
         lit = one.placed(bundle(one.like, 2048, design.check.field))
         result = clacad.trace(window, lit.rays, path="numpy")
         alive = result.fate == clacad.Fate.ALIVE
@@ -67,7 +67,7 @@ def test_the_worst_cell_is_that_whose_light_leaves_farthest_from_its_law_by_plai
 def test_the_tracer_is_exact_in_fifty_digits_where_cells_differ(kind):
     design = KINDS[kind]
     window = clacad.prescribe(design)
-    for one in tried_cells(window)[::30]:
+    for one in tried_cells(window, design.check.field)[::30]:
         lit = one.placed(bundle(one.like, 64, design.check.field)).rays
         for path in ("numpy", "numba"):
             result = clacad.trace(window, lit, path=path)

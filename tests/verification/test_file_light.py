@@ -139,6 +139,36 @@ def test_what_fails_a_master_warns_of_a_preview_and_noise_excuses_a_scan():
     assert silent.state == "fail"
 
 
+def test_light_through_a_neighbouring_lens_is_told_apart_from_the_error_of_the_partner():
+    """A displaced array 2: light leaves d/f2 from the law, and in a strip d wide through the neighbour's lens, p/f2 farther."""
+    window = prescribe(DESIGN)
+    pitch, focal = window.lattice.pitch[0], window.thin.focal_length[1][0]
+    shift = 0.06 * pitch
+    random = np.random.default_rng(2)
+
+    def displaced(lit):
+        result = trace(window, lit.rays)
+        strip = random.random(len(result.fate)) < shift / pitch
+        bent = result.direction / result.direction[:, 2:] + np.outer(
+            np.where(strip, shift - pitch, shift) / focal, (1, 0, 0)
+        )
+        return replace(result, direction=bent / np.linalg.norm(bent, axis=1, keepdims=True))
+
+    found = measure_light(DESIGN, window, displaced, RAYS, 512)
+    design_rms = measure_light(DESIGN, window, lambda lit: trace(window, lit.rays), RAYS, 512).rms
+    assert found.strayed == pytest.approx(0.06, abs=0.02)
+    assert found.partner == pytest.approx(np.hypot(design_rms, shift / focal), rel=0.02)
+    stray = (pitch - shift) / focal
+    assert found.rms == pytest.approx(np.hypot(found.partner, np.sqrt(found.strayed) * stray), rel=0.1)
+    check = light_checks(
+        Inspection(DESIGN, "x", RAYS), found, rms=[found.rms, 0.5 * found.rms], cells=[(0, 0), (1, 1)]
+    )[0]
+    assert check.value == found.rms
+    assert "(in cell (0, 0), worst of 2)" in check.sentence
+    assert f"over all 2 cells {1e3 * found.rms * np.sqrt(0.625):.4g} mrad" in check.sentence
+    assert f"the rest {1e3 * found.partner:.4g} mrad rms from the law" in check.sentence
+
+
 # -- maps ------------------------------------------------------------------------------------------------
 
 

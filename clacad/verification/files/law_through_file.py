@@ -76,6 +76,10 @@ class FileLight:
         ALIVE share in the middle of the field and over it, as (through the file, closed form).
     seen, truth : TraceResult
         Of the main bundle, through the file and through the exact surfaces.
+    partner : float
+        The rms over the rays that leave nearer to the law than to the direction of a neighbouring lens.
+    strayed : float
+        Share of the rays ALIVE through the file that do not, such as through a strip of a neighbour's lens that lies in the cell.
     """
 
     rays: Bundle
@@ -89,6 +93,8 @@ class FileLight:
     field: tuple[float, float]
     seen: TraceResult
     truth: TraceResult
+    partner: float
+    strayed: float
 
 
 def measure_light(
@@ -121,10 +127,18 @@ def measure_light(
     law, true_law = fitted_laws(window.law, main.rays, file, exactly, both) or (None, None)
     bias, middle = _field(design, window, send, point_rays, main.cell)
     closed = float(share(thin_cells(window), main.rays.direction[:SHARE_DIRECTIONS]).mean())
+    near = error < half_order(window)
     return FileLight(
         main, rms_error(error), float(error.max()) if len(error) >= FEWEST else np.nan, bias, law, true_law,
         _shift(window, main, seen, truth, both), middle, (float(alive.mean()), closed), seen, truth,
+        rms_error(error[near]), 1.0 - float(near.mean()) if len(near) else np.nan,
     )  # fmt: skip
+
+
+def half_order(window: Window) -> float:
+    """Half the angle (radians) between light through lens 2 of a cell and through that of its neighbour, p/f2; inf without power."""
+    focal = [abs(f) for f in window.thin.focal_length[1] if np.isfinite(f)]
+    return 0.5 * min(window.lattice.pitch) / max(focal) if focal else np.inf
 
 
 def _field(
@@ -205,13 +219,20 @@ def _law_rms(
         f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
     )
     sentence = f"through the file's {what} light leaves {1e3 * value:.4g} mrad rms from the law ({where})"
+    sentence += _other_rms(found, every)
     common: dict[str, Any] = {
         "unit": "rad",
         "bundle": str(found.rays),
         "limit_source": source,
         **asked.common,
     }
-    told = {"by_cell": every, "cells": cells}
+    told = {
+        "by_cell": every,
+        "cells": cells,
+        "all_cells": _together(every),
+        "partner": found.partner,
+        "strayed": found.strayed,
+    }
     if not (asked.role is Role.SCAN and value > limit and noise > 0.0):
         return judge("file_law_rms", value, limit, sentence, detail={"worst": found.worst, **told}, **common)
     rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
@@ -222,6 +243,24 @@ def _law_rms(
     detail = {"with_noise": value, "noise": noise, **told}
     check = judge("file_law_rms", rest, limit, sentence, detail=detail, **common)
     return replace(check, state="warn") if check.state == "pass" else check
+
+
+def _together(every: Floats) -> float:
+    """Rms over the light of all cells looked at, radians."""
+    return float(np.sqrt(np.nanmean(every**2)))
+
+
+def _other_rms(found: FileLight, every: Floats) -> str:
+    """Name the rms over all cells looked at, and that of the light which keeps to its partner, where they differ from the worst."""
+    words = ""
+    if len(every) > 1 and np.isfinite(_together(every)):
+        words += f"; over all {len(every)} cells {1e3 * _together(every):.4g} mrad"
+    if found.strayed > 0.0 and found.partner == found.partner:
+        words += (
+            f"; {100.0 * found.strayed:.2g} % of the light of the cell lit most leaves nearer to the direction of a neighbouring lens than to the law, "
+            f"the rest {1e3 * found.partner:.4g} mrad rms from the law"
+        )
+    return words
 
 
 def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:

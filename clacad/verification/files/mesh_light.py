@@ -164,7 +164,7 @@ def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
     """
     if window.uniform:
         return chosen_cells(window)
-    tried = tried_cells(window)
+    tried = tried_cells(window, field)
     cells = [worst_of(tried, field).cell, *(one.cell for one in tried)]
     return tuple(dict.fromkeys((int(i), int(j)) for i, j in cells))
 

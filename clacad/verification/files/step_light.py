@@ -79,7 +79,7 @@ def light_of_cells(
     """
     if window.uniform:
         return measure_light(design, window, send, rays, point_rays(window)), [], []
-    tried = tried_cells(window)
+    tried = tried_cells(window, design.check.field)
     worst = worst_of(tried, design.check.field)
     light = measure_light(
         design, worst.like, lambda lit: send(worst.placed(lit)), rays, POINT_RAYS, exact=worst.send

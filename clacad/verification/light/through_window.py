@@ -91,7 +91,7 @@ def judge_light(
 
     remedies : whether the check `viewed` tries which changes reach its limit.
     """
-    tried = tried_cells(window)
+    tried = tried_cells(window, design.check.field)
     seen = worst_of(tried, design.check.field)
     optics = measure(design, seen.like, seen.send, rays, point_rays)
     if len(tried) > 1:
