@@ -23,6 +23,15 @@ class Plane:
     across: Floats
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Cylinder(RationalPatch):
+    """A part of an upright cylinder about `centre` (2,), mm, as a rational patch; `inward`: its normal points to the axis."""
+
+    centre: Floats
+    radius: float
+    inward: bool
+
+
 Surface = RationalPatch | Plane
 
 

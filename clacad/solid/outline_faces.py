@@ -13,7 +13,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.sheet.lattice import polygon_area
-from clacad.solid.edge_classes import Plane
+from clacad.solid.edge_classes import Cylinder, Plane
 from clacad.solid.face_pattern import encloses
 from clacad.solid.node_sectors import Touch
 from clacad.solid.outline_path import Path
@@ -271,7 +271,12 @@ def _side_face(
         surface = shells.writer.surface(Plane(arc.poles[0] + low, right, along), np.zeros(3))
         loop = [LoopEdge(use.edge, use.forward) for use in loop]
     else:
-        surface = shells.writer.surface(ruled_wall(arc.moved(low), arc.moved(high)), np.zeros(3))
+        wall = ruled_wall(arc.moved(low), arc.moved(high))
+        round_side = path.rounds[side] if path.rounds else None
+        if round_side is not None:
+            centre, radius, sense = round_side
+            wall = Cylinder(wall.poles, wall.weights, centre, radius, sense < 0.0)
+        surface = shells.writer.surface(wall, np.zeros(3))
     shells.face(owner, surface, True, [loop], "side")
 
 

@@ -8,11 +8,13 @@ from math import atan2, pi, sqrt, tau
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.edge_columns import CX, CY, SENSE
+from clacad.sheet.edge_columns import CX, CY, RADIUS, SENSE
 from clacad.sheet.lattice import Circle, Outline
 from clacad.sheet.plate import Plate
 from clacad.solid.face_pattern import SNAP
 from clacad.solid.rational_conics import Arc, line
+
+Round = tuple[Floats, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +29,15 @@ class Path:
         Of a round outline.
     touched : bool
         Whether cells may touch it.
+    rounds : tuple of (centre (2,), radius, sense) or None
+        Circle of each arc, mm, and 1 where it runs counter-clockwise, −1 where clockwise; None of a straight one.
     """
 
     arcs: tuple[Arc, ...]
     centre: Floats
     radius: float | None
     touched: bool = True
+    rounds: tuple[Round | None, ...] = ()
 
     def position(self, point: Floats) -> tuple[int, float] | None:
         """Side and parameter (0 ≤ u < 1) of a point (2,) of the path; None when it is not on it."""
@@ -111,7 +116,7 @@ def outline_path(outline: Outline, scale: float, centre: Floats) -> Path:
             Arc(np.array([[*a, 0.0], [*b, 0.0], [*c, 0.0]]) + np.append(centre, 0.0), weights)
             for a, b, c in zip(starts, corners, starts[1:] + starts[:1])
         ]
-        return Path(tuple(arcs), centre, r)
+        return Path(tuple(arcs), centre, r, rounds=((centre, r, 1.0),) * 4)
     w, h = 0.5 * outline.width * scale, 0.5 * outline.height * scale
     points = np.array([(-w, -h, 0.0), (w, -h, 0.0), (w, h, 0.0), (-w, h, 0.0)]) + np.append(centre, 0.0)
     return Path(tuple(line(a, b) for a, b in zip(points, np.roll(points, -1, axis=0))), centre, None)
@@ -120,9 +125,20 @@ def outline_path(outline: Outline, scale: float, centre: Floats) -> Path:
 def plate_paths(plate: Plate, scale: float) -> tuple[Path, ...]:
     """Paths of a plate's boundary and of its holes, the material on their left; no cell touches them (mm)."""
     return tuple(
-        Path(tuple(_arc(edge * scale, edge[SENSE]) for edge in loop), np.zeros(2), None, touched=False)
+        Path(
+            tuple(_arc(edge * scale, edge[SENSE]) for edge in loop),
+            np.zeros(2),
+            None,
+            touched=False,
+            rounds=tuple(_round(edge * scale, edge[SENSE]) for edge in loop),
+        )
         for loop in plate.loops
     )
+
+
+def _round(edge: Floats, sense: float) -> Round | None:
+    """Centre (2,), radius and sense of an edge of a plate, mm; None of a straight one."""
+    return None if sense == 0.0 else (edge[CX : CY + 1], float(edge[RADIUS]), float(np.sign(sense)))
 
 
 def _arc(edge: Floats, sense: float) -> Arc:

@@ -146,3 +146,54 @@ def test_a_plate_apart_is_refused_where_each_cell_is_aimed():
     assert mistakes(PLANO, aimed, outline={"circle": 20}) == [("CL125", "body.outline")]
     carried = window(PLANO, aimed, border=2)
     assert carried.outline.diameter == 10.5
+
+
+@pytest.mark.parametrize("mode", ["fused", "instanced"])
+def test_cad_finds_round_holes_corners_and_edges_as_cylinders_of_their_radius_and_axis(tmp_path, mode):
+    from OCP.BRepAdaptor import BRepAdaptor_Surface
+    from OCP.GeomAbs import GeomAbs_Cylinder
+    from OCP.STEPControl import STEPControl_Reader
+    from OCP.TopAbs import TopAbs_FACE
+    from OCP.TopExp import TopExp_Explorer
+    from OCP.TopoDS import TopoDS
+
+    flange = window(SLAB, border=2, holes=[OFF_AXIS])
+    corners = window(SLAB, outline={"rectangle": [12, 10]}, corners={"round": 1.5})
+    plain = window(SLAB, {"outline": {"circle": 9}})
+    expected = (
+        {(0.0, 0.0, 5.25), (4.5, 0.0, 0.4), (-3.2, 3.1, 0.4)},
+        {(x, y, 1.5) for x in (-4.5, 4.5) for y in (-3.5, 3.5)},
+        {(0.0, 0.0, 4.5)},
+    )
+    for sheet, wanted in zip((flange, corners, plain), expected, strict=True):
+        write_step(sheet, tmp_path / "part.step", mode=mode)
+        facts = read_step(tmp_path / "part.step")
+        assert facts["valid"]
+        exact = sum(body_volume(sheet, body).value for body in sheet.bodies)
+        assert facts["volume"] == pytest.approx(exact, rel=1e-7)
+        reader = STEPControl_Reader()
+        reader.ReadFile(str(tmp_path / "part.step"))
+        reader.TransferRoots()
+        found, faces = set(), TopExp_Explorer(reader.OneShape(), TopAbs_FACE)
+        while faces.More():
+            surface = BRepAdaptor_Surface(TopoDS.Face(faces.Current()))
+            if surface.GetType() == GeomAbs_Cylinder:
+                cylinder = surface.Cylinder()
+                at, way = cylinder.Axis().Location(), cylinder.Axis().Direction()
+                assert abs(way.Z()) == 1.0
+                found.add((round(at.X(), 9), round(at.Y(), 9), round(cylinder.Radius(), 9)))
+            faces.Next()
+        assert found == wanted
+
+
+@pytest.mark.slow
+def test_verify_finds_a_flange_of_the_wrong_diameter(tmp_path):
+    from clacad.verification import verify
+
+    keys = {"format": 1, "lattice": {"pitch": 1.0, "outline": {"circle": 6.5}}}
+    asked, other = (Design.from_dict(SLAB | keys | {"body": {"border": b}}) for b in (2.0, 2.1))
+    write_step(prescribe(other), tmp_path / "flange.step", mode="fused")
+    failed = {
+        one.id for one in verify(asked, tmp_path / "flange.step", rays=2000).checks if one.status == "fail"
+    }
+    assert failed & {"volume", "shape"}

@@ -80,7 +80,7 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
             radii = [_radius(face.side * r, mm, half) for r in principal_radii(face.surface)]
             if face.change is not None and face.change.size is not None:
                 radii = ["by cell"] * 2
-            conics = ["-" if k is None else f"{k:.5g}" for k in conic_constants(face.surface)]
+            conics = ["-" if k is None else _conic(k) for k in conic_constants(face.surface)]
             place = ", ".join(mm_text(v * mm) for v in face.vertex)
             if face.change is not None:  # each its own: see the table of cells
                 place = f"by cell, by cell, {mm_text(face.vertex[2] * mm)}"
@@ -139,11 +139,19 @@ def _reach(window: Window) -> float:
     return corner + float(max(moved, default=0.0))
 
 
+def _conic(value: float) -> str:
+    """A conic constant; what rounding left of a sphere is 0."""
+    return "0" if abs(value) < LEAST_CONIC else f"{value:.5g}"
+
+
 def _sag(face: Face, at: float, axis: int, mm: float) -> str:
     x, y = (at, 0.0) if axis == 0 else (0.0, at)
     value = float(sag(face.surface, np.array([x]), np.array([y]))[0]) * mm
     return f"{value:.6g}" if np.isfinite(value) else "none"
 
+
+LEAST_CONIC = 1e-12
+"""Conic constants below are rounding errors: they move no lens that fits a sheet by a millionth of a wavelength."""
 
 MOST_EDGES = 32
 """Edges of a plate that a table lists; a longer boundary is drawn to scale alone."""

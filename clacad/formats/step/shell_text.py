@@ -13,7 +13,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.formats.step.part21 import Part21, quoted, real, weight
-from clacad.solid.edge_classes import Plane, Surface
+from clacad.solid.edge_classes import Cylinder, Plane, Surface
 from clacad.solid.rational_conics import Arc, RationalPatch
 from clacad.solid.shells import Loop, Role
 
@@ -121,6 +121,14 @@ class SharedGeometry:
         place = part.add(f"AXIS2_PLACEMENT_3D('',#{at},#{normal},#{across})")
         return self._planes.keep(text, part.add(f"PLANE('',#{place})"))
 
+    def cylinder(self, cylinder: Cylinder, offset: Floats) -> int:
+        """An upright cylinder: what programs know a round hole by."""
+        part = self.part
+        at = self.point(part.coordinates((np.append(cylinder.centre, 0.0) + offset).tolist()))
+        up, across = (self._direction(way) for way in ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
+        place = part.add(f"AXIS2_PLACEMENT_3D('',#{at},#{up},#{across})")
+        return part.add(f"CYLINDRICAL_SURFACE('',#{place},{part.coordinate(cylinder.radius)})")
+
     def patch(self, patch: RationalPatch, offset: Floats) -> int:
         """A patch displaced by `offset` (3,), mm."""
         part = self.part
@@ -164,6 +172,7 @@ class TextWriter:
         self._edges: list[int] = []
         self._open: dict[int, tuple[int, int, Arc, Floats, list[str], list[bool]]] = {}
         self._surfaces: list[int] = []
+        self._round: list[bool | None] = []
         self.faces: list[int] = []
         self.roles: list[Role] = []
         self._geometry = SharedGeometry(part)
@@ -189,8 +198,11 @@ class TextWriter:
 
     def surface(self, surface: Surface, offset: Floats) -> int:
         """Write a surface."""
+        self._round.append(surface.inward if isinstance(surface, Cylinder) else None)
         if isinstance(surface, Plane):
             number = self._geometry.plane(surface, offset)
+        elif isinstance(surface, Cylinder):
+            number = self._geometry.cylinder(surface, offset)
         else:
             number = self._geometry.patch(surface, offset)
         self._surfaces.append(number)
@@ -213,7 +225,7 @@ class TextWriter:
                 if use.edge >= 0:
                     self._use(use.edge, use.forward, use.parameters, surface)
         listed = ",".join(f"#{bound}" for bound in bounds)
-        sense = "T" if same_sense else "F"
+        sense = "T" if same_sense and not self._round[surface] else "F"
         self.faces.append(
             part.add(f"ADVANCED_FACE('{role}',({listed}),#{self._surfaces[surface]},.{sense}.)")
         )
@@ -231,7 +243,8 @@ class TextWriter:
             raise ValueError("an edge is used by more than two faces; please report the design")
         first, last, arc, offset, curves, senses = self._open[edge]
         senses.append(forward)
-        if parameters is not None and self._with_curves:
+        # a cylinder's own parameter is the angle, that of its edges is not: readers project them
+        if parameters is not None and self._with_curves and self._round[surface] is None:
             shared = self._geometry.parameter_curve(parameters)
             number = self.part.add(f"PCURVE('',#{self._surfaces[surface]},#{shared})")
             curves.append(f"#{number}")
