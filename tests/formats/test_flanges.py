@@ -194,6 +194,6 @@ def test_verify_finds_a_flange_of_the_wrong_diameter(tmp_path):
     asked, other = (Design.from_dict(SLAB | keys | {"body": {"border": b}}) for b in (2.0, 2.1))
     write_step(prescribe(other), tmp_path / "flange.step", mode="fused")
     failed = {
-        one.id for one in verify(asked, tmp_path / "flange.step", rays=2000).checks if one.status == "fail"
+        one.id for one in verify(asked, tmp_path / "flange.step", rays=2000).checks if one.state == "fail"
     }
     assert failed & {"volume", "shape"}
