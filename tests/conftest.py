@@ -72,6 +72,7 @@ def _nothing_loaded() -> None:
     if paths is not None:
         paths.LOADED.clear()
         paths.WAITED.clear()
+        paths.MEASURED.clear()
 
 
 class NetworkUsed(Exception):

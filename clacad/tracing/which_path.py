@@ -1,14 +1,16 @@
 """Which implementation traces: numpy, or the compiled kernels of a rung.
 
-Without a `path` kernels are loaded once numpy has traced, in this process and on this rung, as much as it could have in the
-time that loading takes, or compiling where none are kept: no sequence of calls then takes more than about twice what it would
-have, had one known how many calls there are (the rule of who rents skis until the rent has paid for a pair: Karlin, Manasse,
-Rudolph, Sleator, Algorithmica 3, 79 (1988)).
+Without a `path` kernels are loaded once numpy has traced, in this process and on this rung, for as many seconds as loading
+takes, or compiling where none are kept; the seconds of a ray are those measured in this process. No sequence of calls then takes
+more than about twice what it would have, had one known how many calls there are (the rule of who rents skis until the rent has
+paid for a pair: Karlin, Manasse, Rudolph, Sleator, Algorithmica 3, 79 (1988)).
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from time import thread_time
 from typing import Literal
 
 from clacad.base.types import Rung
@@ -19,8 +21,17 @@ Path = Literal["numpy", "numba", "size"]
 SMALL_JOB = 3_000_000
 """Ray-surfaces up to which `path` "size" is numpy's."""
 
-LOADING, COMPILING = 1_500_000, 60_000_000
-"""Ray-surfaces that numpy traces while kernels kept on disk are loaded (0.8 s), or compiled where none are kept (30 s)."""
+LOADING = 0.8
+"""Seconds that loading kernels takes that are kept on disk."""
+
+COMPILING: Mapping[Rung, float] = {"law": 7.0, "thin": 8.0, "surfaces": 30.0}
+"""Seconds that compiling the kernels of a rung takes where none are kept."""
+
+IN_NUMPY: Mapping[Rung, float] = {"law": 2.2e-7, "thin": 5.5e-7, "surfaces": 7e-7}
+"""Seconds of a ray-surface in numpy, until some were measured in this process."""
+
+LEAST_MEASURED = 4096
+"""Rays of a call from which on its seconds are those of its rays."""
 
 IDEAL_FACES = 4
 """Faces that a ray counts for on rungs law and thin, which have none: numpy takes about as long."""
@@ -28,8 +39,11 @@ IDEAL_FACES = 4
 LOADED: set[str] = set()
 """Kernels, see `kernels_of`, that have run in this process."""
 
-WAITED: Counter[str] = Counter()
-"""Ray-surfaces that were asked for in this process while kernels were not loaded."""
+MEASURED: dict[str, float] = {}
+"""Seconds of a ray-surface in numpy as last measured in this process, by the kernels that were not loaded."""
+
+WAITED: dict[str, float] = {}
+"""Seconds that numpy takes for the rays of this process, by the kernels that were not loaded."""
 
 
 def worth_compiled(rays: int, faces: int) -> bool:
@@ -51,8 +65,22 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
     kernels = kernels_of(rung, layout)
     if kernels in LOADED:
         return True
-    WAITED[kernels] += rays * faces
+    WAITED[kernels] = WAITED.get(kernels, 0.0) + rays * faces * MEASURED.get(kernels, IN_NUMPY[_rate(rung)])
     return WAITED[kernels] > LOADING and WAITED[kernels] > _worth(rung, layout)
+
+
+@contextmanager
+def measuring(rung: Rung, layout: Layout, rays: int, faces: int) -> Iterator[None]:
+    """Measure what numpy takes for rays, in processor seconds: cells that differ take longer than equal ones."""
+    began = thread_time()
+    yield
+    if rays >= LEAST_MEASURED:
+        MEASURED[kernels_of(rung, layout)] = (thread_time() - began) / (rays * faces)
+
+
+def _rate(rung: Rung) -> Rung:
+    """Rung whose rates hold for a rung."""
+    return "surfaces" if rung == "mesh" else rung
 
 
 def kernels_of(rung: Rung, layout: Layout) -> str:
@@ -60,8 +88,8 @@ def kernels_of(rung: Rung, layout: Layout) -> str:
     return rung if layout.window.uniform else f"{rung} of cells that differ"
 
 
-def _worth(rung: Rung, layout: Layout) -> int:
-    """Ray-surfaces that numpy traces until a rung's kernels are there."""
+def _worth(rung: Rung, layout: Layout) -> float:
+    """Seconds until a rung's kernels are there."""
     from clacad.tracing.compiled.kept_kernels import rung_is_kept
 
-    return LOADING if rung_is_kept(rung, layout) else COMPILING
+    return LOADING if rung_is_kept(rung, layout) else COMPILING[_rate(rung)]

@@ -35,7 +35,10 @@ def upright(count: int) -> Rays:
 def test_kernels_are_loaded_once_numpy_has_worked_for_as_long_as_that_takes(
     rung: Any, by_numpy: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(which_path, "LOADING", 3500)
+    monkeypatch.setattr(which_path, "LOADING", 3500.0)
+    monkeypatch.setattr(
+        which_path, "IN_NUMPY", dict.fromkeys(which_path.IN_NUMPY, 1.0)
+    )  # a second a ray-surface
     monkeypatch.setattr(kept_kernels, "rung_is_kept", lambda *_: True)
     window, rays = slab(count=(4, 4)), upright(1000 if rung == "surfaces" else 500)
     clacad.trace(window, rays, rung, path="numpy")
@@ -48,12 +51,30 @@ def test_kernels_are_loaded_once_numpy_has_worked_for_as_long_as_that_takes(
 def test_kernels_that_are_not_kept_are_waited_for_longer(
     by_numpy: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(which_path, "LOADING", 100)
+    monkeypatch.setattr(which_path, "LOADING", 1e-4)
     monkeypatch.setattr(kept_kernels, "rung_is_kept", lambda *_: False)
     window, rays = slab(count=(4, 4)), upright(1000)
     for _ in range(3):
         clacad.trace(window, rays)
     assert by_numpy == [1000] * 3
+
+
+def test_seconds_that_were_measured_decide_and_not_the_number_of_rays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Cells that differ take numpy longer than equal ones, and slow machines longer than fast ones."""
+    monkeypatch.setattr(kept_kernels, "rung_is_kept", lambda *_: True)
+    layout, clock = clacad.tracing.layout.lay_out(slab(count=(4, 4))), iter([10.0, 10.2, 20.0, 20.002])
+    monkeypatch.setattr(which_path, "thread_time", lambda: next(clock))
+    rays = which_path.LEAST_MEASURED
+    with which_path.measuring("surfaces", layout, rays, 4):
+        pass  # .2 s
+    suits = [which_path.compiled_suits("surfaces", None, rays, 4, layout) for _ in range(5)]
+    assert suits == [False] * 4 + [True], "loading takes .8 s: the fifth call is beyond that"
+    which_path.WAITED.clear()
+    with which_path.measuring("surfaces", layout, rays, 4):
+        pass  # .002 s
+    assert not any(which_path.compiled_suits("surfaces", None, rays, 4, layout) for _ in range(100))
 
 
 @pytest.mark.parametrize("rung", ["law", "thin", "surfaces"])
