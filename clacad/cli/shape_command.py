@@ -41,6 +41,10 @@ def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quie
     design = _base(request, overrides)
     distance = parse_distance("--distance", request.distance, design.unit)
     source = 0.0 if request.source is None else parse_angle("--source", request.source)
+    if not 0.0 <= source < 1.5:
+        raise BadOption(
+            f"--source {request.source}: {source:.6g} rad is no half angle of light; allowed: 0 to 1.5 rad"
+        )
     from clacad.design.asked_cells import lattice_of
     from clacad.imaging.shape import shaped
     from clacad.imaging.target import NoTarget

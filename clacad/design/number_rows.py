@@ -135,6 +135,8 @@ class NumberRows:
 
     def _numbers(self, lines: list[str], first: int) -> Floats:
         """Numbers (n, columns) of rows, the first of which is row `first` of the file."""
+        if any(not part.strip() for line in lines for part in line.split(",")):
+            self._refuse_first(lines, first)  # numpy warns of an empty cell
         try:
             numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2, dtype=np.float64)
         except ValueError:
@@ -148,6 +150,8 @@ class NumberRows:
         for row, line in enumerate(lines, first):
             parts = line.split(",")
             for column, part in enumerate(parts[: len(self.columns)]):
+                if not part.strip():
+                    self.refuse(f"{self.columns[column]} is empty", row, line, column, allowed="a number")
                 try:
                     np.loadtxt([part], comments=None, dtype=np.float64)
                 except ValueError:

@@ -17,6 +17,10 @@ Vertex = tuple[float, float, float]
 """x, y, and the bulge of the side that begins there."""
 
 
+STRAIGHT = 1e-12
+"""Bulge below which a side is straight: its arc rises above its chord by half of this part of it, less than rounding leaves."""
+
+
 def loop_area(edges: Floats) -> float:
     """Signed area of a closed loop of edges, length²: the polygon of their chords and the segments of their arcs."""
     x, y = edges[:, X0] - edges[0, X0], edges[:, Y0] - edges[0, Y0]
@@ -108,7 +112,7 @@ def closed_loop(vertices: tuple[Vertex, ...]) -> Floats:
     """Edges of a closed polygon of straight and round sides; arcs beyond 90° are cut into equal parts."""
     made: list[Floats] = []
     for (x0, y0, bulge), (x1, y1, _) in zip(vertices, (*vertices[1:], vertices[0]), strict=True):
-        if bulge == 0.0:
+        if abs(bulge) < STRAIGHT:
             made.append(np.array([x0, y0, x1, y1, 0.0, 0.0, 0.0, 0.0]))
             continue
         angle = 4.0 * atan(abs(bulge))

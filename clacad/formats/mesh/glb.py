@@ -335,17 +335,17 @@ def _places(file: _Buffers, roots: list[int]) -> dict[int, list[Floats]]:
         node = nodes[number]
         if set(node.get("extensions", ())) - {INSTANCING} or "skin" in node:
             raise UnreadableFile(f"node {number} uses an extension or skin, which is not read")
-        place = _local(node) @ above
+        place = _together(_local(node), above)
         if "mesh" in node:
             found = _instances(file, node) if "extensions" in node else np.eye(4)[None]
-            places.setdefault(int(node["mesh"]), []).append((found @ place)[:, :, :3])
+            places.setdefault(int(node["mesh"]), []).append(_together(found, place)[:, :, :3])
         children = [int(child) for child in node.get("children", ())]
         leaves = [n for n in children if 0 <= n < len(nodes) and n not in seen and set(nodes[n]) <= _LEAF]
         chosen = set(leaves)
         if len(chosen) == len(leaves) > 1:  # a sheet of cells in one go, not one matrix after the other
             seen.update(chosen)
             for mesh, found in _leaves([nodes[n] for n in leaves]):
-                places.setdefault(mesh, []).append((found @ place)[::-1, :, :3])
+                places.setdefault(mesh, []).append(_together(found, place)[::-1, :, :3])
             children = [n for n in children if n not in chosen]
         stack.extend((child, place) for child in children)
     return places
@@ -383,6 +383,21 @@ def _instances(file: _Buffers, node: dict[str, Any]) -> Floats:
         raise UnreadableFile("its instances are too many, or stand nowhere")
     file.spent.count(_PLACED * len(offsets))
     return _translations(offsets)[::-1]
+
+
+def _together(places: Floats, above: Floats) -> Floats:
+    """Places (…, 4, 4) below another one, as row-vector matrices.
+
+    Raises
+    ------
+    UnreadableFile
+        Scales of one above the other multiply to what is no number.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = np.asarray(places @ above)
+    if not np.isfinite(found).all():
+        raise UnreadableFile("the scales of nodes below one another multiply to more than a number holds")
+    return found
 
 
 def _local(node: dict[str, Any]) -> Floats:
