@@ -8,7 +8,7 @@ from math import floor, inf, log10
 from typing import Any, Final, Literal
 
 from clacad.advice.first_numbers import MILLIMETRES
-from clacad.advice.wish import KEYS, Wish, angle_text
+from clacad.advice.wish import KEYS, Wish, angle_text, wavelength_text
 from clacad.design import Design
 from clacad.design.process_profiles import profile
 from clacad.verification.checks import NEAR
@@ -37,6 +37,9 @@ class Variant:
         sheet's normal.
     slope : (2,) tuple of float
         That of the line through both lenses, sheet frame.
+    eye : {"", "field lens", "aimed"}
+        What keeps the light of a stated eye with its partner, aslant as it comes: nothing, a field lens, or cells that are
+        aimed at the eye.
     """
 
     form: Form
@@ -44,6 +47,14 @@ class Variant:
     conic: float | None = None
     aperture: float = 1.0
     slope: tuple[float, float] = (0.0, 0.0)
+    eye: Literal["", "field lens", "aimed"] = ""
+
+    def __str__(self) -> str:
+        """Return its name: "slab with field lenses"."""
+        return (
+            self.form
+            + {"": "", "field lens": " with field lenses", "aimed": " with cells aimed at the eye"}[self.eye]
+        )
 
 
 def apertures(wish: Wish) -> tuple[float, ...]:
@@ -74,22 +85,12 @@ def _keys(wish: Wish, variant: Variant, pitch: float, ratio: float, name: str) -
     law: dict[str, Any] = {"eta": list(wish.eta), "delta": list(wish.delta), "euler": list(wish.euler)}
     body = _body(wish, variant)
     lattice = _lattice(wish, variant, pitch)
-    pair: dict[str, Any] = {"form": variant.form, "separation": round_to(pitch * ratio, 3)}
-    if variant.form == "plano":
-        pair["curved"] = variant.curved
-    if variant.form == "biconvex" and "outline" in lattice:  # land needs a plate to lie in
-        pair["web"] = body.get("neck", round_to(pitch / 20.0, 2))
-    if variant.conic is not None:
-        pair |= {"surface": "biconic", "conic": [variant.conic, variant.conic]}
-    check: dict[str, Any] = {"process": wish.process}
-    if wish.field != KEYS["field"].default:
-        check["field"] = angle_text(wish.field)
     sections = {
         "law": law,
-        "pair": pair | {"material": wish.material},
+        "pair": _pair(wish, variant, round_to(pitch * ratio, 3), body.get("neck", round_to(pitch / 20.0, 2))),
         "lattice": lattice,
         "body": body,
-        "check": check,
+        "check": _check(wish),
     }
     return {
         "format": 1,
@@ -99,11 +100,51 @@ def _keys(wish: Wish, variant: Variant, pitch: float, ratio: float, name: str) -
     }
 
 
+def _pair(wish: Wish, variant: Variant, separation: float, web: float) -> dict[str, Any]:
+    pair: dict[str, Any] = {"form": variant.form, "separation": separation}
+    if variant.form == "plano":
+        pair["curved"] = variant.curved
+    land = wish.size.shape == "circle" or wish.kind == "hexagonal" or wish.flange is not None
+    if variant.form == "biconvex" and land:  # land needs a plate to lie in
+        pair["web"] = web
+    if variant.conic is not None:
+        pair |= {"surface": "biconic", "conic": [variant.conic, variant.conic]}
+    if variant.eye:
+        pair |= {"field_lens": True} if variant.eye == "field lens" else {"offset": "traced"}
+    pair |= {"material": wish.material} if wish.index is None else {"index": wish.index}
+    if wish.wavelength != KEYS["wavelength"].default:
+        pair["wavelength"] = wavelength_text(wish.wavelength)
+    return pair
+
+
+def _check(wish: Wish) -> dict[str, Any]:
+    check: dict[str, Any] = {"process": wish.process}
+    if wish.field != KEYS["field"].default:
+        check["field"] = angle_text(wish.field)
+    places = {"viewer": wish.viewing, "object": wish.object}
+    return check | {name: value for name, value in places.items() if value is not None}
+
+
 def _body(wish: Wish, variant: Variant) -> dict[str, Any]:
     """A slab is thick enough by itself; plates and lenses are as thick as their edges must be."""
     rules = profile(wish.process)
     neck = 1.02 * MILLIMETRES * max(rules.edge, rules.neck) / NEAR
-    return {"neck": round_to(neck, 3, up=True)} if variant.form != "slab" and neck > 0.0 else {}
+    body: dict[str, Any] = {}
+    if variant.form != "slab" and neck > 0.0:
+        body["neck"] = round_to(neck, 3, up=True)
+    if wish.flange is not None:
+        body["border"] = wish.flange
+    if wish.holes is not None and wish.flange is not None:
+        body["holes"] = [_holes(wish, wish.holes, wish.flange)]
+    return body
+
+
+def _holes(wish: Wish, count: int, flange: float) -> dict[str, Any]:
+    """Holes along the middle of the flange, half as wide: one in each corner of a rectangle, or on the circle of a disc."""
+    holes: dict[str, Any] = {"diameter": 0.5 * flange}
+    if wish.size.shape == "circle":
+        return holes | {"circle": wish.size.size[0] + flange, "count": count}
+    return holes | {"corners": 0.5 * flange}
 
 
 def _lattice(wish: Wish, variant: Variant, pitch: float) -> dict[str, Any]:
@@ -114,7 +155,9 @@ def _lattice(wish: Wish, variant: Variant, pitch: float) -> dict[str, Any]:
         found["outline"] = {"rectangle": list(wish.size.size)}
     else:
         found["count"] = [max(1, floor(side / pitch + 1e-9)) for side in wish.size.size]
-    if variant.aperture == 0.0:
+    if variant.eye == "aimed":
+        found["aperture"] = {"point": [0.0, 0.0, -wish.distance]}
+    elif variant.aperture == 0.0:
         found["aperture"] = "aligned"
     elif variant.aperture != 1.0:
         found["aperture"] = [round(variant.aperture * slope, 4) for slope in variant.slope]

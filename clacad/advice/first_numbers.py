@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, isfinite, sqrt
 
-from clacad.advice.wish import WAVELENGTH, Wish
+from clacad.advice.wish import Wish
 from clacad.design.process_profiles import profile
 from clacad.optics.material.catalogue import find
 from clacad.sheet.feasibility import pitch_for_eye
@@ -53,7 +53,7 @@ def shape_of(form: str, index: float) -> FormNumbers:
 
 def index_of(wish: Wish) -> float:
     """Refractive index at the design wavelength."""
-    return float(find(wish.material).index(WAVELENGTH))
+    return float(find(wish.material).index(wish.wavelength)) if wish.index is None else wish.index
 
 
 def powers(wish: Wish) -> list[float]:
@@ -68,25 +68,27 @@ def returning(wish: Wish) -> float:
 
 def balanced_pitch(wish: Wish) -> float:
     """√(λD/min(1, 1/|η|)), millimetres: a pixel looks as large as the diffraction of the light that comes back from it."""
-    return sqrt(WAVELENGTH * MILLIMETRES * wish.viewing / returning(wish))
+    return sqrt(wish.wavelength * MILLIMETRES * wish.distance / returning(wish))
 
 
 def sharpest_pitch(wish: Wish, behind: float) -> float:
     """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer, in the meridian blurred more."""
-    distance, viewer, etas = behind / MILLIMETRES, wish.viewing / MILLIMETRES, powers(wish)
-    pitches = [pitch_for_eye.sharpest_pitch(eta, distance, WAVELENGTH) for eta in etas]
-    blurs = [pitch_for_eye.sharpest_blur(eta, distance, viewer, WAVELENGTH) for eta in etas]
+    distance, viewer, etas = behind / MILLIMETRES, wish.distance / MILLIMETRES, powers(wish)
+    pitches = [pitch_for_eye.sharpest_pitch(eta, distance, wish.wavelength) for eta in etas]
+    blurs = [pitch_for_eye.sharpest_blur(eta, distance, viewer, wish.wavelength) for eta in etas]
     return MILLIMETRES * pitch_for_eye.pitch_of_more_blurred(pitches, blurs)
 
 
 def wanted_pitch(wish: Wish) -> PitchBound:
-    """The pitch that looks best, before anybody has to make it."""
+    """The pitch that is wished, or the one that looks best, before anybody has to make it."""
+    if wish.pitch is not None:
+        return PitchBound(wish.pitch, "as wished")
     if wish.object is not None:
         return PitchBound(
             sharpest_pitch(wish, wish.object),
             f"least blur of what stands {wish.object:g} mm behind the sheet",
         )
-    return PitchBound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.viewing:g} mm")
+    return PitchBound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.distance:g} mm")
 
 
 def least_ratio(wish: Wish, error: float) -> float:
@@ -150,7 +152,7 @@ def _fresnel_pitch(wish: Wish, ratio: float) -> float:
     """Pitch (millimetres) of Fresnel number `FRESNEL`: (w/2)²/(λ f2), w = p min(1, |η|), f2 = |η| s/|1 − η|."""
     worst = max(abs(eta) / (abs(1.0 - eta) * min(1.0, abs(eta)) ** 2) for eta in powers(wish))
     turned = 1.2 if wish.kind == "hexagonal" else 1.0  # a hexagon's equivalent width is its breadth over √1.2
-    return FRESNEL * turned * 4.0 * WAVELENGTH * MILLIMETRES * ratio * worst
+    return FRESNEL * turned * 4.0 * wish.wavelength * MILLIMETRES * ratio * worst
 
 
 def undistorted_conic(form: str, curved: str, index: float) -> float | None:

@@ -8,9 +8,10 @@ from math import inf
 
 from clacad.advice.candidate import FORMS, Variant, apertures, built
 from clacad.advice.field_centre import centre_errors
-from clacad.advice.first_numbers import index_of, undistorted_conic
+from clacad.advice.first_numbers import index_of, powers, undistorted_conic
 from clacad.advice.wish import Wish
 from clacad.design import Design, DesignError
+from clacad.design.process_profiles import profile
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.vignetting import aperture_slope
 
@@ -72,7 +73,26 @@ class LensShapes:
             for form, curved in FORMS:
                 if self.wish.form in ("any", form):
                     variant = Variant(form, curved, None, aperture)
-                    yield from self._straight(variant) if self.wish.straight else self._offset(variant)
+                    for shaped, needed in (
+                        self._straight(variant) if self.wish.straight else self._offset(variant)
+                    ):
+                        yield from ((one, needed) for one in self._for_the_eye(shaped))
+
+    def _for_the_eye(self, variant: Variant) -> Iterator[Variant]:
+        """The variant, then for a stated eye with field lenses, and with cells aimed at it where the process makes steps."""
+        yield variant
+        if self.wish.viewing is None:
+            return
+        sharp = variant
+        if (
+            variant.form == "slab" and variant.conic is None
+        ):  # lenses near one another are sharper so, at no cost
+            sharp = replace(variant, conic=round(-1.0 / index_of(self.wish) ** 2, 4))
+            yield sharp
+        if max(powers(self.wish)) < 0.0:
+            yield replace(sharp, eye="field lens")
+        if profile(self.wish.process).wall == inf and variant.aperture == apertures(self.wish)[0]:
+            yield replace(sharp, eye="aimed")
 
     def _straight(self, variant: Variant) -> Iterator[tuple[Variant, float]]:
         """Spheres or ellipsoids first, then what has no distortion."""

@@ -1,7 +1,8 @@
 """Which keys may mend which check, and the values of each that are worth a trial, nearest first.
 
-The law, the material, the process and every limit of [check] stay as they are: they are what is asked. What may change is how
-the pair that does it is built. A sheet of other cells keeps its size: `lattice.count` follows `lattice.pitch`.
+The law, the material, the process and all of [check], the viewer too, stay as they are: they are what is asked, and so is each of
+`INTENTS` that a design states. What may change is how the pair that does it is built. A sheet of other cells keeps its size:
+`lattice.count` follows `lattice.pitch`.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Lever:
     """One key and the direction it is moved in.
 
     key : str
-    way : "up", "down", "word" or "shape"
+    way : "up", "down", "word", "aim" or "shape"
         A shape has no nearest value that does: too much is as bad as too little.
     """
 
@@ -68,6 +69,14 @@ _SHAPE = Lever("pair.surface", "word")
 _CONIC = Lever("pair.conic", "shape")
 _TURNED = Lever("pair.curved", "word")
 _APERTURE = Lever("lattice.aperture", "word")
+_AIM = Lever("lattice.aperture", "aim")
+_FIELD_LENS = Lever("pair.field_lens", "word")
+
+INTENTS: Final = frozenset({"lattice.aperture", "body.border"})
+"""Keys that are left alone where the design states them: where its cells look, and its flange."""
+
+MOST_AIMED: Final = 5000
+"""Cells of a sheet that is tried with its cells aimed: each is traced, a millisecond."""
 
 _LIGHT = (_RECIPE, _SPREAD, _SHAPE, _FINER, _TURNED, _APERTURE)
 _WHOLE = (_THICKER, _SPREAD, _FINER)
@@ -83,14 +92,15 @@ LEVERS: Final[Mapping[str, tuple[Lever, ...]]] = {
     "neck": (_NECK, _WEB, *_WHOLE), "radius": (_SPREAD, _COARSER), "sag": _FLAT, "pitch": (_COARSER,), "part_height": (_CLOSER, _THINNER),
     "tool": (_SPREAD, _COARSER, _SEAM), "wall": (_SPREAD, _SEAM, _FINER, _APERTURE), "draft": (_SEAM, _SPREAD, _FINER),
     "slope": _FLAT, "voxel": (_COARSER, _SEAM), "layer": (_CLOSER, _COARSER), "aspect": (_SPREAD, _SEAM, _FINER),
-    "undercut": _FLAT,
+    "undercut": _FLAT, "viewed": (_FIELD_LENS, _CLOSER, _AIM),
 }  # fmt: skip
 """Levers of each check, by its id: those that cost the part least come first. One without any is mended by none."""
 
 UNBUILT: Final = (_SPREAD, _FINER, _THICKER, _THINNER, _LESS_SEAM, _RECIPE)
 """Levers of a design that cannot be built."""
 
-_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
+_WORDS: Final[Mapping[str, tuple[str | bool, ...]]] = {
+    "pair.field_lens": (True,),
     "pair.confocal": ("exact", "best"), "pair.surface": ("biconic",), "pair.curved": ("outside", "inside"),
     "lattice.aperture": ("centred", "aligned"),
 }  # fmt: skip
@@ -106,14 +116,22 @@ _HELD: Final = ("pair.separation", "pair.thickness", "lattice.pitch", "lattice.a
 
 
 def levers_of(design: Design, checks: Iterable[Check]) -> tuple[Lever, ...]:
-    """Levers that may mend some of these checks in a design of this form, each once; none that undoes a search for its faces."""
-    found = dict.fromkeys(lever for check in checks for lever in LEVERS.get(check.id, ()))
-    held = () if design.pair.search is None else _HELD
-    return tuple(
-        lever
-        for lever in found
-        if lever.key not in held and design.pair.form in _FORMS.get(lever.key, (design.pair.form,))
-    )
+    """Levers that may mend some of these checks in a design of this form, each once.
+
+    None touches an intent of the design, or undoes a search for its faces. No lever serves an eye that is only assumed: the check itself names what would serve it.
+    """
+    mended = [check for check in checks if check.id != "viewed" or check.state == "fail"]
+    found = dict.fromkeys(lever for check in mended for lever in LEVERS.get(check.id, ()))
+    form = design.pair.form
+    fitting = (lever for lever in found if form in _FORMS.get(lever.key, (form,)))
+    return tuple(lever for lever in fitting if not _is_held(lever, design))
+
+
+def _is_held(lever: Lever, design: Design) -> bool:
+    """Whether a lever would undo a search for faces, or an intent: a key the design states to say what is asked."""
+    section, name = lever.key.split(".")
+    stated = lever.key in INTENTS and name in design.given.get(section, {})
+    return stated or (design.pair.search is not None and lever.key in _HELD)
 
 
 def mends(lever: Lever, check: Check) -> bool:
@@ -135,6 +153,8 @@ def settings(
     checks : iterable of Check
         That are to be mended: a length is also tried at what they ask for.
     """
+    if lever.way == "aim":
+        return _aimed(design)
     if lever.way == "word":
         present = getattr(design.pair, lever.key.partition(".")[2], design.lattice.aperture)
         return tuple({lever.key: word} for word in _WORDS[lever.key] if word != present)
@@ -146,6 +166,14 @@ def settings(
     if lever.key == "pair.thickness":
         return _thicknesses(design, lever.way, judged, _lacking(design, checks, lever))
     return tuple({lever.key: value} for value in _lengths(lever, design, checks))
+
+
+def _aimed(design: Design) -> tuple[Changes, ...]:
+    """Cells aimed at the eye of [check]; none where there are too many to be traced for a trial."""
+    n1, n2 = design.lattice.count
+    if design.check.viewer is None or n1 * n2 > MOST_AIMED:
+        return ()
+    return ({"lattice.aperture": {"point": [0, 0, -nice(design.check.viewer, 12)]}},)
 
 
 def _conic(x: float, y: float) -> Changes:
@@ -258,7 +286,7 @@ def size_of(changes: Changes, design: Design) -> float:
         present = getattr(getattr(design, section), name)
         if key == "lattice.count":
             continue  # follows the pitch
-        if isinstance(value, str) or isinstance(present, str) or not present:
+        if isinstance(value, str | bool) or isinstance(present, str) or not present:
             total += WEIGHTS.get(key, 0.05)
         else:
             new, old = (max(v) if isinstance(v, list | tuple) else v for v in (value, present))
@@ -266,5 +294,11 @@ def size_of(changes: Changes, design: Design) -> float:
     return total
 
 
-WEIGHTS: Final = {"lattice.pitch": 1.5, "pair.surface": 0.15, "lattice.aperture": 0.2, "pair.thickness": 0.3}
+WEIGHTS: Final = {
+    "lattice.pitch": 1.5,
+    "pair.surface": 0.15,
+    "lattice.aperture": 0.2,
+    "pair.thickness": 0.3,
+    "pair.field_lens": 0.6,
+}
 """What a change of a key counts: other cells are other pixels, other faces other tools, another aperture another view."""

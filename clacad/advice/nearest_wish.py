@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from time import process_time
 from typing import Any
 
+from clacad.advice.candidate import round_to
 from clacad.advice.wish import Wish, workable_material
-from clacad.advice.wish_search import Search, Tried
+from clacad.advice.wish_search import Search, Tried, impossible
 from clacad.base.digits import shown
 from clacad.design.sections import Outline
 from clacad.verification.checks import Check
@@ -15,8 +17,17 @@ from clacad.verification.checks import Check
 FEW = 2
 """Wishes that are named."""
 
-SEARCHES = 9
+SEARCHES = 20
 """Wishes that are tried."""
+
+SECONDS = 60.0
+"""Processor seconds after which no further wish is tried."""
+
+REASONS = 4
+"""Reasons that are printed of what could not be built."""
+
+FARTHER = (1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 6.0)
+"""Distances of the eye that are tried, over the one that is wished; sheets are tried smaller by the same factors."""
 
 PROCESSES = ("moulding", "diamond-turning", "greyscale", "sla", "two-photon", "none")
 
@@ -26,52 +37,78 @@ def binding(search: Search) -> Iterator[str]:
     yield f"no design was found that passes; {len(search.tried)} were built and judged"
     if search.tried:
         best = min(search.tried, key=lambda t: (len(t.judged.failing), _excess(t)))
-        form, pair = best.variant.form, best.judged.design.pair
-        yield f"  the nearest ({form}, pitch {best.pitch.value:g} mm, separation {pair.separation:g} mm):"
-        checks = best.judged.failing or tuple(c for c in best.judged.checks if c.state == "warn")
+        pair = best.judged.design.pair
+        yield f"  the nearest ({best.variant}, pitch {best.pitch.value:g} mm, separation {pair.separation:g} mm):"
+        checks = best.judged.failing or best.judged.tight
         yield from (f"    {_fault(check)}" for check in checks)
-    yield from (f"  {reason}" for reason in dict.fromkeys(search.refused[:3]))
+    yield from (f"  {reason}" for reason in list(dict.fromkeys(search.refused))[:REASONS])
 
 
 def nearest(search: Search) -> Iterator[str]:
     """Wishes near this one that come true, each tried; a sentence for each."""
-    found = 0
-    for number, (words, wish) in enumerate(_relaxed(search.wish)):
-        if found == FEW or number == SEARCHES:
-            break
-        search.progress(f"trying {words}", number / SEARCHES)
-        one = Search(wish, search.name, search.overrides).run()
-        if one is not None:
-            found += 1
-            with_ = sorted({c.id for c in one.judged.warning})
-            yield f"  {words} comes true: {one.variant.form}, pitch {one.pitch.value:g} mm" + (
-                f" (with a warning: {', '.join(with_)})" if with_ else ""
-            )
+    found, begun, number = 0, process_time(), 0
+    for ladder in _ladders(search):
+        for words, wish in ladder:
+            left = SECONDS - (process_time() - begun)
+            if found == FEW or number == SEARCHES or left <= 0.0:
+                break
+            search.progress(f"trying {words}", number / SEARCHES)
+            number += 1
+            one = Search(wish, search.name, search.overrides, seconds=left).run()
+            if one is not None:
+                found += 1
+                yield f"  {words} comes true: {one.variant}, pitch {one.pitch.value:g} mm{_warned(one)}"
+                break
     if not found:
         yield "  none of the wishes near it that were tried comes true either"
 
 
-def _relaxed(wish: Wish) -> Iterator[tuple[str, Wish]]:
-    """Wishes that ask for less, the least change first."""
+def _warned(one: Tried) -> str:
+    with_ = sorted({c.id for c in one.judged.warning})
+    return f" (with a warning: {', '.join(with_)})" if with_ else ""
+
+
+def _ladders(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
+    """Rows of wishes that ask for less and less, the least change first; of each row the first that comes true is named."""
+    wish = search.wish
     if wish.form != "any":
-        yield "form=any", replace(wish, form="any")
-    for part in (0.7, 0.4, 0.2):
-        if not wish.straight:
-            changed = replace(
-                wish,
-                delta=_scaled(wish.delta, part),
-                euler=(wish.euler[0], round(part * wish.euler[1], 4), wish.euler[2]),
-            )
-            yield _difference(wish, changed), changed
-    for changed in (
-        replace(wish, size=Outline(wish.size.shape, _scaled(wish.size.size, 3.0))), replace(wish, field=0.5 * wish.field)
-    ):  # fmt: skip
-        yield _difference(wish, changed), changed
+        yield [("form=any", replace(wish, form="any"))]
+    yield from _for_the_eye(search)
+    if not wish.straight:
+        euler = (wish.euler[0], wish.euler[2])
+        yield _changed(wish, (
+            {"delta": _scaled(wish.delta, part), "euler": (euler[0], round(part * wish.euler[1], 4), euler[1])}
+            for part in (0.7, 0.4, 0.2)
+        ))  # fmt: skip
+    yield _changed(wish, [{"size": _resized(wish, 3.0)}])
+    yield _changed(wish, [{"field": 0.5 * wish.field}])
     for process in PROCESSES:
         if process != wish.process:
-            material = workable_material(process, wish.material)
-            words = f"process={process}" + (f", material={material}" if material != wish.material else "")
-            yield words, replace(wish, process=process, material=material)
+            material = workable_material(process, wish.material, wish.wavelength)
+            yield _changed(wish, [{"process": process, "material": material}])
+    if wish.viewing is not None:
+        yield [("leaving viewing out", replace(wish, viewing=None))]
+
+
+def _for_the_eye(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
+    """The eye farther away, or a smaller sheet, where that can help a stated eye."""
+    wish = search.wish
+    if wish.viewing is None or impossible(wish, search.limit):
+        return
+    yield _changed(wish, [{"viewing": round_to(wish.viewing * factor, 2)} for factor in FARTHER])
+    yield _changed(wish, [{"size": _resized(wish, 1.0 / factor)} for factor in FARTHER])
+
+
+def _changed(wish: Wish, changes: Iterable[dict[str, Any]]) -> Iterator[tuple[str, Wish]]:
+    """The wish with some of its values changed, and the words that say so."""
+    for values in changes:
+        changed = replace(wish, **values)
+        yield _difference(wish, changed), changed
+
+
+def _resized(wish: Wish, factor: float) -> Outline:
+    width, height = wish.size.size
+    return Outline(wish.size.shape, (round_to(width * factor, 3), round_to(height * factor, 3)))
 
 
 def _scaled(pair: tuple[float, float], part: float) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,9 +58,11 @@ class Proposal:
         warnings = [f"warning {c.id}: {c.sentence}" for c in self.judged.warning]
         return (
             f"pitch {one.pitch.value:g} mm: {one.pitch.why}",
+            *not_met(self.wish, self.design),
             f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which the law is kept as sharply "
             "as a pixel looks, or as the limits ask",
             *([] if one.variant.conic is None else [f"conic {one.variant.conic:g}: keeps light on the law where it goes off the axis"]),
+            *_for_the_eye(self),
             *sentences(self.wish, self.trades[0]),
             *warnings,
         )  # fmt: skip
@@ -71,6 +73,28 @@ class Proposal:
         from clacad.advice.proposal_text import file_text
 
         return file_text(self)
+
+
+def not_met(wish: Wish, design: Design) -> Iterator[str]:
+    """Sides of the sheet that are not a whole number of pitches, and what they are."""
+    if design.lattice.outline is not None:
+        return
+    cells = zip(("width", "height"), wish.size.size, design.lattice.count, design.lattice.pitch, strict=True)
+    for name, asked, count, pitch in list(cells)[: 1 if wish.size.size[0] == wish.size.size[1] else 2]:
+        if abs(count * pitch - asked) > 1e-9 * asked:
+            yield f"{name}: asked {asked:g} mm, {count} x {pitch:g} = {count * pitch:g} mm are whole cells"
+
+
+def _for_the_eye(found: Proposal) -> Iterator[str]:
+    """What serves the eye that is stated, and how much of its light obeys the law."""
+    if found.wish.viewing is None:
+        return
+    share = next(check.value for check in found.judged.checks if check.id == "viewed")
+    means = {"": "aligned cells alone", "field lens": "field lenses", "aimed": "cells aimed at the eye"}
+    yield (
+        f"viewer at {found.wish.viewing:g} mm: {means[found.chosen.variant.eye]} keep {100.0 * float(share or 0.0):.3g} % of its light "
+        "on the law over the whole sheet"
+    )
 
 
 def design_for(

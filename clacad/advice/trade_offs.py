@@ -9,7 +9,7 @@ from math import atan, degrees, inf
 from clacad.advice.candidate import round_to
 from clacad.advice.first_numbers import MILLIMETRES, returning, sharpest_pitch
 from clacad.advice.judged import Judged, judge
-from clacad.advice.wish import WAVELENGTH, Wish
+from clacad.advice.wish import Wish
 from clacad.base.digits import digits
 from clacad.design import Design, DesignError
 from clacad.sheet.feasibility.pitch_for_eye import ARC_MINUTE
@@ -96,8 +96,8 @@ def _row(name: str, wish: Wish, judged: Judged) -> Trade:
     return Trade(
         name, pitch, facts.separation * to_mm,
         (max(b.high for b in facts.bodies) - min(b.low for b in facts.bodies)) * to_mm,
-        rms if isinstance(rms, float) else inf, WAVELENGTH * MILLIMETRES / (pitch * returning(wish)), pitch / wish.viewing,
-        atan(half), 2.0 * half * wish.viewing, max(b.step for b in facts.bodies) * to_mm,
+        rms if isinstance(rms, float) else inf, wish.wavelength * MILLIMETRES / (pitch * returning(wish)), pitch / wish.distance,
+        atan(half), 2.0 * half * wish.distance, max(b.step for b in facts.bodies) * to_mm,
         max(lens.sag for lens in facts.lenses) * to_mm, f"{words}: {', '.join(faults)}" if faults else words,
     )  # fmt: skip
 
@@ -136,13 +136,13 @@ def _texts(t: Trade) -> tuple[str, ...]:
 
 def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
     """What the numbers say of each other, for this wish."""
-    wave = WAVELENGTH * MILLIMETRES
-    fine, sharp = wish.viewing * ARC_MINUTE, wave / (ARC_MINUTE * returning(wish))
+    wave = wish.wavelength * MILLIMETRES
+    fine, sharp = wish.distance * ARC_MINUTE, wave / (ARC_MINUTE * returning(wish))
     found = [
-        f"pitch: pixels vanish from {wish.viewing:g} mm at {fine:.3g} mm and below, diffraction at {sharp:.3g} mm and above; "
+        f"pitch: pixels vanish from {wish.distance:g} mm at {fine:.3g} mm and below, diffraction at {sharp:.3g} mm and above; "
         + (f"both only from {sharp / ARC_MINUTE / MILLIMETRES:.3g} m on" if sharp > fine else "both hold between them"),
         f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here, which is "
-        f"{own.seen:.3g} mm of the sheet seen from {wish.viewing:g} mm, but aberration grows as the third power of pitch over "
+        f"{own.seen:.3g} mm of the sheet seen from {wish.distance:g} mm, but aberration grows as the third power of pitch over "
         "separation",
         "steps: none between neighbours" if own.step == 0.0 else
         f"steps: neighbours stand up to {1e3 * own.step:.3g} um apart in height; tilt makes pitch x tan(theta), light beside a lens's "

@@ -6,7 +6,7 @@ Read with the same kinds of value as a design file, so that units, ranges and me
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees, radians
 from typing import Any, Final, Literal
@@ -19,7 +19,7 @@ from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.quantities import Quantity
 from clacad.config.toml_text import toml_value
-from clacad.config.value_kinds import Refusal, Word, shown
+from clacad.config.value_kinds import Refusal, Whole, Word, shown
 from clacad.design.keys import CHECK, LAW, PAIR, REQUIRED, Key
 from clacad.design.process_profiles import profile
 from clacad.design.rules import Asked, law_is_a_pair, lens_faces_forward, material_is_known
@@ -29,8 +29,8 @@ from clacad.optics.material.catalogue import find, names
 UNIT: Final = Unit("mm", LENGTHS["mm"])
 """Of bare lengths in a wish, and of the design that is made of it."""
 
-WAVELENGTH: Final = 550e-9
-"""Metres; design wavelength, the design file's default."""
+ASSUMED_VIEWING: Final = 1000.0
+"""Millimetres from which a sheet is assumed to be looked at where the wish states no viewer."""
 
 _LENGTH = Quantity("length", "a length > 0", above=0.0)
 
@@ -41,10 +41,16 @@ KEYS: Final[dict[str, Key]] = {
     "euler": Key(LAW["euler"].kind, "phi, theta, psi: turn and tilt of the lens axes, degrees", (0.0, 0.0, 0.0)),
     "width": Key(Several(_LENGTH, ("width", "height"), single=True), "a rectangular sheet of this width (and height)"),
     "circle": Key(_LENGTH, "a round sheet of this diameter"),
-    "viewing": Key(_LENGTH, "distance from which the sheet is looked at", 1000.0),
+    "viewing": Key(_LENGTH, "distance of the eye before the sheet; the eye's light is then judged over the whole sheet"),
     "object": Key(_LENGTH, "distance behind the sheet of what shall be seen sharply"),
     "process": Key(CHECK["process"].kind, "who makes it: its limits", "diamond-turning"),
     "material": Key(PAIR["material"].kind, "what it is made of; PMMA if the process works it, else the first it works", "PMMA"),
+    "index": Key(PAIR["index"].kind, "refractive index, instead of a material"),
+    "wavelength": Key(PAIR["wavelength"].kind, "design wavelength", PAIR["wavelength"].default),
+    "pitch": Key(_LENGTH, "size of a cell, instead of the one that looks best"),
+    "flange": Key(_LENGTH, "width of the land round the cells, body.border"),
+    "holes": Key(Whole("a whole number from 1 to 360", most=360), "mounting holes in the flange, half its width wide: 4 in the "
+                 "corners of a rectangular sheet, any number on a circle of a round one"),
     "form": Key(Word(("any", "slab", "plano", "biconvex")), "how a lenslet pair is built", "any"),
     "kind": Key(Word(("square", "hexagonal")), "pattern of the cells", "square"),
     "field": Key(CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)),
@@ -53,7 +59,8 @@ KEYS: Final[dict[str, Key]] = {
 
 SYNONYMS: Final = {
     "offset": "delta", "tilt": "euler", "turn": "euler", "size": "width", "diameter": "circle", "outline": "circle",
-    "round": "circle", "distance": "viewing", "eye": "viewing", "from": "viewing", "lattice": "kind", "made": "process",
+    "round": "circle", "distance": "viewing", "viewer": "viewing", "eye": "viewing", "from": "viewing", "lattice": "kind",
+    "made": "process", "border": "flange", "n": "index", "glass": "material", "lambda": "wavelength", "period": "pitch",
 }  # fmt: skip
 """What people call a word of a wish elsewhere."""
 
@@ -67,8 +74,8 @@ class Wish:
     eta, delta : (2,) tuple of float
     euler : (3,) tuple of float, degrees
     size : Outline
-    viewing : float, length
-        Distance of the eye from the sheet.
+    viewing : float or None, length
+        Distance of the eye before the sheet; None: no eye is stated, and none is judged.
     object : float or None, length
         Distance behind the sheet of what shall be seen sharply; None: nothing in particular.
     process, material : str
@@ -77,19 +84,38 @@ class Wish:
         Pattern of the cells.
     field : float, radians
         Half angle of the cone of light in which the law shall hold.
+    index : float or None
+        Instead of the material.
+    wavelength : float, metres
+    pitch : float or None, length
+        Size of a cell; None: the one that looks best.
+    flange : float or None, length
+        Width of the land round the cells.
+    holes : int or None
+        Number of mounting holes in the flange.
     """
 
     eta: Pair2
     size: Outline
     delta: Pair2 = (0.0, 0.0)
     euler: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    viewing: float = 1000.0
+    viewing: float | None = None
     object: float | None = None
     process: str = "diamond-turning"
     material: str = "PMMA"
     form: Literal["any", "slab", "plano", "biconvex"] = "any"
     kind: Literal["square", "hexagonal"] = "square"
     field: float = radians(1.0)
+    index: float | None = None
+    wavelength: float = 550e-9
+    pitch: float | None = None
+    flange: float | None = None
+    holes: int | None = None
+
+    @property
+    def distance(self) -> float:
+        """Distance of the eye that is stated, or else assumed, millimetres."""
+        return ASSUMED_VIEWING if self.viewing is None else self.viewing
 
     @property
     def straight(self) -> bool:
@@ -110,21 +136,31 @@ class Wish:
         found: dict[str, Any] = {"eta": eta, shape: size}
         for name, key in KEYS.items():
             if name not in ("eta", "width", "circle") and getattr(self, name) != key.default:
-                value = getattr(self, name)
-                found[name] = (
-                    list(value)
-                    if isinstance(value, tuple)
-                    else angle_text(value)
-                    if name == "field"
-                    else value
-                )
+                found[name] = _word_of(name, getattr(self, name))
         return found
+
+
+def _word_of(name: str, value: Any) -> Any:
+    """A value of a wish as `read_word` reads it back."""
+    if name in _TEXTS:
+        return _TEXTS[name](value)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def angle_text(radians_: float) -> str:
     """An angle as it would be written: in degrees where that is the same number."""
     text = f"{degrees(radians_):g}"
     return f"{text} deg" if radians(float(text)) == radians_ else f"{radians_!r} rad"
+
+
+def wavelength_text(metres: float) -> str:
+    """A wavelength as it would be written: in nanometres where that is the same number."""
+    text = f"{1e9 * metres:g} nm"
+    return text if PAIR["wavelength"].kind.read(text, UNIT) == metres else f"{metres!r} m"
+
+
+_TEXTS: Final = {"field": angle_text, "wavelength": wavelength_text}
+"""Writers of the values that carry a unit."""
 
 
 def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
@@ -197,8 +233,11 @@ def read_wish(words: Mapping[str, Any]) -> Wish:
         what = "a wish needs the sheet's size" if not sizes else "width and circle exclude each other"
         mistakes.append(Mistake("CL103" if not sizes else "CL112", what, "width", "--for",
                                 allowed='exactly one of width = a length or [width, height] and circle = a diameter'))  # fmt: skip
-    found.setdefault("material", workable_material(found.get("process", KEYS["process"].default)))
-    mistakes += _broken_rules(found)
+    if "material" not in found:
+        found["material"] = workable_material(
+            *(found.get(key, KEYS[key].default) for key in ("process", "material", "wavelength"))
+        )
+    mistakes += [*_broken_rules(found), *_exclusions(words, found)]
     if mistakes:
         raise DesignError(mistakes)
     width, circle = found.pop("width", None), found.pop("circle", None)
@@ -206,12 +245,12 @@ def read_wish(words: Mapping[str, Any]) -> Wish:
     return Wish(size=size, **found)
 
 
-def workable_material(process: str, wanted: str = KEYS["material"].default) -> str:
-    """Give the wanted material if the process works it, else the first of the table that it works at `WAVELENGTH`."""
+def workable_material(process: str, wanted: str, wavelength: float) -> str:
+    """Give the wanted material if the process works it, else the first of the table that it works at a wavelength (metres)."""
     rules = profile(process)
     if rules.works(find(wanted)):
         return wanted
-    return next(name for name in names() if rules.works(find(name)) and find(name).knows(WAVELENGTH))
+    return next(name for name in names() if rules.works(find(name)) and find(name).knows(wavelength))
 
 
 def _converted(words: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
@@ -231,18 +270,35 @@ def _converted(words: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]
 
 def _broken_rules(found: Mapping[str, Any]) -> list[Mistake]:
     """What the rules of designs say of the law and the material."""
-    homes = {"eta": "law.eta", "delta": "law.delta", "euler": "law.euler", "material": "pair.material"}
+    homes = {"eta": "law.eta", "delta": "law.delta", "euler": "law.euler", "wavelength": "pair.wavelength"}
+    homes |= {} if "index" in found else {"material": "pair.material"}
     values = {
         home: found.get(name, KEYS[name].default)
         for name, home in homes.items()
         if name in found or name != "eta"
     }
-    asked = Asked({**values, "pair.wavelength": WAVELENGTH}, {}, UNIT)
+    asked = Asked(values, {"pair.wavelength": ""} if "wavelength" in found else {}, UNIT)
     return [
         Mistake(m.code, m.message, m.key.split(".", 1)[1], "--for", allowed=m.allowed, hint=m.hint)
         for rule in (law_is_a_pair, lens_faces_forward, material_is_known)
         for m in rule(asked)
     ]
+
+
+def _exclusions(words: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[Mistake]:
+    """Words that exclude or need one another."""
+    if "index" in words and "material" in words:
+        yield Mistake(
+            "CL112", "index and material exclude each other", "index", "--for", allowed="one of the two"
+        )
+    if "holes" not in found:
+        return
+    if "flange" not in words:
+        yield Mistake("CL113", "holes need a flange to lie in", "holes", "--for",
+                      allowed="flange = a length > 0, about four times the radius of the holes")  # fmt: skip
+    if "circle" not in words and found["holes"] != 4:
+        yield Mistake("CL106", f"holes = {found['holes']} do not fit the corners of a rectangular sheet", "holes", "--for",
+                      found=str(found["holes"]), allowed="4, one in each corner; a round sheet (circle) takes any number")  # fmt: skip
 
 
 def _refused(name: str, refusal: Refusal) -> Mistake:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import inf
+from functools import cached_property
+from math import cos, floor, inf, prod, radians, tan
+from time import process_time
 
 from clacad.advice.candidate import Variant, built, round_to
 from clacad.advice.first_numbers import (
@@ -23,10 +25,12 @@ from clacad.advice.judged import Judged, judge
 from clacad.advice.lens_shape import LensShapes
 from clacad.advice.wish import Wish
 from clacad.base.types import Progress, silent
-from clacad.design import DesignError
+from clacad.design import Design, DesignError
 from clacad.design.process_profiles import profile
 from clacad.prescription.prescribe import prescribe
+from clacad.sheet.window import Window
 from clacad.verification.checks import Check
+from clacad.verification.light.viewed import thin_share, viewer_of
 
 RATIOS = (
     3.0,
@@ -56,6 +60,15 @@ STEPS = 6
 
 MOST_JUDGED = 40
 """Designs that are judged for one wish."""
+
+MOST_SECONDS = 60.0
+"""Processor seconds after which no further design is judged: lenses with much tilt take seconds each."""
+
+UNFILLED = 0.02
+"""Part of a side that whole cells may leave free before the pitch is chosen to fill it."""
+
+SURE = 0.95
+"""Part of the limit of `viewed` that thin lenses must keep for a design to be judged: real ones keep a few hundredths more or less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +101,8 @@ class Search:
     tried : list of Tried
     refused : list of str
         Why others could not be built, or had no pitch.
+    seconds : float
+        Processor seconds after which no further design is judged.
     """
 
     wish: Wish
@@ -96,28 +111,43 @@ class Search:
     progress: Progress = silent
     tried: list[Tried] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
+    seconds: float = MOST_SECONDS
+    _begun: float = field(default_factory=process_time)
+
+    @property
+    def over(self) -> bool:
+        """Whether as many designs were judged as may be, or for as long."""
+        return len(self.tried) >= MOST_JUDGED or process_time() - self._begun > self.seconds
 
     def run(self) -> Tried | None:
         """Try until a design passes without a warning that another could avoid; else the best of those that pass."""
+        self.refused += impossible(self.wish, self.limit)
+        if self.refused:
+            return None
         pitch = round_to(wanted_pitch(self.wish).value, 2, up=True)
         found: list[Tried] = []
         for variant, needed in LensShapes(self.wish, pitch, self.overrides, self.refused).variants():
-            self.progress(f"trying {variant.form}", len(self.tried) / MOST_JUDGED)
+            self.progress(f"trying {variant}", len(self.tried) / MOST_JUDGED)
             one = self._best_ratio(variant, needed)
             if one is not None:
                 found.append(one)
                 if avoidable(one, self.wish) == 0:
                     break
-            if len(self.tried) >= MOST_JUDGED:
+            if self.over:
                 break
         return min(found, key=lambda t: avoidable(t, self.wish), default=None)
 
     def _best_ratio(self, variant: Variant, needed: float) -> Tried | None:
         """The least separation in pitches at which a variant passes as sharp as a pixel; it has the widest field."""
         start = self._first(variant, needed)
+        if start is None:
+            return None
         found, before = None, None
         for ratio in RATIOS[start : start + STEPS]:
             one = self._judged(variant, ratio)
+            if one is not None and [check.id for check in one.judged.failing] == ["viewed"]:
+                found = self._nearer(variant, ratio, needed)  # lenses farther apart see less still
+                break
             if one is not None and one.good:
                 found = one
                 break
@@ -140,41 +170,114 @@ class Search:
             found = one
         return found
 
+    def _nearer(self, variant: Variant, ratio: float, needed: float) -> Tried | None:
+        """The greatest separation below one, in steps of a tenth, at which a stated eye is served; None once something else fails."""
+        while (ratio := round_to(0.9 * ratio, 2)) >= max(needed, RATIOS[0], least_untangled(self.wish)):
+            one = self._judged(variant, ratio)
+            if one is None or one.good:
+                return one
+            if {check.id for check in one.judged.failing} - {"viewed"}:
+                return None
+        return None
+
     def _more(self, one: Tried, other: Tried) -> bool:
         return avoidable(one, self.wish) > avoidable(other, self.wish)
 
-    def _first(self, variant: Variant, needed: float) -> int:
-        """Index into `RATIOS` to begin at."""
-        wanted = max(needed, least_ratio(self.wish, self._sharp(wanted_pitch(self.wish).value)))
-        return next((k for k, ratio in enumerate(RATIOS) if ratio >= wanted), len(RATIOS) - 1)
+    def _first(self, variant: Variant, needed: float) -> int | None:
+        """Index into `RATIOS` to begin at: as large as the law asks, or smaller for a stated eye; None where none serves it."""
+        least = max(needed, least_untangled(self.wish))
+        wanted = max(least, least_ratio(self.wish, self._sharp(wanted_pitch(self.wish).value)))
+        start = next((k for k, ratio in enumerate(RATIOS) if ratio >= wanted), len(RATIOS) - 1)
+        if self.wish.viewing is None:
+            return start
+        best = 0.0
+        for k in range(start, -1, -1):
+            if RATIOS[k] < least:
+                break
+            share, fault = self._thin_share(variant, RATIOS[k])
+            if share >= SURE * self.limit:
+                return k
+            best = max(best, share)
+        self.refused.append(
+            f"{variant}: {self._too_little(best)}, whatever the separation" if best > 0.0 else fault
+        )
+        return None
+
+    @cached_property
+    def limit(self) -> float:
+        """Share of the light of a stated eye that must obey the law, as the overrides leave it."""
+        return built(self.wish, Variant("slab"), 1.0, RATIOS[-1], self.name, self.overrides).check.viewed
+
+    def _thin_share(self, variant: Variant, ratio: float) -> tuple[float, str]:
+        """Share of the eye's light that meets its partner, thin lenses, over the whole sheet; 0 and why where there is no sheet."""
+        bound = self.pitch_at(variant, ratio)
+        if bound is None:
+            return 0.0, self.refused.pop()
+        try:
+            design = self._built(variant, bound, ratio)
+            if variant.eye == "aimed":  # where lenses 2 lie in their cells moves no border
+                design = design.replace({"pair.offset": "paraxial"})
+            return thin_share(prescribe(design), viewer_of(design)), ""
+        except DesignError as problem:
+            return 0.0, f"{variant}: {problem.mistakes[0].message}"
+
+    def _too_little(self, share: float) -> str:
+        return (
+            f"at most {100.0 * share:.3g} % of the light of an eye at {self.wish.distance:g} mm meets its partner lens "
+            f"({100.0 * self.limit:.3g} % asked)"
+        )
+
+    def _built(self, variant: Variant, bound: PitchBound, ratio: float) -> Design:
+        return built(self.wish, variant, self._rounded(bound), ratio, self.name, self.overrides)
+
+    def _rounded(self, bound: PitchBound) -> float:
+        """A pitch of two digits, none below the bound, or one that fills the sheet; one that is wished stays as it is."""
+        if self.wish.pitch is not None:
+            return bound.value
+        pitch, side = round_to(bound.value, 2, up=True), min(self.wish.size.size)
+        count = floor(side / pitch + 1e-9)
+        counted = self.wish.size.shape == "rectangle" and self.wish.kind == "square"
+        if not counted or count < 1 or side - count * pitch <= UNFILLED * side:
+            return pitch
+        return floor(1e4 * side / count + 1e-6) / 1e4
 
     def _sharp(self, pitch: float) -> float:
         """Rms error (radians) that nobody sees: the angle of a pixel, but never beyond the limit."""
-        return min(0.8 * 3e-3, pitch / self.wish.viewing)
+        return min(0.8 * 3e-3, pitch / self.wish.distance)
 
     def _judged(self, variant: Variant, ratio: float) -> Tried | None:
         """The design at this separation, at the pitch that is wanted or the nearest one that the process allows."""
         bound = self.pitch_at(variant, ratio)
-        if bound is None or len(self.tried) >= MOST_JUDGED:
+        if bound is None or self.over:
             return None
-        pitch = round_to(bound.value, 2, up=True)
         try:
-            design = built(self.wish, variant, pitch, ratio, self.name, self.overrides)
-            left = max(prescribe(design).residual.values(), default=0.0)
-            if left > design.check.law_rms:  # fails whatever light does in the field
-                self.refused.append(
-                    f"{variant.form}: along the axis ray {1e3 * left:.3g} mrad are left of the law at {ratio:g} pitches"
-                )
+            design = self._built(variant, bound, ratio)
+            window = prescribe(design)
+            fault = self._fault(design, window)
+            if fault:
+                self.refused.append(f"{variant}: {fault} at {ratio:g} pitches")
                 return None
-            one = Tried(variant, ratio, PitchBound(pitch, bound.why), judge(design))
+            one = Tried(variant, ratio, PitchBound(self._rounded(bound), bound.why), judge(design))
         except DesignError as problem:
-            self.refused.append(problem.mistakes[0].message)
+            self.refused.append(f"{variant}: {problem.mistakes[0].message}")
             return None
         self.tried.append(one)
         return one
 
+    def _fault(self, design: Design, window: Window) -> str:
+        """What cannot pass by all the rays of a judgement; "" where nothing is known."""
+        left = max(window.residual.values(), default=0.0)
+        if left > design.check.law_rms:  # fails whatever light does in the field
+            return f"along the axis ray {1e3 * left:.3g} mrad are left of the law"
+        if self.wish.viewing is None:
+            return ""
+        share = thin_share(window, viewer_of(design))
+        return self._too_little(share) if share < SURE * self.limit else ""
+
     def pitch_at(self, variant: Variant, ratio: float) -> PitchBound | None:
-        """The pitch that looks best, or the nearest that can be made; None where none can."""
+        """The pitch that is wished, or looks best, or the nearest that can be made; None where none can."""
+        if self.wish.pitch is not None:
+            return wanted_pitch(self.wish)
         shape = shape_of(variant.form, index_of(self.wish))
         low = max(lower_pitches(self.wish, ratio, shape), key=lambda b: b.value)
         high = min(upper_pitches(self.wish, ratio, shape), key=lambda b: b.value)
@@ -187,6 +290,42 @@ class Search:
         if wanted.value > high.value:
             return high
         return wanted if wanted.value >= low.value else low
+
+
+def least_untangled(wish: Wish) -> float:
+    """Separation in pitches below which faces that lean by theta, p tan(theta) high in a cell, reach into the other array."""
+    lean = radians(wish.euler[1])
+    return abs(tan(lean)) / max(abs(cos(lean)), 1e-9)
+
+
+def impossible(wish: Wish, limit: float) -> list[str]:
+    """Why no design can fulfil a wish, by closed forms; empty where one may.
+
+    Parameters
+    ----------
+    wish : Wish
+    limit : float
+        Share of the light of a stated eye that must obey the law.
+    """
+    found = []
+    if least_untangled(wish) > RATIOS[-1]:
+        found.append(
+            f"theta = {wish.euler[1]:g} deg: faces that lean so much rise by {abs(tan(radians(wish.euler[1]))):.3g} pitches in each cell, and "
+            f"the arrays cross unless they are {least_untangled(wish):.3g} pitches apart; {RATIOS[-1]:g} are tried at most"
+        )
+    most = returned_share(wish)
+    if wish.viewing is not None and most < limit:
+        found.append(
+            f"eta = [{wish.eta[0]:g}, {wish.eta[1]:g}]: lens 1 spreads the light of an eye over more than its partner where |eta| > 1, so that at "
+            f"most {100.0 * most:.3g} % obey the law from any distance ({100.0 * limit:.3g} % asked); "
+            f"--set check.viewed={most * 0.9:.2g} asks for what there is"
+        )
+    return found
+
+
+def returned_share(wish: Wish) -> float:
+    """Share of the light of an eye that meets its partner at most: 1/|eta| in each meridian where |eta| > 1."""
+    return prod(min(1.0, 1.0 / abs(eta)) for eta in wish.eta)
 
 
 def avoidable(tried: Tried, wish: Wish) -> float:
@@ -210,11 +349,11 @@ def _no_better(before: Tried, after: Tried) -> bool:
     """Whether a larger separation brought no failing check nearer to its limit."""
     first, second = ({(c.id, c.subject): c for c in t.judged.failing} for t in (before, after))
     return bool(second) and all(
-        key in first and not _nearer(first[key], check) for key, check in second.items()
+        key in first and not _is_nearer(first[key], check) for key, check in second.items()
     )
 
 
-def _nearer(before: Check, after: Check) -> bool:
+def _is_nearer(before: Check, after: Check) -> bool:
     if not all(isinstance(v, float) for c in (before, after) for v in (c.value, c.limit)):
         return False
     far, near = (abs(float(c.value or 0.0) - float(c.limit or 0.0)) for c in (before, after))

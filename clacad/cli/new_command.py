@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,8 +40,21 @@ def list_templates(*, json: bool, quiet: bool) -> int:
     if json:
         show_json(found)
     else:
-        show_text(table(found.items(), ""), quiet=quiet)
+        show_text("\n".join(_grouped(found)), quiet=quiet)
     return 0
+
+
+def _grouped(found: Mapping[str, str]) -> Iterator[str]:
+    """Templates under headings: those to start from, then the paper's designs, the variants of one figure under its name."""
+    from clacad.design.starter_designs import differences, figure_of
+
+    figures = {name: figure_of(name) for name in found}
+    yield "to start from"
+    yield table(((f"  {name}", about) for name, about in found.items() if not figures[name]), "")
+    for figure in dict.fromkeys(filter(None, figures.values())):
+        names = [name for name in found if figures[name] == figure]
+        yield f"the paper's {figure}, and what differs from paper-base"
+        yield table(((f"  {name}", differences(name)) for name in names), "")
 
 
 def new_design(request: NewRequest, *, json: bool, quiet: bool) -> int:
@@ -91,7 +104,11 @@ def _from_template(request: NewRequest, target: Path, stem: str, *, json: bool, 
     elif request.dry_run:
         show_text(text.rstrip("\n"), quiet=quiet)
     else:
-        show_text(f"wrote {target}\nnext: clacad check {target}", quiet=quiet)
+        out = target.with_suffix("")
+        show_text(
+            f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format step",
+            quiet=quiet,
+        )
     return 0
 
 
@@ -154,7 +171,10 @@ def _place(target: Path, *, overwrite: bool) -> Iterator[Callable[[str], None]]:
     A schema of another program is left alone.
     """
     from clacad.storage.atomic import Stage, translated, write_content
+    from clacad.storage.errors import ExportRefused
 
+    if target.is_file() and not target.is_symlink() and not overwrite:
+        raise ExportRefused(f"{target} exists; --overwrite replaces it, another NAME keeps it")
     with Stage(target.parent, overwrite=overwrite) as stage:
         private, beside = stage.path(target.name), target.parent / SCHEMA
 

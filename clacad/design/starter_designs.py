@@ -6,6 +6,7 @@ Where both have one name, as "slab", the commented one is meant.
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 from clacad.base.units import LENGTHS, Unit
@@ -16,6 +17,9 @@ from clacad.design.keys import ROOT
 from clacad.design.shipped_folder import shipped_designs
 
 _FOLDER = Path(__file__).parent / "templates"
+MOST_NAMED = 5
+"""Templates that a message suggests."""
+
 _NAME = re.compile(r'^name = ".*"$', re.MULTILINE)
 
 
@@ -54,11 +58,43 @@ def template(name: str, kind: str = "slab") -> str:
             reader.read(value, nothing)
         except Refusal as refusal:
             message = f"{key} = {shown(value)} {refusal.complaint}"
+            hint = (
+                _nearest_of(value) if key == "template" and isinstance(value, str) else ""
+            ) or refusal.hint
             raise DesignError(
-                [Mistake(refusal.code, message, key, allowed=refusal.allowed, hint=refusal.hint)]
+                [Mistake(refusal.code, message, key, allowed=refusal.allowed, hint=hint)]
             ) from None
     text = files[kind].read_text(encoding="utf-8")
     return _NAME.sub(lambda _: f'name = "{name}"', text, count=1)
+
+
+def figure_of(name: str) -> str:
+    """Return the figure of the paper that a template is of: "Fig. 5", "sheet" of a template named after it, "" of others."""
+    found = re.match(r"fig(\d+[a-z]?)", name)
+    return f"Fig. {found[1]}" if found else "sheet" if name.startswith("paper-") else ""
+
+
+def differences(name: str) -> str:
+    """Return the values of a template that differ from those of paper-base: "law.eta = [-0.5, -0.5]"; without name and notes."""
+    own, base = (tomllib.loads(_files()[kind].read_text(encoding="utf-8")) for kind in (name, "paper-base"))
+    found = [
+        f"{section}.{key} = {shown(value)}"
+        for section, keys in own.items()
+        if isinstance(keys, dict)
+        for key, value in keys.items()
+        if value != base.get(section, {}).get(key)
+    ]
+    return ", ".join(found) or "as paper-base"
+
+
+def _nearest_of(word: str) -> str:
+    """Return the templates that begin with a word, or share its longest beginning; "" where none does."""
+    names = sorted(_files())
+    for length in range(len(word), 3, -1):
+        found = [name for name in names if name.startswith(word[:length].lower())]
+        if found:
+            return f"did you mean {' or '.join(quoted for quoted in map(shown, found[:MOST_NAMED]))}?"
+    return ""
 
 
 def _files() -> dict[str, Path]:

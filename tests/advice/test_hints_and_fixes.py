@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -162,6 +163,37 @@ def test_an_edge_too_thin_is_told_of_the_keys_of_its_form_and_one_of_them_passes
     fixed = fix(design)
     assert fixed.passes
     assert set(fixed.changes) <= {"pair.thickness", "pair.web", "body.border"}
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("lattice.aperture", {"point": [0, 0, -400]}), ("lattice.aperture", [0.01, 0.0]), ("lattice.aperture", "aligned"), ("body.border", 1.0),
+])  # fmt: skip
+def test_no_lever_moves_what_a_design_states_as_its_intent(key, value):
+    design = Design.from_dict(BICONVEX)
+    checks = [SimpleNamespace(id=id, state="fail") for id in LEVERS]
+    section, name = key.split(".")
+    stated = Design.from_dict(BICONVEX | {section: BICONVEX.get(section, {}) | {name: value}})
+    assert key in {lever.key for lever in levers_of(design, checks)}
+    assert key not in {lever.key for lever in levers_of(stated, checks)}
+    assert not {lever.key for lever in levers_of(stated, checks)} & {
+        "law.eta",
+        "check.viewer",
+        "check.field",
+        "lattice.outline",
+        "body.holes",
+    }
+
+
+@pytest.mark.slow
+def test_a_fix_for_a_stated_eye_gives_it_a_field_lens_and_keeps_the_eye():
+    given = tomllib.loads(ROUND)
+    given["pair"]["separation"], given["lattice"] = 8.0, {"pitch": 1.0, "count": [20, 20]}
+    design = Design.from_dict(given | {"check": {"process": "diamond-turning", "viewer": 120.0}})
+    assert [check.id for check in judge(design).failing] == ["viewed"]
+    fixed = fix(design)
+    assert fixed.passes
+    assert "pair.field_lens" in fixed.changes
+    assert fixed.design.check == design.check
 
 
 def test_the_residual_of_a_recipe_names_the_key_of_recipes():

@@ -28,7 +28,7 @@ class Case:
 CASES = (
     Case("round-polycarbonate", "eta=-1, circle=60 mm, kind=hexagonal, material=PC, process=moulding"),
     Case("anamorphic-offset", "eta=[-.5, -2], delta=[.1, .05], width=40 mm, material=PMMA", warns=("field",)),
-    Case("tilted-plano", "eta=-1, euler=[30, 5, 0], form=plano, width=10 mm, viewing=300 mm, process=two-photon", form="plano",
+    Case("tilted-plano", "eta=-1, euler=[30, 5, 0], form=plano, width=10 mm, process=two-photon", form="plano",
          warns=("field",)),
     Case("galilean-moulded", "eta=.5, width=50 mm, process=moulding"),
     Case("window", "eta=-1, width=100 mm, viewing=500 mm, process=diamond-turning"),

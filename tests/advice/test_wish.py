@@ -11,7 +11,7 @@ from trust.running import clacad
 
 from clacad.advice.candidate import Variant, built
 from clacad.advice.first_numbers import (
-    WAVELENGTH,
+    PitchBound,
     balanced_pitch,
     lower_pitches,
     shape_of,
@@ -20,13 +20,17 @@ from clacad.advice.first_numbers import (
     upper_pitches,
 )
 from clacad.advice.judged import judge
-from clacad.advice.proposal import NoSuchSheet, design_for
+from clacad.advice.proposal import NoSuchSheet, design_for, not_met
 from clacad.advice.wish import Wish, parse_wish, read_wish
-from clacad.design import DesignError, load
+from clacad.advice.wish_search import Search, impossible
+from clacad.design import DesignError, load, template
 from clacad.design.sections import Outline
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.verification import verify
+
+WAVELENGTH = 550e-9
+"""Metres; the design file's default."""
 
 ROUND = "eta=-1, circle=60 mm, kind=hexagonal, material=PC, process=moulding"
 
@@ -61,6 +65,73 @@ def test_every_mistake_of_a_wish_is_told_at_once_with_what_is_allowed():
 def test_what_is_not_key_and_value_is_refused(text):
     with pytest.raises(DesignError, match="KEY=VALUE"):
         parse_wish([text])
+
+
+def test_a_wish_reads_index_wavelength_pitch_flange_and_holes_with_units_and_is_the_wish_again():
+    text = "eta=-1, circle=60, index=1.52, wavelength=633 nm, pitch=500 um, flange=.8 cm, holes=6"
+    wish = read_wish(parse_wish([text]))
+    assert (wish.index, wish.pitch, wish.flange, wish.holes) == (1.52, 0.5, 8.0, 6)
+    assert wish.wavelength == pytest.approx(633e-9, rel=1e-15)
+    assert read_wish(wish.words()) == wish
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    ("index=1.5, material=PMMA", "index and material exclude each other"),
+    ("holes=4", "holes need a flange"),
+    ("holes=3, flange=6", "do not fit the corners"),
+    ("index=.9", "a number > 1, at most 10"),
+    ("wavelength=1 km", "a wavelength from 10 nm to 1 mm"),
+    ("flange=-3", "a length > 0"),
+    ("holes=2.5, flange=6", "a whole number"),
+])  # fmt: skip
+def test_words_that_do_not_fit_are_refused_with_what_is_allowed(words, told):
+    with pytest.raises(DesignError) as caught:
+        read_wish(parse_wish([f"eta=-1, width=40, {words}"]))
+    assert told in str(caught.value)
+
+
+def test_what_is_wished_is_written_into_the_design_the_eye_the_flange_and_its_holes_too():
+    words = "viewing=300, object=2 m, index=1.52, wavelength=633 nm, flange=6, holes=4"
+    flat = built(read_wish(parse_wish([f"eta=-1, width=40, {words}"])), Variant("slab"), 0.5, 12.0, "x")
+    assert (flat.check.viewer, flat.check.object) == (300.0, 2000.0)
+    assert (flat.pair.index, flat.pair.wavelength) == (1.52, pytest.approx(633e-9, rel=1e-15))
+    assert flat.body.border == 6.0
+    places = flat.body.holes[0].places((52.0, 52.0))
+    assert sorted(places) == [
+        (x, y) for x in (-23.0, 23.0) for y in (-23.0, 23.0)
+    ]  # 3 mm inside the 52 mm plate
+    disc = built(read_wish(parse_wish([f"eta=-1, circle=40, {words}"])), Variant("slab"), 0.5, 12.0, "x")
+    assert (disc.body.holes[0].circle, disc.body.holes[0].count) == (46.0, 4)
+
+
+def test_an_eye_that_no_one_stated_is_not_written_and_not_judged():
+    design = built(read_wish({"eta": -1, "width": 40}), Variant("slab"), 0.5, 12.0, "x")
+    assert design.check.viewer is None
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    ("eta=-1, width=5, euler=[10,89,3]", "theta = 89 deg"),
+    ("eta=-2, width=40, viewing=400", "at most 25 % obey the law from any distance"),
+])  # fmt: skip
+def test_what_no_sheet_can_do_is_known_before_one_is_built(text, told):
+    search = Search(read_wish(parse_wish([text])), "x")
+    assert search.run() is None
+    assert told in search.refused[0]
+    assert not search.tried
+
+
+def test_a_lean_is_refused_only_where_the_arrays_would_cross():
+    for theta in (5.0, 45.0, 80.0):
+        assert not impossible(read_wish({"eta": -1, "width": 5, "euler": [0, theta, 0]}), 0.9)
+
+
+def test_cells_fill_the_width_or_it_is_said():
+    search = Search(read_wish({"eta": -1, "width": 40}), "x")
+    assert search._rounded(PitchBound(6.4, "")) == pytest.approx(40 / 6, abs=1e-4)
+    wished = Search(read_wish({"eta": -1, "width": 40, "pitch": 6.4}), "x")
+    assert wished._rounded(PitchBound(6.4, "")) == 6.4
+    found = list(not_met(wished.wish, built(wished.wish, Variant("slab"), 6.4, 12.0, "x")))
+    assert found == ["width: asked 40 mm, 6 x 6.4 = 38.4 mm are whole cells"]
 
 
 # --- formulas -----------------------------------------------------------------------------------------------
@@ -184,6 +255,32 @@ def test_a_wish_that_cannot_come_true_names_what_binds_and_a_wish_that_does():
     [word] = [line.strip().split(" comes true")[0] for line in text.splitlines() if " comes true" in line][:1]
     words = {"eta": -1, "width": 2, "process": "sla", "viewing": 300}
     assert design_for(words | parse_wish([word])).judged.passes
+
+
+def test_a_file_that_is_there_is_refused_by_a_sentence_that_names_overwrite(tmp_path):
+    (tmp_path / "w.toml").write_text("mine")
+    ended = clacad("new", "w", cwd=tmp_path)
+    assert ended.status == 4
+    assert "--overwrite" in ended.err
+    assert (tmp_path / "w.toml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"), [("fig5", "fig5-phi-45"), ("fig7-psi", "fig7-psi-270"), ("slap", "slab")]
+)
+def test_a_template_that_is_not_there_names_those_that_begin_so(kind, told):
+    with pytest.raises(DesignError) as caught:
+        template("x", kind)
+    assert told in caught.value.mistakes[0].hint
+
+
+def test_the_list_groups_the_designs_of_the_paper_and_says_what_differs(tmp_path):
+    ended = clacad("new", "--list", cwd=tmp_path)
+    lines = ended.out.splitlines()
+    head = next(k for k, line in enumerate(lines) if "Fig. 5" in line)
+    under = lines[head + 1 : head + 6]
+    assert all(line.startswith("  fig5-phi-") for line in under)
+    assert any("law.euler = [26.57, 0.0, 0.0]" in line for line in under)
 
 
 # --- the command --------------------------------------------------------------------------------------------
