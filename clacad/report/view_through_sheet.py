@@ -94,21 +94,27 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
 
 
 def seen_by_viewer(design: Design, window: Window) -> bytes | None:
-    """Render what the viewer of the check `viewed` sees through the whole sheet, by ideal lenses; None for one behind it.
+    """Render what the viewer of the check `viewed` sees through the whole sheet, by ideal lenses.
+
+    None for a viewer behind the sheet or nearer than a pitch, and where the scene is larger than scenes may be.
 
     window : of the whole sheet, whose cells may differ.
     """
     from clacad.rendering.picture import view_through
     from clacad.rendering.picture_files import pixels_of
+    from clacad.scene import SceneError
     from clacad.verification.light.viewed import viewer_of
 
     viewer = viewer_of(design)
-    if viewer[2] >= window.z_range[0]:
+    if viewer[2] >= window.z_range[0] - max(window.lattice.pitch):
         return None
     behind = design.check.object
     place = _placed(window, viewer, (0.0, 0.0), 0.2 * -viewer[2] if behind is None else behind)
-    with _scene_of(design, window, place, "thin", VIEWER_PIXELS) as scene:
-        return _png(pixels_of(view_through(scene, window=window, compiled=False)))
+    try:
+        with _scene_of(design, window, place, "thin", VIEWER_PIXELS) as scene:
+            return _png(pixels_of(view_through(scene, window=window, compiled=False)))
+    except SceneError:
+        return None
 
 
 @contextmanager

@@ -405,5 +405,7 @@ def test_the_view_is_that_of_the_stated_viewer_and_none_of_one_behind_the_sheet(
     window = prescribe(design)
     near, far = (seen_by_viewer(design.replace({"check.viewer": d}), window) for d in (200, 800))
     assert near != far
+    for nowhere in ({"check.viewer": 0.01}, {"check.viewer": 1e9, "check.object": 1e9}):
+        assert seen_by_viewer(design.replace(nowhere), window) is None
     behind = design.replace({"lattice.aperture": {"point": [0, 0, 400]}})
     assert seen_by_viewer(behind, prescribe(behind)) is None
