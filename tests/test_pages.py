@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import doctest
 import re
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+import clacad
+from clacad.optics.law import angle_between
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "clacad"
@@ -67,16 +73,49 @@ def test_the_new_modules_of_the_changelog_exist():
                 )
 
 
+def python_of_the_readme() -> str:
+    """The block of README.md that shows the Python interface."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"## Python\n\n```python\n(.*?)```", text, re.S)
+    return block
+
+
+def test_the_first_ray_of_the_readme_obeys_the_law_as_its_comment_says(monkeypatch, capsys):
+    """The lines up to the first that builds something else; the angle to the law is within three times the sheet's rms."""
+    monkeypatch.chdir(ROOT)
+    names: dict[str, Any] = {}
+    exec(python_of_the_readme().partition("longer = ")[0], names)
+    assert "ALIVE" in capsys.readouterr().out
+    asked = names["design"].law.refract(names["rays"].direction)
+    assert float(angle_between(names["result"].direction, asked)[0]) < 3.0 * 2.65e-3
+
+
+def with_examples() -> list[str]:
+    """Modules of the package whose docstrings show calls."""
+    files = [path for path in PACKAGE.rglob("*.py") if ">>> " in path.read_text(encoding="utf-8")]
+    return sorted(".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files)
+
+
+@pytest.mark.parametrize("module", with_examples())
+def test_every_example_in_a_docstring_prints_what_it_says(module, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    found = doctest.testmod(
+        import_module(module), optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    )
+    assert found.attempted > 0
+    assert found.failed == 0
+
+
 @pytest.mark.slow
 def test_the_python_of_the_readme_runs_as_it_stands(tmp_path, monkeypatch):
     """In a folder with the designs; what the main job writes is left out of the last line."""
-    (block,) = re.findall(
-        r"## Python\n\n```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S
-    )
+    block = python_of_the_readme()
     assert block.count('files="exports/paper"') == 1
     (tmp_path / "designs").symlink_to(ROOT / "designs")
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    names: dict[str, Any] = {}
     exec(block.replace(', files="exports/paper"', ""), names)
+    assert 0.05 < names["pair"].share < 1.0
+    assert names["better"].after[1].law_rms < 0.5 * names["better"].before[1].law_rms
     assert {"result", "pair", "found", "better", "parts", "passing", "report"} <= set(names)
     assert {"page.html", "sliders.html"} <= {path.name for path in tmp_path.iterdir()}

@@ -62,8 +62,11 @@ class Tracer:
     -----
     A tracer can be pickled and sent to other processes, what was laid out with it.
 
-    >>> tracer = clacad.Tracer(window, rung="mesh", mesh="sheet.stl")  # doctest: +SKIP
-    >>> result = tracer(rays)                                          # doctest: +SKIP
+    >>> import clacad
+    >>> window = clacad.prescribe(clacad.load("designs/paper-a-covered.toml"))
+    >>> tracer = clacad.Tracer(window, rung="thin")
+    >>> tracer(clacad.Rays((0.0015, 0.0025, -0.1), [[0.01, 0.0, 1.0]])).counts()["ALIVE"]
+    1
     """
 
     window: Window
