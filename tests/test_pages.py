@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-import clacad
 from clacad.optics.law import angle_between
 
 ROOT = Path(__file__).parents[1]

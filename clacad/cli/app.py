@@ -559,7 +559,7 @@ def atlas(
     out: Out,
     scenes: Annotated[Path | None, typer.Option("--scenes", metavar="DIR", help="Folder of the scene files; default those "
                                                 "that come with clacad.")] = None,
-    rows: Annotated[str, typer.Option("--rows", metavar="F1,F2", help="Only these; default all.")] = "",
+    rows: Annotated[str | None, typer.Option("--rows", metavar="F1,F2", help="Only these; default all.")] = None,
     size: Annotated[int, typer.Option("--size", min=16, max=8192, help="Pixels across a figure.")] = 440,
     samples: Annotated[int, typer.Option("--samples", min=1, max=4096, help="Rays a pixel.")] = 16,
     movie_size: Annotated[int, typer.Option("--movie-size", min=16, max=4096, help="Pixels across a movie.")] = 220,
@@ -577,6 +577,10 @@ def atlas(
     from clacad.rendering.atlas.make_atlas import AtlasRequest
 
     folder = shipped_designs() / "scenes" if scenes is None else scenes
-    chosen = tuple(row.strip().upper() for row in rows.split(",") if row.strip())
+    chosen = tuple(row.strip().upper() for row in (rows or "").split(",") if row.strip())
+    if rows is not None and not chosen:
+        raise typer.BadParameter(
+            "names no row: give one, such as F3, or leave it out for all", param_hint="--rows"
+        )
     request = AtlasRequest(folder, out, size, samples, movies, movie_size, chosen, measure, overwrite)
     return make_atlas(request, json=json, quiet=quiet)

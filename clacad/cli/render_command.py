@@ -48,6 +48,7 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
     from clacad.rendering.picture_files import write_picture
     from clacad.scene import load_scene
 
+    _refuse_design(path)
     scene = _adjusted(load_scene(path, tuple(overrides)), request)
     require_writable(request.out, overwrite=request.overwrite)
     progress = Progress(quiet=quiet)
@@ -67,6 +68,22 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
     write_picture(picture, request.out, overwrite=request.overwrite or coarse)
     _told([picture], [request.out], json=json, quiet=quiet)
     return 0
+
+
+def _refuse_design(path: Path) -> None:
+    """Refuse a design file: it has no camera.
+
+    Raises
+    ------
+    BadRequest
+    """
+    from clacad.config.toml_text import top_keys
+
+    if path.is_file() and "law" in top_keys(str(path)):
+        raise BadRequest(
+            f"{path} is a design, which has no camera: `clacad render --preset eye {path} PHOTO -o OUT` shows a photograph "
+            "through its sheet, and a scene file with [camera] and [sheet] any other view"
+        )
 
 
 def _planned(scene: Scene, progress: Progress) -> Passage:

@@ -174,7 +174,11 @@ def sweep_text(found: Sweep) -> str:
         lines.append(
             [*(str(row[key]) for key in keys), row["state"], *_optics(row), row["failed"] or row["message"]]
         )
-    return f"{found.name}; angles in mrad\n{table(lines)}"
+    light = (
+        "light: over the field about its middle, check.field and check.field_centre of each point (aimed cells: the field "
+        "follows them); a beam along the normal is not judged"
+    )
+    return f"{found.name}; angles in mrad\n{light}\n{table(lines)}"
 
 
 def _optics(row: dict[str, Any]) -> list[str]:
