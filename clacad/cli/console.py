@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from clacad.base import log
-from clacad.base.machine_rates import span_text
+from clacad.base.machine_rates import processor_seconds_now, span_text
 from clacad.base.text import plain, printable_lines
 from clacad.base.text import table as table
 from clacad.cli.streams import is_unicode
@@ -49,10 +49,18 @@ def size(count: float) -> str:
     return f"{count:.3g} TB"
 
 
+AGAIN, AGAIN_IN_LOG = 1.0, 30.0
+"""Seconds after which the stage at work is said again: on a terminal, and where each time is a line of its own."""
+
+ENOUGH = 0.5
+"""Processor seconds of a command from which on its speed is known."""
+
+
 class Progress:
     """One line on stderr that says which stage is at work and how far it is.
 
-    Silent for the first second, and when quiet; then it says the stage at work, whether or not that tells of itself. On a
+    Silent for the first second, and when quiet; then it says the stage at work again and again, whether or not that tells of itself.
+    What is left is the forecast's processor seconds as fast as the machine lets this command have them. On a
     terminal the line is rewritten; elsewhere every stage gets one line. Call it as a function: progress(stage, fraction),
     fraction None or NaN where unknown.
     """
@@ -67,16 +75,16 @@ class Progress:
         self._open = False
         self._terminal = sys.stderr.isatty()
         self._expected = 0.0
+        self._expected_from = self._start, 0.0
         self._lock = threading.RLock()
-        self._first: threading.Timer | None = None
+        self._next: threading.Timer | None = None
         if not quiet and not log.on():
-            self._first = threading.Timer(after, self._show_first)
-            self._first.daemon = True
-            self._first.start()
+            self._show_again_in(after)
 
     def expect(self, seconds: float) -> None:
         """Say what all of it is forecast to take from now on, processor seconds."""
-        self._expected = time.monotonic() - self._start + seconds
+        self._expected = seconds
+        self._expected_from = time.monotonic(), processor_seconds_now()
 
     def say(self, text: str) -> None:
         """A line that stays."""
@@ -99,11 +107,21 @@ class Progress:
                 return
             self._show(stage, fraction, now, fresh=fresh)
 
-    def _show_first(self) -> None:
-        """The stage at work when the silent second ends, if it has not been said by then."""
+    def _show_again_in(self, seconds: float) -> None:
+        self._next = threading.Timer(seconds, self._show_again)
+        self._next.daemon = True
+        self._next.start()
+
+    def _show_again(self) -> None:
+        """The stage at work, if nothing was said of it for a while."""
+        pause = AGAIN if self._terminal else AGAIN_IN_LOG
         with self._lock:
-            if self._stage and not self._shown:
-                self._show(self._stage, None, time.monotonic(), fresh=True)
+            now = time.monotonic()
+            if self._shown == math.inf:
+                return
+            if self._stage and (not self._shown or now - self._shown >= pause):
+                self._show(self._stage, None, now, fresh=True)
+            self._show_again_in(pause)
 
     def _show(self, stage: str, fraction: float | None, now: float, *, fresh: bool) -> None:
         if not self._terminal:
@@ -125,8 +143,17 @@ class Progress:
         return f"{stage}  {100.0 * fraction:.0f} %  {elapsed:.0f} s, {left:.0f} s left{self._left(now)}"
 
     def _left(self, now: float) -> str:
-        """What is left of all by the forecast; nothing where none was made, or less than a second is."""
-        left = self._expected - (now - self._start)
+        """What is left of all by the forecast, or that it takes longer; nothing where no forecast was made, or less than a
+        second is left.
+        """
+        if not self._expected > 0.0:
+            return ""
+        began, used_before = self._expected_from
+        used = processor_seconds_now() - used_before
+        if used > self._expected:
+            return f" (longer than forecast: {used:.0f} s of processor time for {self._expected:.0f})"
+        pace = (now - began) / used if used > ENOUGH else 1.0
+        left = (self._expected - used) * pace
         return f" (of all, about {span_text(left, left).removeprefix('about ')} left)" if left >= 1.0 else ""
 
     def _clear(self) -> None:
@@ -137,8 +164,8 @@ class Progress:
 
     def done(self) -> None:
         """Clear the line."""
-        if self._first is not None:
-            self._first.cancel()
         with self._lock:
-            self._shown = self._shown or math.inf  # nothing is said any more that was not
+            self._shown = math.inf  # nothing is said any more
+            if self._next is not None:
+                self._next.cancel()
             self._clear()

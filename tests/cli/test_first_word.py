@@ -9,6 +9,7 @@ import pytest
 
 import clacad
 from clacad.base.types import silent
+from clacad.cli import console
 from clacad.cli.console import Progress
 from clacad.design import Design
 from clacad.exporting.request import Request
@@ -28,8 +29,7 @@ TEXT = {
 def test_the_stage_at_work_is_said_though_it_tells_nothing_more(capsys):
     progress = Progress(after=0.05)
     progress("thinking")
-    assert progress._first is not None
-    progress._first.join()
+    time.sleep(0.5)
     assert capsys.readouterr().err == "thinking ...\n"
     progress("writing")
     progress.done()
@@ -40,9 +40,9 @@ def test_nothing_is_said_of_what_is_over_before_the_silent_time(capsys):
     progress = Progress(after=30.0)
     progress("thinking")
     progress.done()
-    assert progress._first is not None
-    progress._first.join(20.0)
-    assert not progress._first.is_alive()  # long before its time: nothing is waited for that would say a word
+    assert progress._next is not None
+    progress._next.join(20.0)
+    assert not progress._next.is_alive()  # long before its time: nothing is waited for that would say a word
     quiet = Progress(quiet=True, after=0.0)
     quiet("thinking")
     time.sleep(0.1)
@@ -123,3 +123,27 @@ def test_a_returned_part_is_forecast_with_finding_how_it_lies():
         0.7, abs=0.05
     )  # as measured
     assert task([returned]) != task([listed])  # what one took says little of the other
+
+
+def test_what_is_left_is_longer_on_a_busy_machine_and_a_forecast_that_was_short_is_said(monkeypatch):
+    """Of 20 s of processor time 5 were had in 20 s of the clock: the other 15 take 60 s."""
+    wall, used = [100.0], [7.0]
+    monkeypatch.setattr(time, "monotonic", lambda: wall[0])
+    monkeypatch.setattr(console, "processor_seconds_now", lambda: used[0])
+    progress = Progress(quiet=True)
+    progress.expect(20.0)
+    wall[0], used[0] = 120.0, 12.0
+    assert "about 60 s left" in progress._left(wall[0])
+    wall[0], used[0] = 300.0, 32.0
+    assert progress._left(wall[0]) == " (longer than forecast: 25 s of processor time for 20)"
+
+
+def test_a_stage_that_says_nothing_of_itself_is_said_again_until_the_end(monkeypatch, capsys):
+    monkeypatch.setattr(console, "AGAIN_IN_LOG", 0.05)
+    progress = Progress(after=0.0)
+    progress("thinking")
+    time.sleep(0.5)
+    progress.done()
+    assert capsys.readouterr().err.count("thinking") >= 3
+    time.sleep(0.2)
+    assert not capsys.readouterr().err
