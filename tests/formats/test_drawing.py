@@ -17,6 +17,7 @@ import pytest
 import clacad
 from clacad.exporting.export_design import export
 from clacad.formats.drawing import views
+from clacad.formats.drawing.canvas import DimensionMark
 from clacad.formats.drawing.sheet_layout import MARGIN, PAPERS, sheets
 from clacad.sheet.feasibility import feasibility
 from clacad.storage.errors import FileDisagrees, NotPossible
@@ -252,3 +253,23 @@ def test_without_its_packages_the_drawing_names_the_extras_before_any_work(tmp_p
     with pytest.raises(NotPossible, match=r"clacad\[dxf,pdf\]"):
         export(part("slab", (2, 2)), tmp_path / "x", ("drawing",))
     assert not (tmp_path / "x").exists()
+
+
+def test_a_drawing_dimensions_the_clear_aperture_and_the_places_of_the_holes(tmp_path):
+    made = clacad.Design.from_dict({
+        "format": 1, "name": "flange", "unit": "mm", "law": {"eta": [-0.5, -1.0]},
+        "pair": {"form": "slab", "separation": 12, "index": 1.5}, "lattice": {"pitch": 1.0, "outline": {"circle": 6.5}},
+        "body": {"border": 2, "holes": [{"diameter": 0.8, "at": [[4.4, 0.0], [-3.2, 3.1]]}]},
+    })  # fmt: skip
+    view = views.plan(clacad.prescribe(made))
+    said = {
+        (mark.words, mark.upright): abs(mark.ends[0][mark.upright] - mark.ends[1][mark.upright]) / view.scale
+        for mark in view.marks
+        if isinstance(mark, DimensionMark)
+    }
+    lengths = {
+        ("10.5", False): 10.5, ("10.5", True): 10.5, ("clear 6.5", False): 6.5,
+        ("4.4", False): 4.4, ("3.2", False): 3.2, ("3.1", True): 3.1,
+    }  # fmt: skip
+    assert said.keys() == lengths.keys()
+    assert all(abs(said[key] - wanted) < 1e-9 for key, wanted in lengths.items())

@@ -130,14 +130,22 @@ def plan(window: Window) -> Canvas:
     x0, x1, y0, y1 = whole_extent(window)
     scale = 190.0 / (max(x1 - x0, y1 - y0) * mm)
     wide, tall = (x1 - x0) * mm * scale, (y1 - y0) * mm * scale
+    across, upright = _inner_distances(window)
+    drop = (
+        STEP_DOWN if isinstance(window.outline, Plate) else 0.0
+    )  # the datum of a round side stands over the words
     canvas = Canvas(
-        380.0, tall + 92.0, "the sheet seen along the light, with axes and outer sizes, to scale", scale
+        380.0 + STEP_OUT * len(upright),
+        tall + 92.0 + drop + STEP_DOWN * len(across),
+        "the sheet seen along the light, with axes, sizes and places of holes, to scale",
+        scale,
     )
     left, top = 105.0, 24.0
     if isinstance(window.outline, Plate):
         _plate_plan(canvas, window.outline, (x1, y1), (left, top), mm * scale)
-        canvas.datum((left + 0.3 * wide, top + tall), (0.0, 14.0), "B")
-        canvas.datum((left + wide, top + 0.3 * tall), (13.0, 0.0), "C")
+        lowest, outermost = _extreme_places(window.outline)
+        canvas.datum((left + (x1 - lowest) * mm * scale, top + tall), (0.0, 14.0), "B")
+        canvas.datum((left + wide, top + (y1 - outermost) * mm * scale), (13.0, 0.0), "C")
     elif isinstance(window.outline, Circle):
         canvas.circle((left + 0.5 * wide, top + 0.5 * tall), 0.5 * wide, "body")
         canvas.datum((left + wide, top + 0.5 * tall), (13.0, 0.0), "B")
@@ -157,11 +165,65 @@ def plan(window: Window) -> Canvas:
     canvas.circle((float(middle[0]), float(middle[1])), 5.0, "dim")
     canvas.text((float(middle[0]) + 10, float(middle[1]) + 18), "+z away", "start", "note")
     bottom = top + tall
-    canvas.across(left, left + wide, bottom + 26, mm_text((x1 - x0) * mm), (bottom, bottom))
+    canvas.across(left, left + wide, bottom + 26 + drop, mm_text((x1 - x0) * mm), (bottom, bottom))
     canvas.upright(top, bottom, left + wide + 22, mm_text((y1 - y0) * mm), (left + wide, left + wide))
-    canvas.text((6, bottom + 54), "seen along the light, from the side of lens 1", "start", "note")
-    canvas.scale_note((374, bottom + 54))
+    origin = (left + x1 * mm * scale, top + y1 * mm * scale)
+    if isinstance(window.lattice.outline, Circle) and window.outline != window.lattice.outline:
+        canvas.circle(origin, 0.5 * window.lattice.outline.diameter * mm * scale, "axis")
+    for row, (low, high, words) in enumerate(across, 1):
+        ends = origin[0] - high * mm * scale, origin[0] - low * mm * scale
+        canvas.across(
+            *ends,
+            bottom + 26 + drop + STEP_DOWN * row,
+            words + mm_text((high - low) * mm),
+            (origin[1], origin[1]),
+        )
+    for row, (low, high, words) in enumerate(upright, 1):
+        ends = origin[1] - high * mm * scale, origin[1] - low * mm * scale
+        at = left + wide + 22 + STEP_OUT * row
+        canvas.upright(*ends, at, words + mm_text((high - low) * mm), (origin[0], origin[0]))
+    foot = bottom + 54 + drop + STEP_DOWN * len(across)
+    canvas.text((6, foot), "seen along the light, from the side of lens 1", "start", "note")
+    canvas.scale_note((canvas.width - 6.0, foot))
     return canvas
+
+
+STEP_DOWN, STEP_OUT = 20.0, 44.0
+"""Between dimensions one beyond another, px."""
+
+MOST_PLACES = 4
+"""Different distances of holes along an axis that a view dimensions; the table of holes has all."""
+
+Distance = tuple[float, float, str]
+
+
+def _inner_distances(window: Window) -> tuple[list[Distance], list[Distance]]:
+    """Stretches (low, high, words) along x and along y, lengths, to be dimensioned: clear aperture, places of holes."""
+    clear: list[Distance] = []
+    if isinstance(window.lattice.outline, Circle) and window.outline != window.lattice.outline:
+        half = 0.5 * window.lattice.outline.diameter
+        clear = [(-half, half, "clear ")]
+    if not isinstance(window.outline, Plate):
+        return clear, []
+    plate = window.outline
+    found: list[list[Distance]] = []
+    for places in ([hole.x for hole in plate.holes], [hole.y for hole in plate.holes]):
+        least = 1e-12 * max(plate.reach)
+        apart = sorted({float(f"{value:.12g}") for value in places if abs(value) > least}, key=abs)
+        stretches = [(min(0.0, value), max(0.0, value), "") for value in apart]
+        found.append(stretches if len(stretches) <= MOST_PLACES else [])
+    return clear + found[0], found[1]
+
+
+def _extreme_places(plate: Plate) -> tuple[float, float]:
+    """X of the lowest and y of the leftmost points of a plate (lengths), beside the middle of a side that is straight there."""
+    boundary = plate.polygons(360)[0]
+    x, y = boundary.T
+    near = 1e-6 * max(plate.reach)
+    lowest, leftmost = x[y < y.min() + near], y[x < x.min() + near]
+    share = 0.7  # beside the words of a dimension, which stand in the middle
+    places = [float(side.min() + share * (side.max() - side.min())) for side in (lowest, leftmost)]
+    return places[0], places[1]
 
 
 def _plate_plan(
