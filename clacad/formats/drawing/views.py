@@ -167,25 +167,37 @@ def plan(window: Window) -> Canvas:
     bottom = top + tall
     canvas.across(left, left + wide, bottom + 26 + drop, mm_text((x1 - x0) * mm), (bottom, bottom))
     canvas.upright(top, bottom, left + wide + 22, mm_text((y1 - y0) * mm), (left + wide, left + wide))
-    origin = (left + x1 * mm * scale, top + y1 * mm * scale)
-    if isinstance(window.lattice.outline, Circle) and window.outline != window.lattice.outline:
-        canvas.circle(origin, 0.5 * window.lattice.outline.diameter * mm * scale, "axis")
-    for row, (low, high, words) in enumerate(across, 1):
-        ends = origin[0] - high * mm * scale, origin[0] - low * mm * scale
-        canvas.across(
-            *ends,
-            bottom + 26 + drop + STEP_DOWN * row,
-            words + mm_text((high - low) * mm),
-            (origin[1], origin[1]),
-        )
-    for row, (low, high, words) in enumerate(upright, 1):
-        ends = origin[1] - high * mm * scale, origin[1] - low * mm * scale
-        at = left + wide + 22 + STEP_OUT * row
-        canvas.upright(*ends, at, words + mm_text((high - low) * mm), (origin[0], origin[0]))
+    _inner_dimensions(canvas, window, (x1, y1), (left, top), (left + wide + 22, bottom + 26 + drop))
     foot = bottom + 54 + drop + STEP_DOWN * len(across)
     canvas.text((6, foot), "seen along the light, from the side of lens 1", "start", "note")
     canvas.scale_note((canvas.width - 6.0, foot))
     return canvas
+
+
+def _inner_dimensions(
+    canvas: Canvas,
+    window: Window,
+    corner: tuple[float, float],
+    at: tuple[float, float],
+    outer: tuple[float, float],
+) -> None:
+    """The clear aperture and the places of holes, dimensioned beyond the outer sizes.
+
+    corner : (x, y), lengths, that lies at the point `at`, px; outer : place of the outer dimensions, px
+    """
+    mm = millimetres(window.unit)
+    assert canvas.scale is not None
+    scale, kept = mm * canvas.scale, window.lattice.outline
+    origin = (at[0] + corner[0] * scale, at[1] + corner[1] * scale)
+    if isinstance(kept, Circle) and window.outline != kept:
+        canvas.circle(origin, 0.5 * kept.diameter * scale, "axis")
+    across, upright = _inner_distances(window)
+    for row, (low, high, words) in enumerate(across, 1):
+        ends, said = (origin[0] - high * scale, origin[0] - low * scale), words + mm_text((high - low) * mm)
+        canvas.across(*ends, outer[1] + STEP_DOWN * row, said, (origin[1], origin[1]))
+    for row, (low, high, words) in enumerate(upright, 1):
+        ends, said = (origin[1] - high * scale, origin[1] - low * scale), words + mm_text((high - low) * mm)
+        canvas.upright(*ends, outer[0] + STEP_OUT * row, said, (origin[0], origin[0]))
 
 
 STEP_DOWN, STEP_OUT = 20.0, 44.0
