@@ -231,7 +231,9 @@ def _setting(chance: random.Random) -> str:
 def option_attack(command: str, option: str, chance: random.Random) -> Attack:
     """The command's line with one option replaced, or given besides; now and then a key of the design, too."""
     words = COMMANDS[command][0].split()
-    design = f"{chance.choice(FEW)}.toml"
+    design = (
+        "t.toml" if command == "accuracy" else f"{chance.choice(FEW)}.toml"
+    )  # others have kernels of their own
     words = [design if word == "DESIGN" else word for word in words]
     value = _worth(option, chance)
     short = {"out": "-o"}.get(option, f"--{option}")
@@ -489,8 +491,13 @@ POINTS_OF_ATTACK: tuple[tuple[str, str], ...] = (
 )
 
 
+def aimed_at(number: int) -> tuple[str, str]:
+    """The point that the input of a number attacks: command and option, or "file" and reader."""
+    return POINTS_OF_ATTACK[number % len(POINTS_OF_ATTACK)]
+
+
 def attack(number: int, given: Path) -> Attack:
     """The input of a number."""
-    what, where = POINTS_OF_ATTACK[number % len(POINTS_OF_ATTACK)]
+    what, where = aimed_at(number)
     chance = random.Random(number)
     return file_attack(where, given, chance) if what == "file" else option_attack(what, where, chance)
