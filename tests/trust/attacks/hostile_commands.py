@@ -496,6 +496,12 @@ def aimed_at(number: int) -> tuple[str, str]:
     return POINTS_OF_ATTACK[number % len(POINTS_OF_ATTACK)]
 
 
+def command_of(number: int) -> str:
+    """The command that the input of a number is given to."""
+    what, where = aimed_at(number)
+    return READERS[where][3].split()[0] if what == "file" else what
+
+
 def attack(number: int, given: Path) -> Attack:
     """The input of a number."""
     what, where = aimed_at(number)

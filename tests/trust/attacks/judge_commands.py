@@ -1,7 +1,7 @@
 """Commands with hostile input: run in forks, judged by their status, streams, files and seconds.
 
 python tests/trust/attacks/judge_commands.py FIRST COUNT [STEP [KEPT [LEFT_OUT]]]
-    prints counts, the slowest, and what went wrong; KEPT: a folder where good files are kept; LEFT_OUT: a command
+    prints counts, the slowest, and what went wrong; KEPT: a folder where good files are kept; LEFT_OUT: commands, with commas between
 """
 
 from __future__ import annotations
@@ -84,9 +84,7 @@ def prepare(given: Path, forks: Forks, numbers: Iterable[int]) -> None:
     write_given(given)
     points = {hostile.aimed_at(number) for number in numbers}
     sources = {hostile.READERS[where][0].partition("/")[0] for what, where in points if what == "file"}
-    commands = {what for what, _ in points} | {
-        hostile.READERS[where][3].split()[0] for what, where in points if what == "file"
-    }
+    commands = {hostile.command_of(number) for number in numbers}
     sources |= {"good"} if "verify" in commands else set()
     lines = [MADE[folder] for folder in MADE if folder in sources]
     lines += [
@@ -94,6 +92,9 @@ def prepare(given: Path, forks: Forks, numbers: Iterable[int]) -> None:
         for name in WARMED
         if name in commands
     ]
+    lines += ["trace t.toml rays.npz --rung mesh --mesh good/tiny.stl -o o.npz --overwrite"] * (
+        "good" in sources
+    )
     scratch = given.parent / "scratch"
     scratch.mkdir()
     for line in lines:
@@ -173,7 +174,9 @@ def attack(numbers: Iterable[int], given: Path, place: Path, forks: Forks, loud:
             tally.faults.append(f"{name}: {'; '.join(wrong)}: {text[-300:].strip()}")
             if loud:
                 sys.stdout.write(f"{tally.faults[-1]}\n\n")
-                sys.stdout.flush()
+        if loud and (sum(tally.statuses.values()) % 50 == 0):
+            sys.stdout.write(f"after number {number}: {tally}\n\n")
+        sys.stdout.flush()
     return tally
 
 
@@ -211,14 +214,12 @@ if __name__ == "__main__":
     import tempfile
 
     first, count, step = (*map(int, sys.argv[1:4]), *(0, 100, 1)[len(sys.argv) - 1 :])
-    left_out = sys.argv[5] if len(sys.argv) > 5 else ""
-    numbers = [n for n in range(first, first + count * step, step) if hostile.aimed_at(n)[0] != left_out]
+    left_out = sys.argv[5].split(",") if len(sys.argv) > 5 else []
+    numbers = [n for n in range(first, first + count * step, step) if hostile.command_of(n) not in left_out]
     with tempfile.TemporaryDirectory() as name, Forks() as running:
         given = Path(sys.argv[4] if len(sys.argv) > 4 else name, "given")
         if not given.is_dir():
             given.mkdir(parents=True)
-            prepare(given, running)
-        found = attack(
-            range(first, first + count * step, step), given, Path(name, "work"), running, loud=True
-        )
+            prepare(given, running, numbers)
+        found = attack(numbers, given, Path(name, "work"), running, loud=True)
     sys.stdout.write(f"{found}\n")
