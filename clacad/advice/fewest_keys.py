@@ -23,7 +23,10 @@ from clacad.design import Design
 from clacad.verification.checks import Check
 
 TRIALS = 100
-"""Designs that are tried at most: half a minute."""
+"""Designs that are tried at most."""
+
+SECONDS = 15.0
+"""Processor seconds after which no further design is tried: the nearest found so far is then the answer."""
 
 KEYS = 4
 """Keys of the longest set."""
@@ -115,7 +118,7 @@ def fix(design: Design, progress: Progress | None = None) -> Fixed:
     Fixed
         Its `passes` says whether anything does.
     """
-    trials = Trials(design, TRIALS, progress or silent)
+    trials = Trials(design, TRIALS, progress or silent, SECONDS)
     asked = trials.judged({})
     if asked is not None and asked.passes:
         return Fixed(design, design, {}, asked, 1)
@@ -137,7 +140,7 @@ def fix(design: Design, progress: Progress | None = None) -> Fixed:
 
 def _pruned(trials: Trials, changes: Changes) -> Changes:
     """The same set without the keys that it passes without: a longer set may have grown past the need of its first ones."""
-    trials.most += len(changes)
+    trials.most, trials.seconds = trials.most + len(changes), inf
     for key in changes:
         less = {
             k: v for k, v in changes.items() if k != key and (k, key) != ("lattice.count", "lattice.pitch")

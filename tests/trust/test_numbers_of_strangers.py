@@ -131,3 +131,20 @@ def test_a_value_after_an_option_may_leave_out_the_0_before_a_point(place: Path)
 
     assert parse("tolerances.radius=.01") == ("tolerances.radius", 0.01)
     assert parse("lattice.pitch=-.5") == ("lattice.pitch", -0.5)
+
+
+def test_the_search_for_keys_that_fix_a_design_ends_in_its_seconds_with_the_nearest_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A limit that no change reaches: without an end of time it went on for a minute."""
+    import tomllib
+
+    from clacad.advice import fewest_keys
+    from clacad.design import Design
+
+    design = Design.from_dict(tomllib.loads(TINY), ['check.law_rms="1e-12 mrad"'])
+    monkeypatch.setattr(fewest_keys, "SECONDS", 0.5)
+    found = fewest_keys.fix(design)
+    assert not found.passes
+    assert 0 < found.tried < fewest_keys.TRIALS
+    assert found.judged is not None
