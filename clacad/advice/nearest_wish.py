@@ -26,7 +26,7 @@ SECONDS = 60.0
 REASONS = 4
 """Reasons that are printed of what could not be built."""
 
-FARTHER = (1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 6.0)
+FARTHER = (1.3, 2.0, 4.0, 8.0, 16.0)
 """Distances of the eye that are tried, over the one that is wished; sheets are tried smaller by the same factors."""
 
 PROCESSES = ("moulding", "diamond-turning", "greyscale", "sla", "two-photon", "none")
