@@ -8,7 +8,7 @@ from time import process_time
 from typing import Any
 
 from clacad.advice.candidate import round_to
-from clacad.advice.wish import Wish, workable_material
+from clacad.advice.wish import KEYS, Wish, workable_material
 from clacad.advice.wish_search import Search, Tried, impossible
 from clacad.base.digits import shown
 from clacad.design.sections import Outline
@@ -116,9 +116,12 @@ def _scaled(pair: tuple[float, float], part: float) -> tuple[float, float]:
 
 
 def _difference(before: Wish, after: Wish) -> str:
-    """The words of a wish that another one does not say so."""
+    """The words that make one wish of another, those that return to their default too."""
     first, second = before.words(), after.words()
-    return ", ".join(f"{key}={_plain(value)}" for key, value in second.items() if first.get(key) != value)
+    values = {
+        key: second.get(key, KEYS[key].default) for key in (*second, *(k for k in first if k not in second))
+    }
+    return ", ".join(f"{key}={_plain(value)}" for key, value in values.items() if first.get(key) != value)
 
 
 def plain_words(wish: Wish) -> str:
