@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,18 +56,27 @@ def read_picture(path: str | os.PathLike[str]) -> Floats:
     OSError
         No such file.
     """
+    facts = os.stat(path)
+    return _read(os.path.realpath(path), os.fspath(path), (facts.st_mtime_ns, facts.st_size, facts.st_ino))
+
+
+@lru_cache(maxsize=1)
+def _read(_real: str, path: str, _facts: tuple[int, ...]) -> Floats:
+    """As `read_picture`; a scene reads its photograph for every still, and the last one is kept while its file is the same."""
     from PIL import ImageOps
 
     with opened_picture(path) as picture:
-        upright = ImageOps.exif_transpose(picture) or picture
-        upright.load()
-        side = int(np.ceil(np.sqrt(upright.width * upright.height / KEPT)))
-        rows = side * max(1, _STRIP // (side * upright.width))
-        strips = [
-            _means(_light(upright, top, min(top + rows, upright.height)), side)
-            for top in range(0, upright.height, rows)
-        ]
-    return np.concatenate(strips)
+        ImageOps.exif_transpose(picture, in_place=True)
+        picture.load()
+        width, height = picture.size
+        side = int(np.ceil(np.sqrt(width * height / KEPT)))
+        rows = side * max(1, _STRIP // (side * width))
+        light = np.empty((-(-height // side), -(-width // side), 3))
+        for top in range(0, height, rows):
+            strip = _means(_light(picture, top, min(top + rows, height)), side)
+            light[top // side : top // side + len(strip)] = strip
+    light.flags.writeable = False
+    return light
 
 
 def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -106,7 +116,10 @@ def opened_picture(path: str | os.PathLike[str]) -> Iterator[Image]:
 
 def _light(picture: Image, top: int, bottom: int) -> Floats:
     """Linear light (k, w, 3) of some rows of a picture."""
-    rgba = np.asarray(picture.crop((0, top, picture.width, bottom)).convert("RGBA"))
+    rows = picture.crop((0, top, picture.width, bottom))
+    if not rows.has_transparency_data:
+        return decode(np.asarray(rows.convert("RGB")))
+    rgba = np.asarray(rows.convert("RGBA"))
     return decode(rgba[..., :3]) * (rgba[..., 3:] / 255.0)
 
 

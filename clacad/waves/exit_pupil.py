@@ -21,6 +21,7 @@ from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import bundle, central_cell, launched
 from clacad.sheet.window import Window, in_optical_tile
 from clacad.storage.errors import LimitRefused
+from clacad.tracing.layout import lay_out
 from clacad.tracing.trace import trace
 from clacad.waves.far_field import Complex, FarField, brightest, marginal, section
 
@@ -158,6 +159,12 @@ def pupil(window: Window, direction: Floats, wavelength: float, side: int, cell:
         place, path = place - place[alive].mean(axis=0), path - path[alive].mean()
     phase = 2.0 * pi * sheet.unit / wavelength * path
     return Pupil(place, phase, off, alive, side, size / side)
+
+
+def columns_crossed(window: Window, direction: Floats) -> float:
+    """Cells that light of a direction (3,) passes over inside the thickest body, at most: its height times the slope over the pitch."""
+    heights = [plan.high - plan.low for plan in lay_out(window).bodies]
+    return float(max(heights) * (np.abs(direction[:2]) / direction[2] / np.array(window.lattice.pitch)).sum())
 
 
 def _lit_cell(window: Window, cell: Ints | None) -> tuple[Window, tuple[int, int]]:

@@ -30,6 +30,12 @@ SECONDS = 0.15
 SECONDS_TO_CHOOSE = 0.6
 """Processor seconds it takes besides to find the worst of cells that differ."""
 
+SECONDS_A_COLUMN = 7e-8
+"""Processor seconds that a ray takes in each cell that it passes over inside a body."""
+
+MOST_COLUMNS = 1000
+"""Cells that light may pass over inside a body; of that many the rays take some ten seconds."""
+
 SECONDS_A_POINT = 0.25e-6
 """Processor seconds that a point of a grid takes on the reference machine, both planes and the way between them."""
 
@@ -75,7 +81,25 @@ def look(lit: LitSheet, name: str) -> WaveReport:
         raise why if isinstance(why, BadRequest) else BadRequest(str(why)) from why
 
 
+def _columns(lit: LitSheet) -> float:
+    """Cells that the light passes over inside a body.
+
+    Raises
+    ------
+    LimitRefused
+        More than `MOST_COLUMNS`.
+    """
+    crossed = exit_pupil.columns_crossed(lit.seen.window, lit.direction)
+    if crossed > MOST_COLUMNS:
+        raise LimitRefused(
+            f"light of this direction passes over {crossed:.3g} cells inside the sheet, and it is followed over "
+            f"{MOST_COLUMNS} at most: a larger lattice.pitch, a smaller pair.separation, or light nearer the sheet's normal"
+        )
+    return crossed
+
+
 def _look(lit: LitSheet, name: str) -> WaveReport:
+    _columns(lit)
     refused: dict[str, str] = {}
     exact, thin, thin_share, side = None, None, np.nan, exit_pupil.FEWEST
     sheet = lit.seen.window
@@ -126,10 +150,12 @@ def outlook(lit: LitSheet) -> dict[str, float]:
                 raise
     except ValueError as why:
         raise BadRequest(str(why)) from why
+    columns = _columns(lit)
     held = 0.0 if not points else float(sum(points) if lit.along_axes else points[0] * points[1])
     return {
         "rays": float(side), "points": float(max(points, default=0)),
-        "seconds": SECONDS + (SECONDS_TO_CHOOSE if lit.seen.tried else 0.0) + exit_pupil.SECONDS * side**2 + SECONDS_A_POINT * held,
+        "seconds": SECONDS + (SECONDS_TO_CHOOSE if lit.seen.tried else 0.0) + SECONDS_A_POINT * held
+        + (exit_pupil.SECONDS + SECONDS_A_COLUMN * columns) * side**2,
         "bytes": 200.0 * side**2 + 80.0 * held,
     }  # fmt: skip
 

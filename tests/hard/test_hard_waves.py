@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import radians, sqrt, tan
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hard.waves import WAVES
 
+import clacad
 from clacad.cli import main
 from clacad.storage.errors import LimitRefused
 from clacad.waves.lens_planes import ROOM, grid_for, telescope
+from clacad.waves.lit_cell import situation
+from clacad.waves.through_sheet import outlook
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 QUARTER = 0.5 * np.pi
@@ -80,3 +83,14 @@ def test_a_design_beyond_the_limit_is_told_which_grid_it_needs_before_any_work(
         assert f" {says} (phase steps of a quarter turn), and " in told.err
         assert told.out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_light_that_passes_over_many_cells_inside_a_thick_leaning_slab_is_forecast_or_refused() -> None:
+    """A slab of 90 m leans by 1°: light along its lenses passes over some 900 cells of 5 mm; of 1 km over 10 000."""
+    design = clacad.load(DESIGNS / "tilted.toml", ["lattice.pitch=5mm", "pair.separation=9e4mm"])
+    found = outlook(situation(design, (0.0, 0.0), None))
+    over = clacad.prescribe(design).z_range[1] * tan(radians(1.0)) / 5.0
+    steps = found["rays"] ** 2 * over
+    assert 5e-8 * steps < found["seconds"] < 1.0 + 2e-7 * steps
+    with pytest.raises(LimitRefused, match="passes over 1.06e\\+04 cells inside the sheet"):
+        clacad.wave(design.replace({"pair.separation": 1e6}))
