@@ -555,3 +555,17 @@ def test_a_large_sheet_is_seen_in_the_memory_of_a_small_one():
 
 def test_the_reference_scene_is_what_views_readme_says():
     assert view_data("base")["camera"]["mirror"] is True
+
+
+def test_a_photograph_is_decoded_once_while_its_file_is_the_same(tmp_path):
+    from PIL import Image
+
+    place = tmp_path / "a.png"
+    Image.new("RGB", (7, 5), (255, 0, 0)).save(place)
+    first = read_picture(place)
+    assert read_picture(str(place)) is first
+    assert first.shape == (5, 7, 3)
+    assert (first == [1.0, 0.0, 0.0]).all()
+    Image.new("RGBA", (6, 4), (0, 255, 0, 0)).save(place)
+    assert read_picture(place).shape == (4, 6, 3)
+    assert (read_picture(place) == 0.0).all()

@@ -122,7 +122,7 @@ def test_a_file_of_another_design_fails_by_name(tmp_path, change, culprit):
     pytest.param(lambda t: t * 1.003, "scale", id="grown by 0.3 %"),
     pytest.param(lambda t: t * [-1.0, 1.0, 1.0], "volume", id="mirrored"),
     pytest.param(lambda t: t[len(t) // 2 :], "pieces", id="half is missing"),
-    pytest.param(lambda t: t[:0], "closed", id="empty"),
+    pytest.param(lambda t: t[:0], "readable", id="empty"),
 ])  # fmt: skip
 def test_a_spoilt_file_fails_by_name(tmp_path, soup, spoil, culprit):
     folder = tmp_path / "export"
