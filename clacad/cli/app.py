@@ -409,6 +409,8 @@ def sweep(
                                              "run that was stopped goes on from here.")] = None,
     format: Annotated[str, typer.Option("--format", metavar="F,G", help="csv, parquet.")] = "csv",
     rays: Annotated[int, typer.Option("--rays", min=64, max=1_000_000, help="Rays of each bundle.")] = 256,
+    incident: Annotated[str | None, typer.Option("--incident", metavar="SX,SY", help="Judge light about these slopes along the "
+                                                 "sheet's x and y; default: about the middle of the field of each point.")] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     overwrite: Again = False,
@@ -421,7 +423,7 @@ def sweep(
     from clacad.cli.tolerance_command import Where, run_sweep
 
     where = Where(out, workers, scheduler, overwrite)
-    return run_sweep(design, set or [], vary, rays, format, where, json=json, quiet=quiet)
+    return run_sweep(design, set or [], vary, rays, incident, format, where, json=json, quiet=quiet)
 
 
 @app.command()

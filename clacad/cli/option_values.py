@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite, pi
+from math import hypot, isfinite, pi, tan
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -94,6 +94,23 @@ def parse_two_angles(option: str, text: str | None) -> tuple[float, float]:
     if any(abs(angle) > STEEPEST for angle in found):
         raise BadOption(f"{option} {text}: angles lie between -80 deg and 80 deg")
     x, y = (*found, 0.0, 0.0)[:2]
+    return x, y
+
+
+def parse_slopes(option: str, text: str | None) -> tuple[float, float] | None:
+    """Read "SX,SY", slopes of a direction along the sheet's x and y; None stays None."""
+    if text is None:
+        return None
+    try:
+        x, y = (float(word) for word in text.split(","))
+    except ValueError:
+        raise BadOption(
+            f"{option} {text}: it is two slopes along the sheet's x and y, such as 0,0 or 0.02,-0.01"
+        ) from None
+    if not hypot(x, y) <= tan(STEEPEST):
+        raise BadOption(
+            f"{option} {text}: the direction lies within 80 deg of the normal, a slope of at most {tan(STEEPEST):.4g}"
+        )
     return x, y
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.digits import bound, plainly
 from clacad.cli.console import Progress, say, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
+from clacad.cli.option_values import parse_slopes
 
 if TYPE_CHECKING:
     from clacad.verification.tolerance import Study, Sweep
@@ -56,10 +57,11 @@ def run_tolerance(
 
 
 def run_sweep(
-    path: Path, overrides: list[str], vary: list[str], rays: int, formats: str, where: Where, *, json: bool,
-    quiet: bool,
+    path: Path, overrides: list[str], vary: list[str], rays: int, incident: str | None, formats: str, where: Where,
+    *, json: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Build, judge and trace every point of a grid, print the table, write it."""
+    slopes = parse_slopes("--incident", incident)
     design = load_counted(path, overrides)
     from clacad.verification.tolerance import Farm, parse_vary, sweep, write_sweep
     from clacad.verification.tolerance.study_files import SWEEP, require_writable
@@ -71,16 +73,15 @@ def run_sweep(
     again = kept is not None and kept.exists()
     progress = Progress(quiet=quiet)
     try:
-        found = sweep(design, axes, rays, Farm(where.workers, where.scheduler), kept, progress)
+        found = sweep(design, axes, rays, Farm(where.workers, where.scheduler), kept, progress, slopes)
     finally:
         progress.done()
     written = (
         [] if where.out is None else write_sweep(found, where.out, names, overwrite=where.overwrite or again)
     )
     if json:
-        show_json(
-            {"design": found.name, "sha256": found.sha256, "columns": found.columns(), "rows": found.rows}
-        )
+        head = {"design": found.name, "sha256": found.sha256, "incident": found.incident}
+        show_json({**head, "columns": found.columns(), "rows": found.rows})
     else:
         show_text(sweep_text(found), quiet=quiet)
     if written:
@@ -169,18 +170,48 @@ def _yield_text(study: Study) -> str:
 def sweep_text(found: Sweep) -> str:
     """The table of a sweep in mrad and percent, the worst numbers only."""
     keys = [key for key, _ in found.axes]
-    lines = [[*keys, "state", "law rms", "law bias", "blur", "throughput", "eta x, y", ""]]
+    lines = [
+        [
+            *keys,
+            "state",
+            "law rms",
+            "law bias",
+            "blur",
+            "throughput",
+            "eta x, y",
+            "exit x, y",
+            "partner",
+            "ghosts",
+            "",
+        ]
+    ]
     for row in found.rows:
         lines.append(
             [*(str(row[key]) for key in keys), row["state"], *_optics(row), row["failed"] or row["message"]]
         )
-    light = (
+    return f"{found.name}; angles in mrad\n{_light(found)}\n{table(lines)}"
+
+
+def _light(found: Sweep) -> str:
+    """The light of a sweep, in words."""
+    field = (
         "light: over the field about its middle, check.field and check.field_centre of each point (aimed cells: the field "
-        "follows them); a beam along the normal is not judged"
+        "follows them); a beam along the normal is judged with --incident 0,0"
     )
-    return f"{found.name}; angles in mrad\n{light}\n{table(lines)}"
+    if found.incident is not None:
+        x, y = found.incident
+        field = f"light: over check.field about the slopes ({x:g}, {y:g}) of --incident along the sheet's x and y, at every point"
+    return f"{field}\nexit (mean slopes), partner and ghosts (shares of thin lenses): of the parallel beam in the middle of that light"
 
 
 def _optics(row: dict[str, Any]) -> list[str]:
     angles = [f"{1e3 * row[name]:.4g}" for name in ("law_rms", "law_bias", "blur")]
-    return [*angles, f"{row['throughput']:.3f}", f"{row['eta_x']:.5g}, {row['eta_y']:.5g}"]
+    return [*angles, f"{row['throughput']:.3f}", f"{row['eta_x']:.5g}, {row['eta_y']:.5g}", *_beam(row)]
+
+
+def _beam(row: dict[str, Any]) -> list[str]:
+    """Exit slope, share of the partner, and that of all ghosts with the strongest order."""
+    ghosts = [(order, part) for order, part in row["orders"].items() if order != "0,0"]
+    strongest = f" ({ghosts[0][0]}: {ghosts[0][1]:.3f})" if ghosts else ""
+    exit_slopes = f"{row['beam_exit_x']:.4g}, {row['beam_exit_y']:.4g}"
+    return [exit_slopes, f"{row['partner_share']:.3f}", f"{row['ghost_share']:.3f}{strongest}"]

@@ -141,7 +141,11 @@ def sent_together(
 
 def field_points(window: Window, field: float, centre: str = "axis") -> Floats:
     """Nine directions (9, 3): the middle of the field, eight on its rim, 45 degrees apart, the first towards +x."""
-    middle = middle_direction(window, centre)
+    return field_about(middle_direction(window, centre), field)
+
+
+def field_about(middle: Floats, field: float) -> Floats:
+    """Nine unit directions (9, 3): `middle` (3,), and eight at the angle `field` (radians) from it, 45 degrees apart."""
     u, v = _frame(middle)
     rim = [cos(field) * middle + sin(field) * (cos(k * pi / 4) * u + sin(k * pi / 4) * v) for k in range(8)]
     return np.array([middle, *rim])

@@ -13,6 +13,7 @@ lens of that cell, k steps from the partner's, puts the copy on the middle of ce
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,12 @@ from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Lattice, polygon_area, polygon_areas, relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
+
+LEAST_SHARE = 1e-3
+"""Share of the light from which a ghost order is listed."""
+
+MOST_ORDERS = 30_000
+"""Cells of array 2 under a copy of lens 1, beyond which no order has the share `LEAST_SHARE`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +129,25 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     whole = polygon_area(cells.image)
     common = _common_areas(cells.image, arrivals(cells, slopes), target)
     return np.asarray(cells.part * common * _in_channels(cells, slopes) / whole)
+
+
+def order_shares(cells: ThinCells, direction: Floats) -> dict[tuple[int, int], float]:
+    """Shares of the light of one direction (3,), sheet frame, that meet each cell of array 2: order to share, largest first.
+
+    The partner, order (0, 0), is always listed; other orders from `LEAST_SHARE` on.
+    """
+    around = np.column_stack([cells.neighbour(step) - cells.centre for step in ((1, 0), (0, 1))])
+    arrival = arrivals(cells, cells.slopes(direction[None]))[0] - cells.centre
+    steps = np.linalg.solve(around, (cells.image + arrival).T)
+    reach = np.abs(np.linalg.solve(around, cells.zone.T)).max(axis=1)
+    low, high = np.floor(steps.min(axis=1) - reach), np.ceil(steps.max(axis=1) + reach)
+    orders = {(0, 0)}
+    if np.prod(high - low + 1.0) <= MOST_ORDERS:
+        i, j = (range(int(a), int(b) + 1) for a, b in zip(low, high, strict=True))
+        orders |= set(product(i, j))
+    shares = {order: float(share(cells, direction[None], order)[0]) for order in orders}
+    kept = [order for order, part in shares.items() if order == (0, 0) or part >= LEAST_SHARE]
+    return {order: shares[order] for order in sorted(kept, key=lambda order: (-shares[order], order))}
 
 
 def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:

@@ -116,6 +116,65 @@ def test_tables_and_pictures_have_the_same_bytes_every_time(tmp_path, texts):
     assert one[1].startswith(b"\x89PNG")
 
 
+def _orders_by_thin_rays(eta, delta, slope, s, pitch, n=400):
+    """Shares of the orders of one meridian, and mean exit slope of order 0, by rays through ideal thin lenses."""
+    first, second = s / (1.0 - eta), -eta * s / (1.0 - eta)
+    x = ((np.arange(n) + 0.5) / n - 0.5) * pitch
+    inside = slope - x / first
+    arrives = x + s * inside - delta * first  # from the middle of lens 2, which is decentred by delta f1
+    order = np.rint(arrives / pitch).astype(int)
+    exits = inside - (arrives - order * pitch) / second
+    return {int(k): float((order == k).mean()) for k in np.unique(order)}, float(exits[order == 0].mean())
+
+
+@pytest.mark.parametrize("incident", [(0.0, 0.0), (0.012, -0.004), None])
+def test_the_beam_of_a_sweep_has_the_orders_and_the_exit_slope_of_thin_rays(incident):
+    n, eta, delta, s, pitch = 400, (-0.9, -0.8), (0.02, 0.01), 10.0, 0.5
+    design = DESIGN.replace({"law.eta": list(eta), "pair.separation": s})
+    row = sweep(design, [("law.delta", (list(delta),))], rays=64, farm=Farm(1), incident=incident).rows[0]
+    beam = [d / (1.0 - e) for e, d in zip(eta, delta, strict=True)] if incident is None else incident
+    meridians = [_orders_by_thin_rays(e, d, t, s, pitch, n) for e, d, t in zip(eta, delta, beam, strict=True)]
+    expected = {
+        f"{i},{j}": a * b for i, a in meridians[0][0].items() for j, b in meridians[1][0].items()
+    }  # fmt: skip
+    assert row["orders"] == pytest.approx(
+        expected, abs=2.0 / n
+    )  # an edge lies within half a ray, twice, in x and y
+    assert row["partner_share"] == row["orders"]["0,0"]
+    assert row["ghost_share"] == pytest.approx(1.0 - row["partner_share"], abs=1e-12)
+    slopes = [row["beam_exit_x"], row["beam_exit_y"]]
+    assert slopes == pytest.approx(
+        [exit_slope for _, exit_slope in meridians], abs=1e-3
+    )  # a 40th of the cone of a lens
+
+
+def test_a_beam_along_the_normal_misses_the_partner_of_offset_lenses_that_a_field_follows(tmp_path, capsys):
+    path = tmp_path / "sheet.json"
+    path.write_text(json.dumps(SHEET | {"law": {"eta": [-0.9, -1.0], "delta": [0.02, 0.0]}}))
+    command = ["sweep", str(path), "--vary", "pair.index=1.5", "--rays", "64", "--workers", "1"]
+    rows = []
+    for more in ([], ["--incident", "0,0"]):
+        assert main([*command, *more, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        rows.append(found["rows"][0])
+    assert found["incident"] == [0.0, 0.0]
+    assert rows[0]["partner_share"] == pytest.approx(1.0)
+    offset = 0.02 * 10.0 / 1.9  # of lens 2: the copy of lens 1, 0.9 of a pitch wide, lies that far aside
+    assert rows[1]["partner_share"] == pytest.approx((0.5 * 0.5 + 0.45 * 0.5 - offset) / (0.9 * 0.5))
+    assert rows[1]["throughput"] < rows[0]["throughput"]
+    assert main([*command, "--incident", "0,0", "-o", str(tmp_path / "out")]) == 0
+    assert "--incident" in capsys.readouterr().out
+    assert "partner_share,ghost_share,orders" in (tmp_path / "out" / "sweep.csv").read_text()
+
+
+@pytest.mark.parametrize("text", ["1", "0,0,0", "a,b", "nan,0", "0,6", ""])
+def test_a_beam_that_is_no_direction_is_refused(tmp_path, capsys, text):
+    path = tmp_path / "sheet.json"
+    path.write_text(json.dumps(SHEET))
+    assert main(["sweep", str(path), "--vary", "pair.index=1.5", "--incident", text]) == 2
+    assert f"--incident {text}" in capsys.readouterr().err
+
+
 def test_nothing_to_vary_and_one_key_twice_are_refused():
     for axes in ([], [("pair.index", (1.5,)), ("pair.index", (1.6,))]):
         with pytest.raises(CannotVary):

@@ -34,7 +34,7 @@ from clacad.base.types import Floats
 from clacad.effects.scatter import haze
 from clacad.optics.law import angle_between
 from clacad.optics.law.law import law_in_axes
-from clacad.sheet.bundle import bundle, field_points, middle_direction
+from clacad.sheet.bundle import bundle, field_about, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
@@ -179,7 +179,9 @@ class Bench:
             ],
             axis=1,
         )
-        slip = np.linalg.pinv(self.per_decentre, rcond=1e-9) @ across  # a meridian without power cannot slip
+        slip = np.full((2, 2), np.nan)
+        if np.isfinite(self.per_decentre).all():  # a meridian without power cannot slip
+            slip = np.linalg.pinv(self.per_decentre, rcond=1e-9) @ across
         rate = _norm(slip)
         found = {f"shift_{a}": float(shift[k]) for k, a in enumerate("xy")}
         for name, matrix in (("slip", slip), ("power", power)):
@@ -201,7 +203,9 @@ class Bench:
         return np.asarray(turned[:, :2] / turned[:, 2:])
 
 
-def bench(design: Design, window: Window, rays: int = RAYS) -> Bench:
+def bench(
+    design: Design, window: Window, rays: int = RAYS, incident: tuple[float, float] | None = None
+) -> Bench:
     """Lay out the rays and trace the sheet as designed.
 
     Parameters
@@ -212,9 +216,11 @@ def bench(design: Design, window: Window, rays: int = RAYS) -> Bench:
     rays : int
         Rays of each bundle; the cone, whose rays are counted, takes four times as many, the parallel beams beside
         the middle one a quarter.
+    incident : (x, y) slopes or None
+        Middle of the field along the sheet's x and y, in place of `check.field_centre`.
     """
     spec = design.check
-    rows = _bundles(window, spec, rays)
+    rows = _bundles(window, spec, rays, None if incident is None else sloped(incident))
     parts, start = {}, 0
     for name, (position, _) in rows.items():
         parts[name] = slice(start, start + len(position))
@@ -228,14 +234,22 @@ def bench(design: Design, window: Window, rays: int = RAYS) -> Bench:
     return replace(blank, chief=blank.chief_slopes({})[0], per_decentre=_per_decentre(blank))
 
 
-def _bundles(window: Window, spec: CheckSpec, rays: int) -> dict[str, tuple[Floats, Floats]]:
+def sloped(slopes: tuple[float, float]) -> Floats:
+    """Unit direction (3,) of the slopes along the sheet's x and y."""
+    direction = np.array([*slopes, 1.0])
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _bundles(
+    window: Window, spec: CheckSpec, rays: int, incident: Floats | None
+) -> dict[str, tuple[Floats, Floats]]:
     """Positions about the cell's centre and directions, (n, 3) each, of the rays of every bundle by its name."""
-    middle = middle_direction(window, spec.field_centre)
-    bundles = {"cone": bundle(window, 4 * rays, spec.field, spec.field_centre)}
-    for number, direction in enumerate(field_points(window, spec.field, spec.field_centre)[[0, 1, 3, 5, 7]]):
+    middle = middle_direction(window, spec.field_centre) if incident is None else incident
+    bundles = {"cone": bundle(window, 4 * rays, spec.field, spec.field_centre, middle=incident)}
+    for number, direction in enumerate(field_about(middle, spec.field)[[0, 1, 3, 5, 7]]):
         count = rays if number == 0 else max(64, rays // 4)
         bundles["beam" if number == 0 else f"beam {number}"] = bundle(window, count, 0.0, middle=direction)
-    bundles["narrow"] = bundle(window, rays, FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
+    bundles["narrow"] = bundle(window, rays, FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE, incident)
     home = np.append(window.lattice.centres(np.array([bundles["cone"].cell]))[0], 0.0)
     rows = {name: (b.rays.position - home, b.rays.direction) for name, b in bundles.items()}
     rows["chief"] = _chief_rays(window, middle, rows["beam"][0][0, 2])

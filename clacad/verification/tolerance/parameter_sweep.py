@@ -15,15 +15,18 @@ from typing import TYPE_CHECKING, Any
 
 from clacad import __version__
 from clacad.base import units
-from clacad.base.types import Progress
+from clacad.base.types import Floats, Progress
 from clacad.base.whole_numbers import whole_number
 from clacad.config.toml_text import toml_value
 from clacad.formats.study_file import FORMAT
+from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
+from clacad.sheet.bundle import bundle, middle_direction
 from clacad.sheet.feasibility import Feasibility, feasibility
-from clacad.tracing.worst_cell import worst_cell
+from clacad.sheet.vignetting import order_shares, thin_cells
+from clacad.tracing.worst_cell import SeenCell, worst_cell
 from clacad.verification.tolerance.farm import Farm
-from clacad.verification.tolerance.light_measures import RAYS, bench
+from clacad.verification.tolerance.light_measures import RAYS, bench, sloped
 from clacad.verification.tolerance.study import asked_design, named_design, worked
 
 if TYPE_CHECKING:
@@ -37,6 +40,12 @@ TRACED: Mapping[str, str] = {
     "delta_y": "",
 }  # fmt: skip
 """Measures of a point by light: those of `clacad.verification.tolerance.light_measures`, and the exit slopes of the chief ray."""
+
+BEAM: Mapping[str, str] = {
+    "beam_exit_x": "slope", "beam_exit_y": "slope", "partner_share": "", "ghost_share": "", "orders": "",
+}  # fmt: skip
+"""Measures of the parallel beam in the middle of the light: mean exit slopes of its ALIVE rays along the sheet's x and y, by trace;
+shares of thin lenses: of the partner, of all ghosts, and of each order "i,j" of at least `clacad.sheet.vignetting.LEAST_SHARE`."""
 
 BUILT: Mapping[str, str] = {
     "pieces": "", "cover": "", "edge": "design unit", "neck": "design unit", "step": "design unit",
@@ -68,17 +77,20 @@ class Sweep:
     axes : tuple of (key, values)
     rows : list of mappings
         In the order of the grid, the last axis fastest: the varied keys, "state" ("ok", "failed": a check of the
-        design rules fails, or "error": it cannot be built), "failed" and "message", then `BUILT` and `TRACED`.
+        design rules fails, or "error": it cannot be built), "failed" and "message", then `BUILT`, `TRACED` and `BEAM`.
+    incident : (x, y) slopes or None
+        Middle of the light at every point; None: of the field of each point.
     """
 
     name: str
     sha256: str
     axes: tuple[Axis, ...]
     rows: list[dict[str, Any]]
+    incident: tuple[float, float] | None = None
 
     def columns(self) -> list[str]:
         """Names of the columns of the table."""
-        return [key for key, _ in self.axes] + ["state", "failed", "message", *BUILT, *TRACED]
+        return [key for key, _ in self.axes] + ["state", "failed", "message", *BUILT, *TRACED, *BEAM]
 
 
 def parse_vary(text: str) -> Axis:
@@ -160,25 +172,28 @@ def grid(axes: Sequence[Axis]) -> list[dict[str, Any]]:
 
 
 @lru_cache(maxsize=2)
-def _asked(study: str) -> tuple[Any, list[dict[str, Any]], int]:
+def _asked(study: str) -> tuple[Any, list[dict[str, Any]], int, tuple[float, float] | None]:
     asked = json.loads(study)
     axes = [(key, tuple(values)) for key, values in asked["axes"]]
-    return asked_design(asked), grid(axes), asked["rays"]
+    incident = None if asked["incident"] is None else tuple(asked["incident"])
+    return asked_design(asked), grid(axes), asked["rays"], incident
 
 
 def make_points(study: str, points: Sequence[int]) -> list[dict[str, Any]]:
     """Build, judge and trace some points: in this process or in any other, the same numbers."""
-    design, values, rays = _asked(study)
-    return [_point(design, values[k], rays) for k in points]
+    design, values, rays, incident = _asked(study)
+    return [_point(design, values[k], rays, incident) for k in points]
 
 
-def _point(design: Design, changes: Mapping[str, Any], rays: int) -> dict[str, Any]:
+def _point(
+    design: Design, changes: Mapping[str, Any], rays: int, incident: tuple[float, float] | None
+) -> dict[str, Any]:
     """Row of one point of the grid: what was varied, what was built, what light says."""
     from clacad.design import DesignError
     from clacad.verification.design.design_rules import design_checks
 
     row: dict[str, Any] = {"state": "error", "failed": "", "message": ""}
-    row |= dict.fromkeys([*BUILT, *TRACED], nan)
+    row |= dict.fromkeys([*BUILT, *TRACED, *BEAM], nan) | {"orders": {}}
     try:
         made = design.replace(changes)
         window = prescribe(made)
@@ -193,10 +208,26 @@ def _point(design: Design, changes: Mapping[str, Any], rays: int) -> dict[str, A
         row["message"] = (
             f"light through cell ({seen.cell[0]}, {seen.cell[1]}), the worst of {seen.tried} tried"
         )
-    table = bench(made, seen.like, rays)
+    table = bench(made, seen.like, rays, incident)
     measured = table.measured({})
     chief = {f"exit_{a}": float(table.chief[k]) for k, a in enumerate("xy")}
-    return row | chief | {name: measured[name] for name in TRACED if name in measured}
+    row |= chief | {name: measured[name] for name in TRACED if name in measured}
+    middle = middle_direction(seen.like, made.check.field_centre) if incident is None else sloped(incident)
+    return row | _beam(seen, middle, rays)
+
+
+def _beam(seen: SeenCell, direction: Floats, rays: int) -> dict[str, Any]:
+    """Measures `BEAM` of parallel light of one direction (3,) over one cell."""
+    traced = seen.send(bundle(seen.like, rays, 0.0, middle=direction))
+    out = traced.direction[traced.fate == Fate.ALIVE]
+    x, y = (out[:, :2] / out[:, 2:]).mean(axis=0) if len(out) else (nan, nan)
+    cells = thin_cells(seen.like)
+    orders = order_shares(cells, direction)
+    ghosts = 0.0 if seen.like.baffle is not None else max(0.0, cells.part - orders[0, 0])
+    return {
+        "beam_exit_x": float(x), "beam_exit_y": float(y), "partner_share": orders[0, 0], "ghost_share": ghosts,
+        "orders": {f"{i},{j}": part for (i, j), part in orders.items()},
+    }  # fmt: skip
 
 
 def _built(facts: Feasibility) -> dict[str, float]:
@@ -219,6 +250,7 @@ def sweep(
     farm: Farm | None = None,
     checkpoint: Path | None = None,
     progress: Progress | None = None,
+    incident: tuple[float, float] | None = None,
 ) -> Sweep:
     """Build, judge and trace the design at every point of a grid.
 
@@ -231,6 +263,8 @@ def sweep(
         Rays of a bundle.
     farm, checkpoint, progress
         As for `clacad.verification.tolerance.tolerance`.
+    incident : (x, y) slopes or None
+        Middle of the light along the sheet's x and y, the same at every point; None: the middle of the field of each point.
 
     Raises
     ------
@@ -239,15 +273,16 @@ def sweep(
     """
     count = _point_count(axes)
     whole = [[key, list(values)] for key, values in axes]
-    text = json.dumps({**named_design(design), "axes": whole, "rays": rays}, sort_keys=True)
+    asked = {"axes": whole, "rays": rays, "incident": None if incident is None else list(incident)}
+    text = json.dumps({**named_design(design), **asked}, sort_keys=True)
     header = {
-        "kind": "sweep", "format": FORMAT, "clacad": __version__, "design": design.sha256, "axes": whole, "rays": rays,
+        "kind": "sweep", "format": FORMAT, "clacad": __version__, "design": design.sha256, **asked,
     }  # fmt: skip
     found = worked(make_points, text, header, count, farm or Farm(), checkpoint, progress, piece=1)
     rows = [point | row for point, row in zip(grid(axes), found, strict=True)]
     if not any(row["state"] != "error" for row in rows):
         raise CannotVary(f"no point can be built; the first: {rows[0]['message']}")
-    return Sweep(design.name, design.sha256, tuple((k, tuple(v)) for k, v in axes), rows)
+    return Sweep(design.name, design.sha256, tuple((k, tuple(v)) for k, v in axes), rows, incident)
 
 
 def _point_count(axes: Sequence[Axis]) -> int:
