@@ -31,6 +31,7 @@ from clacad.tracing.which_path import (
     LOADED,
     Path,
     compiled_suits,
+    has_kernel,
     kernels_of,
     measuring,
     worth_compiled,
@@ -84,7 +85,9 @@ class Tracer:
         """Refuse what cannot be traced, and lay out."""
         need_window(self.window, "trace", ", rays")
         self._refuse_words()
-        if self.precision == "float32" or (self.path == "numba" and self.rung in ("law", "thin")):
+        if self.precision == "float32" or (
+            self.path == "numba" and self.rung in ("law", "thin") and not has_kernel(self.rung, self.window)
+        ):
             need_equal_cells(self.window, "this compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":
             mesh = OWN_QUADS if self.mesh is None else self.mesh
@@ -167,7 +170,7 @@ class Tracer:
         if self.facets is not None or self.precision == "float32":
             few = self._tiles_in_numpy(rays, 2 * len(self.window.bodies))
             return "numpy" if few else "numba"
-        if not self.window.uniform:
+        if not self.window.uniform and self.rung != "law":
             return "numpy"
         faces = 2 * len(self.window.bodies) if self.rung == "surfaces" else IDEAL_FACES
         return "numba" if compiled_suits(self.rung, self.path, rays, faces, lay_out(self.window)) else "numpy"

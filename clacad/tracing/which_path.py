@@ -14,6 +14,7 @@ from time import thread_time
 from typing import Literal
 
 from clacad.base.types import Rung
+from clacad.sheet.window import Window
 from clacad.tracing.layout import Layout
 
 Path = Literal["numpy", "numba", "size"]
@@ -56,9 +57,7 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
 
     Without a path the rays are counted among those that waited.
     """
-    if (rung == "thin" and layout.window.thin.field) or (rung != "surfaces" and not layout.window.uniform):
-        return False
-    if not layout.window.level_and_straight:  # no kernel knows such cells
+    if not has_kernel(rung, layout.window):
         return False
     if path is not None:
         return path == "numba" or (path == "size" and worth_compiled(rays, faces))
@@ -83,9 +82,18 @@ def _rate(rung: Rung) -> Rung:
     return "surfaces" if rung == "mesh" else rung
 
 
+def has_kernel(rung: Rung, window: Window) -> bool:
+    """Whether compiled code knows a rung of a sheet: rung law needs one law, rung thin equal cells without a field lens."""
+    if rung == "law":
+        return window.cell_laws is None
+    if rung == "thin":
+        return window.uniform and not window.thin.field
+    return window.level_and_straight
+
+
 def kernels_of(rung: Rung, layout: Layout) -> str:
     """What the kernels that trace a rung are called here: sheets whose cells differ have their own."""
-    return rung if layout.window.uniform else f"{rung} of cells that differ"
+    return rung if layout.window.uniform or rung == "law" else f"{rung} of cells that differ"
 
 
 def _worth(rung: Rung, layout: Layout) -> float:

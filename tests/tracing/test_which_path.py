@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from clacad.optics.rays import Rays
 from clacad.tracing import tracer as tracers
 from clacad.tracing import which_path
 from clacad.tracing.compiled import kept_kernels
+
+DESIGNS = Path(__file__).parents[2] / "designs"
 
 
 @pytest.fixture
@@ -98,3 +101,23 @@ def test_the_number_of_rays_alone_decides_where_it_is_said_to() -> None:
         which_path.LOADED.add("surfaces")
     assert which_path.compiled_suits("surfaces", None, 1, 4, layout)
     assert not which_path.compiled_suits("surfaces", "numpy", 10**9, 4, layout)
+
+
+@pytest.mark.parametrize("name", ["window-100mm", "hexagonal"])
+def test_rung_law_of_aimed_cells_is_compiled_and_gives_what_numpy_gives(name: str) -> None:
+    design = clacad.load(DESIGNS / f"{name}.toml", ["lattice.aperture={point=[0,0,-400]}"]).with_cells(
+        (30, 30)
+    )
+    window = clacad.prescribe(design)
+    assert not window.uniform
+    x0, x1, y0, y1 = window.lattice.extent()
+    rng = np.random.default_rng(3)
+    position = np.column_stack(
+        [rng.uniform(1.1 * x0, 1.1 * x1, 5000), rng.uniform(1.1 * y0, 1.1 * y1, 5000), np.full(5000, x0)]
+    )
+    rays = Rays(position, np.column_stack([rng.normal(0.0, 0.05, (5000, 2)), np.ones(5000)]))
+    plain, compiled = (clacad.trace(window, rays, "law", path=path) for path in ("numpy", "numba"))
+    for column in ("fate", "cell", "order", "surface", "direction"):
+        assert np.array_equal(getattr(plain, column), getattr(compiled, column)), column
+    assert np.abs(plain.position - compiled.position).max() < 1e-14 * x1
+    assert 0.0 < (plain.fate == clacad.Fate.ALIVE).mean() < 1.0

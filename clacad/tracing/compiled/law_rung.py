@@ -18,7 +18,7 @@ from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.chunk import load_block, queue_undecided, store_block
 from clacad.tracing.compiled.launch import launch_block
-from clacad.tracing.compiled.packing import Packed, pack
+from clacad.tracing.compiled.packing import Packed, pack_array_1
 from clacad.tracing.compiled.plain_cases import (
     FAR,
     MISS,
@@ -73,7 +73,7 @@ def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) ->
 
 def _sheet_plane(layout: Layout) -> Packed:
     """The sheet plane z = 0 as a body of no thickness with one face."""
-    return pack(layout)._replace(
+    return pack_array_1(layout)._replace(
         faces=np.zeros((1, slot.FACE_NUMBERS)), bodies=np.zeros((1, slot.BODY_NUMBERS)), indices=np.ones(1)
     )
 
