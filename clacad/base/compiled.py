@@ -1,9 +1,10 @@
-"""Decorators that compile kernels: cached on disk, no exception on division, global interpreter lock released.
+"""Decorators that compile kernels: cached on disk, no exception on division, global interpreter lock
+released.
 
-Fused multiply-add (``fastmath={"contract"}``) is forbidden here. Where the compiler fuses depends on which functions
-are compiled into which, and that differs between the run that compiles and the runs that load its kernels. The last
-bits of directions would differ, too. Fusing gains nothing measurable and breaks the exact products of
-`clacad.base.pairs`.
+Fused multiply-add (``fastmath={"contract"}``) is forbidden here. Where the compiler fuses depends on which
+functions are compiled into which, and that differs between the run that compiles and the runs that load its
+kernels. The last bits of directions would differ, too. Fusing gains nothing measurable and breaks the exact
+products of `clacad.base.pairs`.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ _PART: dict[str, Any] = {
 def exact(function: Function) -> Function:
     """Compile a part of kernels with every operation rounded as written; the part may not allocate arrays.
 
-    A part that allocates no arrays needs no reference counting of its arguments. Reference counting is an atomic
-    instruction for every array of every call: ten times as slow as a walk's arithmetic, and threads wait for one
-    another. Only compiled code calls a part; see `PartCompiler`.
+    A part that allocates no arrays needs no reference counting of its arguments. Reference counting is an
+    atomic instruction for every array of every call: ten times as slow as a walk's arithmetic, and threads
+    wait for one another. Only compiled code calls a part; see `PartCompiler`.
     """
     return cast(Function, numba.njit(_nrt=False, **_PART)(function))
 
@@ -46,7 +47,9 @@ def making(function: Function) -> Function:
 
 
 def entry(function: Function) -> Function:
-    """Compile a kernel that Python calls, with all its parts, and cache it on disk; it may not allocate arrays."""
+    """Compile a kernel that Python calls, with all its parts, and cache it on disk;
+    it may not allocate arrays.
+    """
     return cast(Function, keep(numba.njit(_nrt=False, **_PLAIN)(function)))
 
 

@@ -1,9 +1,10 @@
-"""Parts of kernels: functions that only compiled code calls, turned into machine code once, within their kernel.
+"""Parts of kernels: functions that only compiled code calls, turned into machine code once, within their
+kernel.
 
-The usual compiler optimises each function together with all its callees and makes machine code of the whole. A walk
-of six call levels is made six times, and only the outermost version ever runs. A part stops at intermediate code,
-which its callers link in. Only a function that Python calls (`clacad.base.compiled.entry`) is optimised and made, once,
-as a whole. Compilation takes half of the time.
+The usual compiler optimises each function together with all its callees and makes machine code of the whole.
+A walk of six call levels is compiled six times, and only the outermost version ever runs. A part stops at
+intermediate code, which its callers link in. Only a function that Python calls (`clacad.base.compiled.entry`)
+is optimised and compiled to machine code, once, as a whole. This halves the compilation time.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Columns of vectors (n, 3) split into components and joined again, eight vectors at a time, compiled.
 
-Compilers move numbers with a stride of three one by one; here eight vectors are three loads and six permutations. The
-code runs on any processor: one without registers of eight numbers uses registers of four or two.
+Compilers move numbers with a stride of three one by one; here eight vectors are three loads and six
+permutations. The code runs on any processor: one without registers of eight numbers uses registers of four or
+two.
 """
 
 from __future__ import annotations

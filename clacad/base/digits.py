@@ -10,7 +10,9 @@ from numbers import Real
 from typing import Any, NamedTuple
 
 ROUNDING = 1e-12
-"""Magnitude below which a number of a design, in a unit near its sizes, is the rounding error of an exact 0."""
+"""Magnitude below which a number of a design, in a unit near its sizes,
+is the rounding error of an exact 0.
+"""
 
 NOTHING = 1e-8
 """Fraction of its limit below which a value is shown as 0; JSON has the exact value."""

@@ -1,4 +1,6 @@
-"""Even-order terms that a face may have in addition to its conic: monomials and units of their coefficients."""
+"""Even-order terms that a face may have in addition to its conic:
+monomials and units of their coefficients.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Import of libraries that read a settings file of the current folder, without that file.
 
-A design's folder is untrusted. numba reads `.numba_config.yaml` there, which can name the folder that compiled
-code is loaded from; matplotlib reads `matplotlibrc`, which changes pictures.
+A design's folder is untrusted. numba reads `.numba_config.yaml` there, which can name the folder that
+compiled code is loaded from; matplotlib reads `matplotlibrc`, which changes pictures.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Compiled kernels on disk, sealed: a truncated, changed or foreign file is compiled again, never loaded.
 
-The compiler's own cache unpickles any file it finds and runs the machine code in it. A flipped bit, or a file of
-another function or version, gives a wrong direction or a crash. Here each compiled signature is one file with a
-checksum over its name, its sources and its content. There is no index that two processes could leave inconsistent
-with the files. A program that may write this user's files can forge a seal, but could also change the sources next
-to it. Files that belong to other users are not loaded.
+The compiler's own cache unpickles any file it finds and runs the machine code in it. A flipped bit, or a file
+of another function or version, gives a wrong direction or a crash. Here each compiled signature is one file
+with a checksum over its name, its sources and its content. There is no index that two processes could leave
+inconsistent with the files. A program that may write this user's files can forge a seal, but could also
+change the sources next to it. Files that belong to other users are not loaded.
 """
 
 from __future__ import annotations
@@ -93,7 +93,9 @@ class SealedFiles:
         return False
 
     def save(self, key: Any, data: Any) -> None:
-        """Save compiled code; a folder that cannot be written causes one warning, and each process compiles again."""
+        """Save compiled code; a folder that cannot be written causes one warning,
+        and each process compiles again.
+        """
         path = self.path(key)
         content = numba.core.serialize.dumps((key, data))
         draft = f"{path}.{token_hex(8)}"

@@ -1,7 +1,7 @@
 """An event log: one JSON object per line on the error stream, only when requested.
 
-`clacad -v` turns it on. Every line has `t` (seconds since the log began) and `event`; the other keys depend on the
-event:
+`clacad -v` turns it on. Every line has `t` (seconds since the log began) and `event`; the other keys depend
+on the event:
 =========  ================================================================
 event      keys
 =========  ================================================================
@@ -13,8 +13,8 @@ error      kind, sentence, status, traceback (list of lines), details
 end        status, seconds, memory (greatest, bytes)
 =========  ================================================================
 
-Lines of the log begin with `{`; other messages on the error stream never do. The log contains folder names and the
-arguments of the call. It is therefore kept out of every written file.
+Lines of the log begin with `{`; other messages on the error stream never do. The log contains folder names
+and the arguments of the call. It is therefore kept out of every written file.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Run times measured on this machine, kept in the user's cache, and forecasts computed from them.
 
-A task's seconds are first modelled from its size with the constants of one reference machine. The seconds the task
-took, divided by the modelled seconds, are recorded. The next forecast is the model times the recorded ratio of tasks
-of about its size. Only messages and forecasts read the cache file; no written byte depends on it. A file that is
-missing, broken or not writable only widens the forecast.
+A task's seconds are first modelled from its size with the constants of one reference machine. The seconds the
+task took, divided by the modelled seconds, are recorded. The next forecast is the model times the recorded
+ratio of tasks of about its size. Only messages and forecasts read the cache file; no written byte depends on
+it. A file that is missing, broken or not writable only widens the forecast.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ LEAST = 0.02
 
 MOST_BYTES = 200_000
 UNSEEN = math.log(2.5)
-"""Half width (natural logarithm) of a forecast for a task never run here: about how much machines in use differ."""
+"""Half width (natural logarithm) of a forecast for a task never run here:
+about how much machines in use differ.
+"""
 
 OTHERS_SEEN = math.log(1.7)
 """Half width (natural logarithm) where the machine's speed is known from other tasks only."""
@@ -188,7 +190,9 @@ def _positive(value: object) -> bool:
 
 
 def processor_seconds() -> float:
-    """Processor seconds of this process and of its ended children: the cost of work on a machine of any load."""
+    """Processor seconds of this process and of its ended children:
+    the cost of work on a machine of any load.
+    """
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
 

@@ -1,7 +1,7 @@
 """Error-free sums and products of float64 arrays, and arithmetic on the pairs they return.
 
 A pair ``(high, low)`` represents the unrounded number high + low with about 106 significant bits.
-Neighbouring modules of the mathematics layer may import no other module of it: arithmetic, no optics.
+Of the mathematics layer it is the only module that neighbours may import: arithmetic, no optics.
 After T. J. Dekker, Numer. Math. 18, 224 (1971) and D. E. Knuth, The Art of Computer Programming, vol. 2,
 4.2.2. A compiler that fuses multiply and add breaks these identities: compile no copy of them with
 ``fastmath={"contract"}``.

@@ -29,8 +29,8 @@ class Budget:
     item : str
         Kind of the counted items, in the plural.
     seconds : float or None
-        Processor seconds that reading any file may take. None where bytes and items limit the time, because the
-        file is read in one go or row by row as it is used.
+        Processor seconds that reading any file may take. None where bytes and items limit the time, because
+        the file is read in one go or row by row as it is used.
     seconds_per_megabyte : float
         Additional processor seconds per megabyte of the file.
     memory : int or None, bytes

@@ -1,9 +1,9 @@
 """All real roots of a smooth function on [0, 1], by monotone pieces: no root between samples is missed.
 
 Chebyshev interpolants replace the function and agree with it to rounding error. The real roots of their
-derivative cut [0, 1] into pieces on which the function is monotone. A piece contains one root if the values at
-its ends differ in sign, otherwise none. Each root is bisected on the function itself, never on the interpolant.
-(Trefethen, Approximation Theory and Approximation Practice, chapter 18.)
+derivative cut [0, 1] into pieces on which the function is monotone. A piece contains one root if the values
+at its ends differ in sign, otherwise none. Each root is bisected on the function itself, never on the
+interpolant. (Trefethen, Approximation Theory and Approximation Practice, chapter 18.)
 """
 
 from __future__ import annotations

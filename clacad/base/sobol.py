@@ -26,7 +26,8 @@ def sobol(count: int, dimension: int, skip: int = 1) -> NDArray[np.float64]:
     count : int
     dimension : int, 1 to 10
     skip : int
-        Points left out at the start (1: the origin). Consecutive chunks with rising `skip` continue one sequence.
+        Points left out at the start (1: the origin). Consecutive chunks with rising `skip` continue one
+        sequence.
 
     Returns
     -------

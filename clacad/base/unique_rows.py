@@ -27,8 +27,8 @@ def distinct(numbers: NDArray[Number]) -> NDArray[Number]:
 def unique_rows(rows: Ints) -> tuple[Ints, Ints]:
     """Distinct rows in ascending order (k, c), and for each row the index of its distinct row (n,).
 
-    Same result as ``numpy.unique(rows, axis=0, return_inverse=True)``, which compares rows as bytes and takes twenty
-    times as long.
+    Same result as ``numpy.unique(rows, axis=0, return_inverse=True)``, which compares rows as bytes and takes
+    twenty times as long.
 
     Parameters
     ----------

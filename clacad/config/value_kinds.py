@@ -100,8 +100,8 @@ def not_this(value: object, wanted: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """A whole number from `least` to `most`, at most 2⁶³ − 1 (the range of an index;
-    limits on size are checked later).
+    """A whole number from `least` to `most`, at most 2⁶³ − 1, the range of an index;
+    sizes are checked later.
     """
 
     what: str

@@ -2,9 +2,13 @@
 
 CSV: the header ``i,j,delta_x,delta_y``, optionally followed by ``,eta``, and one row for each cell, in any
 order. i and j are the cell's indices as in `clacad.Lattice` (axial for hexagons). A byte order mark and
-Windows line ends are accepted. NPZ: an array ``delta`` (n1, n2, 2) of numbers, whose first index is the
-position in the row, and optionally ``eta`` (n1, n2); pickled data are not read. η applies to both lens axes.
-It must lie on the same side of 0 and of 1 as the law's η, so that both lenses keep their signs.
+Windows line ends are accepted.
+
+NPZ: an array ``delta`` (n1, n2, 2) of numbers, whose first index is the position in the row, and optionally
+``eta`` (n1, n2); pickled data are not read.
+
+η applies to both lens axes. It must lie on the same side of 0 and of 1 as the law's η, so that both lenses
+keep their signs.
 
 A table has exactly one δ for each kept cell of the sheet. The design's canonical text contains the table's
 SHA-256, so that the design's hash covers its table.

@@ -80,7 +80,7 @@ class Design:
         )
 
     def _repr_html_(self) -> str:
-        from clacad import as_html  # through the package's top level: pictures are made in a higher layer
+        from clacad import as_html  # at run time only: the module that makes pictures imports this one
 
         return str(as_html(self))
 
@@ -111,8 +111,8 @@ class Design:
 
     @property
     def law(self) -> Law:
-        """The requested law of refraction; a varying law: that of the sheet's centre (table:
-        no offset, and `law.eta`).
+        """The requested law of refraction; a varying law:
+        that of the sheet's centre (table: no offset, and `law.eta`).
         """
         from clacad.optics.law import Law
 

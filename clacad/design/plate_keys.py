@@ -114,8 +114,7 @@ class HoleSpec:
     at : tuple of (x, y), lengths
     circle : float or None, length
         Diameter of a bolt circle about the centre of the sheet, with `count` holes, the first at the angle
-        `start`
-        (degrees from +x).
+        `start` (degrees from +x).
     corners : float or None, length
         One hole in each corner of a rectangular plate, at this distance from both sides.
     """

@@ -85,7 +85,7 @@ def _conic(intent: Intent, default: float) -> float:
 
 
 def _face(intent: Intent, derived: Quadric, after: int) -> Surface:
-    """Field face number `after` in the order of the light: as given, else as derived."""
+    """Field face number `after` (from 0) in the order of the light: as given, else as derived."""
     if isinstance(intent.shape, GivenFaces):
         return intent.shape.of_field(derived.side, after)
     return derived

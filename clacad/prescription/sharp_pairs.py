@@ -2,8 +2,8 @@
 
 η is kept for chief rays, those through the centre of lens 1. Lens 2 is therefore the lens of the afocal pair,
 t' = (t − δ)/η holds for chief rays in every cell, and only lens 1 changes. Every pair then images the object
-plane to the image plane. The images of all pairs coincide where array 2 has the pitch p1 (1 − f2/ζ)/(1 +
-f1/z): D. Gabor, UK patent 541 753 (1940).
+plane to the image plane. The images of all pairs coincide where array 2 has the pitch
+p1 (1 − f2/ζ)/(1 + f1/z): D. Gabor, UK patent 541 753 (1940).
 
 Glass has an effect. Plane faces before lens 1 and behind lens 2 (plano, curved inside) bring the planes
 nearer by T (1 − 1/n). A biconvex lens is a thin one whose two principal planes are its hiatus apart;

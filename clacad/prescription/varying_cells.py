@@ -99,8 +99,8 @@ def lens_plane_slope(turn: Floats) -> Pair2:
 
 
 def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2, sizes: CellSizes | None) -> Floats:
-    """Moves of lenses 2 from `first` (n, 2), lengths, for which the light of each cell obeys its δ (n,
-    2) and η.
+    """Moves of lenses 2 from `first` (n, 2), lengths,
+    for which the light of each cell obeys its δ (n, 2) and η.
     """
     slopes = np.broadcast_to(aperture_slope(window), deltas.shape)
     light = np.column_stack([slopes, np.ones(len(slopes))])

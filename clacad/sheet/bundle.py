@@ -66,8 +66,8 @@ def middle_direction(window: Window, centre: str = "axis") -> Floats:
 
 
 def cone(middle: Floats, half_angle: float, unit_square: Floats) -> Floats:
-    """Unit directions (n, 3), uniform in solid angle over a cone about `middle`, from points (n,
-    2) of the unit square.
+    """Unit directions (n, 3), uniform in solid angle over a cone about `middle`,
+    from points (n, 2) of the unit square.
     """
     u, v = _frame(middle)
     # 1 − cos without cancellation, so that a cone of a microradian is resolved
@@ -134,7 +134,7 @@ def sent_together(
 ) -> list[tuple[Floats, NDArray[np.uint8]]]:
     """Directions (n, 3) and fates (n,) of each of several bundles over one cell, traced in one call.
 
-    A call with few rays costs almost as much as a call with many.
+    Additional rays add little to the cost of a call.
     """
     starts, ways = (
         np.concatenate([getattr(one.rays, name) for one in lit]) for name in ("position", "direction")

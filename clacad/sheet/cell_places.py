@@ -5,9 +5,9 @@ Cell (i, j) of every array is the partner of cell (i, j) of the other arrays. A 
 viewer, or with a varying law, has arrays of different pitches and lenses at a different position in every
 cell:
 
-    centre of cell (i, j)     = T (pitch of the array × index) + shift                T: rotation of the array
-    vertex of its lens        = Face.vertex + gradient × C + table[i, j]      C: centre of cell (i, j) of the
-    lattice
+    centre of cell (i, j)     = T (pitch of the array × index) + shift        T: rotation of the array
+    vertex of its lens        = Face.vertex + gradient × C + table[i, j]      C: centre of the lattice's cell
+    (i, j)
 
 An array stores its own pitch, not a factor on the lattice's pitch. The multiples of the pitch in borders and
 centres are therefore formed exactly (`Lattice.locate`), at any distance from the centre. A turned array has

@@ -1,6 +1,6 @@
 """Columns of the table of a plate's edges: start, end, centre and radius of an arc, and its sense.
 
-This module is separate from `clacad.sheet.plate` because a change to a module whose names are compiled in
+The columns are separate from `clacad.sheet.plate`: a change to a module whose constants are compiled in
 causes recompilation.
 """
 

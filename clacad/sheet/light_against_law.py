@@ -39,8 +39,8 @@ def rms_error(error: Floats) -> float:
 
 
 def mean_error(direction: Floats, fate: NDArray[np.uint8], expected: Floats) -> float:
-    """Angle (radians) between the mean exit direction (n,
-    3) of parallel light and the expected direction (3,).
+    """Angle (radians) between the mean exit direction (n, 3) of parallel light
+    and the expected direction (3,).
     """
     alive = fate == Fate.ALIVE
     if alive.sum() < FEWEST or not np.isfinite(expected).all():

@@ -175,8 +175,8 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
 
 
 def share_of_zone(cells: ThinCells, shift: Floats, ratio: Floats | None) -> Floats:
-    """Share (n,) of light from a copy of lens 1's zone, `ratio` (n,) times the image, `shift` (n,
-    2) from lens 2's zone.
+    """Share (n,) of light from a copy of lens 1's zone, `ratio` (n,) times the image,
+    `shift` (n, 2) from lens 2's zone.
     """
     image, whole = cells.image, np.asarray(polygon_area(cells.image))
     if ratio is not None:

@@ -307,7 +307,7 @@ class Window:
         )
 
     def _repr_html_(self) -> str:
-        from clacad import as_html  # through the package's top level: pictures are made in a higher layer
+        from clacad import as_html  # at run time only: the module that makes pictures imports this one
 
         return str(as_html(self))
 

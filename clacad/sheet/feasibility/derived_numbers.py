@@ -174,8 +174,7 @@ class Feasibility:
         Full range of the ray offset on the sheet.
     diffraction_blur : (x, y), radians
         λ/w along the lens axes, w the equivalent width of the lit part of lens 2 in the centre of the field:
-        the slit
-        whose pattern has the same core (see `clacad.optics.aperture`).
+        the slit whose pattern has the same core (see `clacad.optics.aperture`).
     first_zero : (x, y), radians
         First zero of the Fraunhofer pattern of that zone along the lens axes; λ/w where the zone is a
         rectangle along them.

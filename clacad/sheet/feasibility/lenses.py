@@ -236,8 +236,8 @@ def least_thickness(window: Window, array: int) -> float:
 
 
 def thicker(body: Body, change: float) -> Body:
-    """Body with `change` (length) more distance between its lens faces along the lens axis (plano:
-    its plane face moves).
+    """Body with `change` (length) more distance between its lens faces along the
+    lens axis (plano: its plane face moves).
     """
 
     def moved(face: Face, sign: float) -> Face:

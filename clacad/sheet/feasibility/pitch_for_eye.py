@@ -29,8 +29,8 @@ ARC_MINUTE = pi / 10800.0
 """Resolution of an eye, radians."""
 
 HALF_ENERGY = 0.72
-"""Width that contains half of the light at the sharpest pitch, over λ/w as the eye sees it (waves:
-.70 to .75).
+"""Width that contains half of the light at the sharpest pitch,
+over λ/w as the eye sees it (waves: .70 to .75).
 """
 
 LOST = 0.164
@@ -117,8 +117,8 @@ def diffraction_loss(fresnel: Sequence[float]) -> Pair2:
 def viewing(
     etas: Sequence[float], fresnel: Sequence[float], viewer: float, distance: float, wavelength: float
 ) -> EyeAdvice:
-    """All advice for a pair of these η along lens x and y, and Fresnel numbers of the lit part (infinite:
-    no lens).
+    """All advice for a pair of these η along lens x and y,
+    and Fresnel numbers of the lit part (infinite: no lens).
     """
     x, y = etas
     fine = tuple(wavelength / ARC_MINUTE * max(1.0, abs(eta)) for eta in (x, y))
