@@ -159,7 +159,7 @@ class FieldLens:
 
 @dataclass(frozen=True, eq=False)
 class ThinPair:
-    """The ideal counterpart of the real pair: two thin lenses that share a focal plane.
+    """The ideal counterpart of the real pair: two thin lenses; an afocal pair shares a focal plane.
 
     focal_length : ((f1x, f1y), (f2x, f2y)), lengths
         Infinite in a meridian without power.
@@ -199,7 +199,7 @@ class ThinPair:
 
     @property
     def separation(self) -> float:
-        """Distance s between the lens planes along the lens axis (length), equal to f1 + f2."""
+        """Distance s between the lens planes along the lens axis (length), f1 + f2 for an afocal pair."""
         return float(self.rotation[:, 2] @ np.asarray(self.offset))
 
     def lenses(self, array: int, lattice: Lattice, index: Ints) -> LensPlaces:
