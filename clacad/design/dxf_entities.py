@@ -126,6 +126,7 @@ class Entity:
 
 
 def finite_number(value: str, line: int, name: str) -> float:
+    """Read a number of at most 1e30 in size; refuse anything else with the file's name and the line."""
     try:
         number = float(value)
     except ValueError:

@@ -133,6 +133,7 @@ def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
 
 
 def forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
+    """Forecast binary STL files: 84 bytes a file and 50 a facet."""
     size = 84 * files + 50 * facets
     return Forecast(name, size, exact, facets, quads, costs.stl_seconds(facets), (80_000_000, 400_000_000))
 
@@ -169,6 +170,7 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int, in_one_node: bool = 
 
 
 def welded_row(name: str, size: int, held: int, facets: int, places: int, quads: int) -> Forecast:
+    """Forecast a mesh of shared vertices from its bytes, the facets that it stores and the places of repeated cells."""
     memory = int(700 * held + 400 * places)
     seconds = costs.welded_seconds(name, held, places)
     return Forecast(
@@ -216,6 +218,7 @@ def _of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
 
 
 def step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
+    """Forecast a STEP file from its mode and its bytes."""
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
         each = 250_000 if window.uniform else 50_000  # cells that differ are described one after another
