@@ -54,11 +54,7 @@ EXCEPTIONS = {
 }
 """Importing file, imported file: reason. One that nothing uses fails."""
 
-RINGS = {
-    ("advice/proposal.py", "advice/proposal_text.py"): "a proposal has its text",
-    ("design/asked_cells.py", "design/canonical_text.py", "design/model.py"): "a design has its text and its cells",
-    ("prescription/assemble.py", "prescription/best_recipe.py", "prescription/field_lens.py"): "type of an intent",
-}  # fmt: skip
+RINGS: dict[tuple[str, ...], str] = {}
 """Modules that import one another in a ring, imports inside functions and for type checkers counted: why. One that is gone fails."""
 
 

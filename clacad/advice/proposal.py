@@ -72,7 +72,7 @@ class Proposal:
         """The commented design file."""
         from clacad.advice.proposal_text import file_text
 
-        return file_text(self)
+        return file_text(self.wish, self.judged, self.reasons, self.trades)
 
 
 def not_met(wish: Wish, design: Design) -> Iterator[str]:

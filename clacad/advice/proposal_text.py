@@ -2,35 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from clacad.advice.judged import Judged
 from clacad.advice.nearest_wish import plain_words
-from clacad.advice.trade_offs import rows_of
+from clacad.advice.trade_offs import Trade, rows_of
+from clacad.advice.wish import Wish
 from clacad.base.text import table
 from clacad.design.canonical_text import to_toml
 from clacad.design.keys import ROOT, SECTIONS
 
-if TYPE_CHECKING:
-    from clacad.advice.proposal import Proposal
-
 WIDTH = 118
 
 
-def file_text(found: Proposal) -> str:
+def file_text(wish: Wish, judged: Judged, reasons: Sequence[str], trades: Sequence[Trade]) -> str:
     """TOML with comments; it loads as it stands."""
     lines = ["#:schema clacad.schema.json"]
-    lines += _wrapped(f"Made for the wish {plain_words(found.wish)}.")
-    words = sorted({check.id for check in found.judged.warning})
+    lines += _wrapped(f"Made for the wish {plain_words(wish)}.")
+    words = sorted({check.id for check in judged.warning})
     end = f"passes, with a warning: {', '.join(words)}" if words else "passes, without a warning"
     lines += _wrapped(f"Built, traced through one cell and judged by the checks of clacad verify: {end}.")
     lines += ["#", "# Why these numbers:"]
-    for reason in found.reasons:
+    for reason in reasons:
         lines += _wrapped(reason, first="# * ", rest="#   ")
     lines += ["#", "# What others would give, each built and traced:"]
-    lines += [f"#{row}" for row in table(rows_of(found.trades)).split("\n")]
-    return "\n".join([*lines, "", *_keys(found.design.given)]) + "\n"
+    lines += [f"#{row}" for row in table(rows_of(trades)).split("\n")]
+    return "\n".join([*lines, "", *_keys(judged.design.given)]) + "\n"
 
 
 def _wrapped(text: str, first: str = "# ", rest: str = "# ") -> list[str]:

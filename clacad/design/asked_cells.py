@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -10,15 +11,46 @@ from clacad.config.design_error import DesignError
 from clacad.design.cell_table import read_table
 from clacad.design.combinations import ETAS, FEATURES, why_not
 from clacad.design.read import values_of
+from clacad.design.sections import LatticeSpec, LawSpec, PairSpec
 from clacad.design.varying import gradient_of
+from clacad.optics.law import Law
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 
-if TYPE_CHECKING:
-    from clacad.design.model import Design
+
+class Requested(Protocol):
+    """What the cells depend on; a `Design` has it."""
+
+    @property
+    def law(self) -> Law:
+        """Law of the sheet's centre."""
+
+    @property
+    def law_spec(self) -> LawSpec:
+        """Section [law]."""
+
+    @property
+    def pair(self) -> PairSpec:
+        """Section [pair]."""
+
+    @property
+    def lattice(self) -> LatticeSpec:
+        """Section [lattice]."""
+
+    @property
+    def given(self) -> Mapping[str, Any]:
+        """Keys as written."""
+
+    @property
+    def source(self) -> str | None:
+        """Text of the file, None without one."""
+
+    @property
+    def path(self) -> str:
+        """Name of the file, "" without one."""
 
 
-def refuse_beside_etas(design: Design) -> None:
+def refuse_beside_etas(design: Requested) -> None:
     """Refuse features that are not built with an η per cell; CL125."""
     values = values_of(design.given)
     for feature in FEATURES:
@@ -28,7 +60,7 @@ def refuse_beside_etas(design: Design) -> None:
                                  hint=feature.instead)  # fmt: skip
 
 
-def lattice_of(design: Design) -> Lattice:
+def lattice_of(design: Requested) -> Lattice:
     """Pattern of the design's cells."""
     spec = design.lattice
     outline: Circle | Rectangle | None = None
@@ -38,7 +70,7 @@ def lattice_of(design: Design) -> Lattice:
     return Lattice(spec.kind, spec.pitch, spec.count, outline)
 
 
-def cell_laws(design: Design) -> CellLaws:
+def cell_laws(design: Requested) -> CellLaws:
     """The law of each cell.
 
     Raises

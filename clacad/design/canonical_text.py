@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from clacad.base import units
 from clacad.config.compound_kinds import Several
@@ -19,6 +19,7 @@ from clacad.design.sections import (
     NO_TOLERANCES,
     AimedAt,
     Allowed,
+    CheckSpec,
     FieldSpec,
     Frame,
     Outline,
@@ -26,44 +27,46 @@ from clacad.design.sections import (
 )
 from clacad.design.varying import Conjugates, VaryingSpec, planes_table, varying_table
 
-if TYPE_CHECKING:
-    from clacad.design.model import Design
 
+def to_dict(head: Mapping[str, Any], unit: str, specs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a design as nested dictionaries with the keys of a file; None is left out.
 
-def to_dict(design: Design) -> dict[str, Any]:
-    """Return the design as nested dictionaries with the keys of a file; None is left out."""
-    made: dict[str, Any] = {"format": FORMAT, "name": design.name, "unit": design.unit}
-    if design.notes:
-        made["notes"] = list(design.notes)
-    parts = {"law": design.law_spec, "pair": design.pair, "lattice": design.lattice, "body": design.body,
-             "check": design.check, "tolerances": design.tolerances, "light": design.light}  # fmt: skip
-    for section, spec in parts.items():
+    Parameters
+    ----------
+    head : mapping
+        Name, unit and notes.
+    unit : str
+    specs : mapping from section to its keys, a dataclass such as `LawSpec`
+    """
+    made: dict[str, Any] = {"format": FORMAT} | {name: value for name, value in head.items() if value}
+    pair: PairSpec = specs["pair"]
+    for section, spec in specs.items():
         if spec in (NO_TOLERANCES, DAYLIGHT):
             continue  # the text of a design without these sections must not change
         values: dict[str, Any] = {}
         for name, key in SECTIONS[section].items():
-            if section == "pair" and _left_out(name, design.pair):
+            if section == "pair" and _left_out(name, pair):
                 continue
             value = getattr(spec, "euler_degrees" if name == "euler" else name)
             if value is not None and value != ():
-                values[name] = _written(value, key, design)
-        if section == "lattice" and design.lattice.kind != "rectangular":
+                values[name] = _written(value, key, unit)
+        if section == "lattice" and spec.kind != "rectangular":
             values |= {name: values[name][0] for name in ("pitch", "pitch_2") if name in values}
-        if section == "lattice" and not design.lattice.rotation_2:
+        if section == "lattice" and not spec.rotation_2:
             del values["rotation_2"]  # a key of a later version is left out at its default
         if section == "check":
-            _keep_as_before(values, design)
+            _keep_as_before(values, spec, unit)
         made[section] = values
     return made
 
 
-def _keep_as_before(values: dict[str, Any], design: Design) -> None:
+def _keep_as_before(values: dict[str, Any], check: CheckSpec, unit: str) -> None:
     """Keep hashes of earlier designs: leave out `viewed` at its default, write distances with their unit."""
-    if design.check.viewed == CHECK["viewed"].default:
+    if check.viewed == CHECK["viewed"].default:
         del values["viewed"]
     for name in ("viewer", "object"):
         if name in values:
-            values[name] = _with_unit(values[name], design.unit)
+            values[name] = _with_unit(values[name], unit)
 
 
 OF_RECIPES = ("confocal", "surface", "conic", "depth")
@@ -83,7 +86,7 @@ def _left_out(name: str, pair: PairSpec) -> bool:
     return name in OF_RECIPES if pair.given else name == "prescription"
 
 
-def _written(value: Any, key: Key, design: Design) -> Any:
+def _written(value: Any, key: Key, unit: str) -> Any:
     kind = key.kind
     if isinstance(value, SearchRecord):
         return value.to_dict()
@@ -112,19 +115,19 @@ def _written(value: Any, key: Key, design: Design) -> Any:
     if isinstance(value, tuple) and value and isinstance(value[0], Allowed):
         return [{"code": item.code, "reason": item.reason} for item in value]
     if isinstance(kind, Quantity) and isinstance(value, float):
-        return _quantity(value, kind, design)
+        return _quantity(value, kind, unit)
     if isinstance(kind, Several) and isinstance(kind.kind, Quantity) and isinstance(value, tuple):
-        return [_quantity(v, kind.kind, design) for v in value]
+        return [_quantity(v, kind.kind, unit) for v in value]
     return list(value) if isinstance(value, tuple) else value
 
 
-def _quantity(value: float, kind: Quantity, design: Design) -> float | str:
+def _quantity(value: float, kind: Quantity, unit: str) -> float | str:
     if kind.family == "wavelength":
         return units.nanometres(value)
     if kind.family == "angle" and not kind.degrees:
         return f"{value!r} rad"
     if kind.family == "length" and not kind.bare:
-        return _with_unit(value, design.unit)
+        return _with_unit(value, unit)
     return value
 
 

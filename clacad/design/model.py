@@ -167,7 +167,10 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """Return every key with its value, defaults included; `Design.from_dict` of it is an equal design."""
-        return to_dict(self)
+        head = {"name": self.name, "unit": self.unit, "notes": list(self.notes)}
+        specs = {"law": self.law_spec, "pair": self.pair, "lattice": self.lattice, "body": self.body,
+                 "check": self.check, "tolerances": self.tolerances, "light": self.light}  # fmt: skip
+        return to_dict(head, self.unit, specs)
 
     def canonical_toml(self) -> str:
         """Return the design as TOML in one fixed form: every key, fixed order, shortest numbers."""

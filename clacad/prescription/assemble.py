@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import hypot, isfinite, isinf
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +15,11 @@ from clacad.design.asked_cells import lattice_of
 from clacad.design.process_profiles import profile
 from clacad.design.search_record import faces_digest
 from clacad.design.sections import AimedAt
-from clacad.optics.law import Law
 from clacad.prescription import poses
 from clacad.prescription.cell_heights import face_range, window_range
 from clacad.prescription.faces_and_bodies import (
     LensPose,
     Shape,
-    Shaping,
     biconvex_body,
     plano_body,
     slab_body,
@@ -36,6 +34,7 @@ from clacad.prescription.field_lens import (
     two_plates,
 )
 from clacad.prescription.given import GivenFaces, given_pair, refuse_crossed, refuse_no_faces
+from clacad.prescription.intent import Intent, separation_of
 from clacad.prescription.plates import cells_outline, with_plate
 from clacad.prescription.radii import (
     LensPair,
@@ -58,43 +57,6 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.design.sections import PairSpec
     from clacad.optics.material.material import Material
-
-
-@dataclass(frozen=True, eq=False)
-class Intent:
-    """Inputs of the recipes, read once from a design."""
-
-    design: Design
-    law: Law
-    turn: Floats
-    eta: Pair2
-    delta: Pair2
-    index: float
-    material: Material | None
-    lattice: Lattice
-    shape: Shaping
-    neck: float
-
-    def offset(self, focal_length: Pair2) -> Floats:
-        """(d_x, d_y) = (δ_x f1x, δ_y f1y), (2,) lengths, with f1 as built; 0 in a meridian without power."""
-        return np.array([0.0 if d == 0.0 else d * f for d, f in zip(self.delta, focal_length, strict=True)])
-
-    def built_offset(self, lenses: LensPair) -> Floats:
-        """Offset (2,) of lens 2 as built, lengths: as given, else from δ."""
-        given = self.design.pair.vertex
-        focal = lenses.focal_length[0]
-        if self.design.pair.focus is not None:  # δ is that of chief rays, independent of lens 1's focus
-            from clacad.prescription.sharp_pairs import chief_focal_lengths
-
-            focal = chief_focal_lengths(self.design, lenses.thickness, self.index, separation_of(self))
-        offset = self.offset(focal) if given is None else np.array(given)
-        if not np.isfinite(offset).all():
-            raise NoSuchLens(
-                "lens 1 has no power in a meridian with an offset delta",
-                key="pair.face.0.radius",
-                hint="a finite radius there, delta = 0, or pair.vertex = [d_x, d_y]",
-            )
-        return offset
 
 
 def build_window(design: Design) -> Window:
@@ -156,16 +118,6 @@ def _lattice(design: Design) -> Lattice:
     plain = lattice_of(design)
     outline = cells_outline(design.lattice.outline, design.body)
     return replace(plain, outline=outline) if isinstance(outline, Plate) else plain
-
-
-def separation_of(intent: Intent) -> float:
-    """Distance f1 + f2 (length) between the thin lenses equivalent to the pair."""
-    pair = intent.design.pair
-    if pair.separation is not None:
-        return pair.separation
-    thickness = pair.thicknesses
-    assert thickness is not None  # the design holds exactly one of the two for a slab
-    return thickness[0] / intent.index
 
 
 LEAST_SAG = 1e-14

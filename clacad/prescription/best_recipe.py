@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,12 +20,10 @@ from clacad.optics.fit import AskedLight, law_residuals, minimise
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import trace_sequence
 from clacad.prescription.cell_heights import window_range
+from clacad.prescription.intent import Intent
 from clacad.sheet.bundle import bundle
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
-
-if TYPE_CHECKING:
-    from clacad.prescription.assemble import Intent
 
 RAYS = 4096
 

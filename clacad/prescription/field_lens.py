@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,12 +29,10 @@ from clacad.design.process_profiles import profile
 from clacad.design.sections import AimedAt
 from clacad.optics.surface import Quadric, Surface
 from clacad.prescription.given import GivenFaces
+from clacad.prescription.intent import Intent
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
 from clacad.sheet.gap import FIELD as ARRAY
 from clacad.sheet.window import IDENTITY, Body, Face, FieldLens
-
-if TYPE_CHECKING:
-    from clacad.prescription.assemble import Intent
 
 STEEPEST = 1.05
 """Least radius of a field face, over half the width of its cell."""
