@@ -37,7 +37,7 @@ class ScreenMap:
         Screen point seen at the middle of the sheet.
     matrix : (2, 2)
     rms : (2,) length
-        Residual of the fitted rays.
+        Rms residual of the fitted rays.
     share : float
         Rays fitted over rays on the sheet.
     direct : float

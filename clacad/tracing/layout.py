@@ -259,7 +259,7 @@ class SampledCell(NamedTuple):
         return float(np.hypot(*self.places.moved.T).max())
 
     def bend(self, surface: Surface, reach: float) -> float:
-        """Bound, 1/length, on the curvature of the most curved of the lenses that reach `reach`, length."""
+        """Bound, 1/length, on the curvature of all the lenses out to the distance `reach`, length."""
         if self.places is None or self.places.size is None:
             return sharpest_bend(surface, reach)
         least = float(self.places.size.min())

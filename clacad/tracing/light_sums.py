@@ -5,8 +5,8 @@ Rays are traced PIECE at a time, and each piece is summed as it is finished, in 
 their sums are added exactly in one order: one thread and many give the same bits.
 
 From half a million rays on, compiled sums take a fifth of the time of rows and their angles. In numpy sums
-take a tenth longer, because they contain what a fit needs. Only callers with many rays use them:
-`verify` needs every number of each ray (accounting), draws spots from rows and prints the uncertainty of its
+take a tenth longer, because they contain what a fit needs. Only callers with many rays use them.
+The others do not: `verify` needs every number of each ray (accounting), draws spots from rows and prints the uncertainty of its
 fits; `accuracy` compares two results ray by ray, with 95 in 100; `tolerance` and `optimise` trace a few
 hundred or thousand rays a sample, too few for a kernel.
 """

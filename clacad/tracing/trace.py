@@ -41,13 +41,14 @@ def trace(
         Sheet frame, window units, in front of the sheet; ``((0, 0, -1), (0.01, 0, 1))`` is one ray.
     rung : "law", "thin", "surfaces" or "mesh"
         Homogeneous sheet; ideal lenslets; exact Snell at the surfaces; Snell at the facets.
-    Physics added to the geometry; an empty sequence costs nothing.
-        Physics added to the geometry; none costs nothing.
+    effects : sequence of names or `clacad.effects.Effect`
+        Physics added to the geometry; an empty sequence costs nothing.
     record : bool
         Keep `hits` and `directions` at every face.
-    For rung "mesh" only: the sheet's own mesh, its number of quads a cell side, triangles from any source, or
-    a file of them (STL, 3MF, PLY, OBJ, GLB). None: the sheet's own mesh of 16 quads a cell side, as in
-    scenes.
+    mesh : Mesh, int, TriangleSoup, path or None
+        For rung "mesh" only: the sheet's own mesh, its number of quads a cell side, triangles from any
+        source, or a file of them (STL, 3MF, PLY, OBJ, GLB). None: the sheet's own mesh of 16 quads a cell
+        side, as in scenes.
     normals : "facet" or "vertex"
         Rung "mesh" only: normals of the facets, or the exact normals at the vertices, interpolated.
     threads : int or None

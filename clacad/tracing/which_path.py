@@ -42,10 +42,10 @@ LOADED: set[str] = set()
 """Kernels, see `kernels_of`, that have run in this process."""
 
 MEASURED: dict[str, float] = {}
-"""Seconds of a ray-surface in numpy as last measured in this process, by the kernels that were not loaded."""
+"""Seconds of a ray-surface in numpy as last measured in this process; keys are the kernels that were not loaded."""
 
 WAITED: dict[str, float] = {}
-"""Seconds that numpy takes for the rays of this process, by the kernels that were not loaded."""
+"""Seconds that numpy takes for the rays of this process; keys are the kernels that were not loaded."""
 
 
 def worth_compiled(rays: int, faces: int) -> bool:

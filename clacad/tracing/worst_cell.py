@@ -95,7 +95,6 @@ def tried_cells(window: Window, field: float) -> list[SeenCell]:
 
     Up to `MOST_SCREENED` cells all are screened by few rays. Those with the largest rms direction error are
     added.
-    Up to `MOST_SCREENED` cells all are screened by few rays, and those with the largest rms direction error are added.
     """
     if window.uniform:
         return [SeenCell(window, window, np.array(central_cell(window)))]

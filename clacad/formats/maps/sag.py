@@ -300,8 +300,8 @@ def _cell_points(
 ) -> tuple[Floats, Floats, Floats]:
     """Points (n, 2) of a grid inside a cell, about its centre; heights (n,) there; outward unit normals (n, 3).
 
-    The cell, on a non-uniform sheet.
-        The cell, where they differ.
+    index : (2,) or None
+        The cell, on a non-uniform sheet.
     """
     face = face if index is None else window.in_cell(face, index)
     assert face.array is not None

@@ -66,8 +66,8 @@ def add_facets(
     sums : (2,)
         Of the hashes of directed edges.
     totals : (4,)
-        See VOLUME and AREA; each is a rounded sum and what rounding took away.
-    See VOLUME and AREA; each is a rounded sum and its rounding error.
+        See VOLUME and AREA; each is a rounded sum and its rounding error.
+    box : (2, 3)
         Lowest and highest corner.
     """
     for f in range(len(corners)):

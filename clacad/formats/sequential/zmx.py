@@ -1,8 +1,9 @@
 """A telescopelet as a sequential ZMX prescription: text that lens-design programs read.
 
-Every face is a STANDARD or, with two radii, a BICONICX surface: z = (cx x² + cy y²)/(1 + √(1 − (1+Kx) cx² x²
-− (1+Ky) cy² y²)), which represents ellipsoids and biconics alike exactly (CURV and CONI are the y meridian's,
-PARM 1 the x radius, PARM 2 its conic).
+Every face is a STANDARD or, with two radii, a BICONICX surface:
+z = (cx x² + cy y²)/(1 + √(1 − (1+Kx) cx² x² − (1+Ky) cy² y²)),
+which represents ellipsoids and biconics alike exactly (CURV and CONI are the y meridian's, PARM 1 the x
+radius, PARM 2 its conic).
 Between two frames are COORDBRK surfaces, each with at most one rotation (decentre and rotation about z,
 rotation about x, rotation about z: the lens axes' Euler angles), so the order of tilts does not matter.
 Angles turn y towards z and x towards y.

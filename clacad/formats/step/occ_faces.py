@@ -65,7 +65,7 @@ def sampled_lenses(several: list[ShapePart], window: Window, lens_faces: int, po
 
 
 def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:
-    """Round holes: cylinders whose faces face their axis, mm.
+    """Round holes: cylinders whose outward normals point to their axis, mm.
 
     Returns
     -------

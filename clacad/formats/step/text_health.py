@@ -66,7 +66,7 @@ class Scan:
     patches : (pole numbers, (m, n), weights (m, n)) of every surface curved both ways that is one Bézier patch
     uneven : number of surfaces curved both ways that have more than one span; they are not evaluated here
     face_ids, face_surfaces : number of every face, and of its surface
-    reversed_faces : faces that face against their surface's own normal
+    reversed_faces : faces oriented against their surface's own normal
     shell_faces : faces of every shell
     """
 
@@ -295,7 +295,7 @@ class Patches:
     poles : (k, m, n, 3), mm, in the frame of their part
     weights : (k, m, n)
     sense : (k,)
-        −1 where the face faces against du × dv.
+        −1 where the face is oriented against du × dv.
     part : (k,)
         Their part, an index into `Scan.parts`.
     """

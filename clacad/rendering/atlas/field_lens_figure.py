@@ -1,7 +1,7 @@
 """A window off its axis, with and without a field lens: the light that obeys the law, and the ghosts.
 
-window-100mm (η = −1) is seen from 20 m, so all its rays have nearly one slope t. With ideal lenses a share 1
-− |t| s/p of them finds its partner; the others leave with slopes that differ by p/f2. With a field lens at
+window-100mm (η = −1) is seen from 20 m, so all its rays have nearly one slope t. With ideal lenses a share
+1 − |t| s/p of them finds its partner; the others leave with slopes that differ by p/f2. With a field lens at
 the common focus all do, up to t = p/s.
 """
 

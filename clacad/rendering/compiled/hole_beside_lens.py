@@ -1,6 +1,6 @@
 """Fast path for the commonest rays that the block trace leaves: through a hole next to a thin lens.
 
-A tilted lens that is too thin does not fill its cell; a ray through the corner passes a hole there. Where
+A rotated lens that is too thin does not fill its cell; a ray through the corner passes a hole there. Where
 arrays are bundles of convex lenslets without land, a ray that stays in its cell either misses the lens or
 crosses its two faces. The roots of its two quadrics decide both. Everything else is left to the walk.
 """

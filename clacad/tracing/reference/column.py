@@ -35,7 +35,6 @@ class Event:
     Attributes
     ----------
     kind : (m,) ints
-        FRONT, BACK (a lens or plane face), FRONT_LAND, BACK_LAND, WALL, ABOVE (rose past the body) or
         FRONT, BACK (a lens or plane face), FRONT_LAND, BACK_LAND, WALL, ABOVE (rose past the body) or ASIDE
         (left the box round its footprint).
     distance : (m,) lengths

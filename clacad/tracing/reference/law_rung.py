@@ -1,6 +1,4 @@
-"""Rung "law": the sheet as a plane z = 0 that obeys its law exactly; cells of non-uniform sheets have their
-own laws.
-"""
+"""Rung "law": the sheet as a plane z = 0 that obeys its law exactly, or in each cell the law of that cell."""
 
 from __future__ import annotations
 

@@ -104,8 +104,8 @@ def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, c
     Parameters
     ----------
     indices : one refractive index a body
-    From `launch`: m rays on the first body's reference plane, and their distances (m,) from the start.
-        From `launch`: m rays on the first body's reference plane, and how far (m,) that is from the start.
+    beam, carried
+        From `launch`: m rays on the first body's reference plane, and their distances (m,) from the start.
     """
     m = len(beam)
     none, no = np.full((m, 2), NO_CELL, dtype=np.int64), np.zeros(m, dtype=bool)

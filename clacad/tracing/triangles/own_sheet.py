@@ -42,7 +42,6 @@ def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
     ------
     LimitRefused
         More than `MOST_FACETS` triangles.
-        More than are held.
     """
     count = sum(body.facets_about for body in mesh.bodies)
     if count > MOST_FACETS:

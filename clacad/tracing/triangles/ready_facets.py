@@ -49,8 +49,9 @@ def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) ->
 
     Raises
     ------
-    The mesh has other bodies than the window, no normals where vertex normals are requested, or no unit that
-    fits; or the requested number of quads cannot be made.
+    ValueError
+        The mesh has other bodies than the window, no normals where vertex normals are requested, or no unit
+        that fits; or the requested number of quads cannot be made.
     LimitRefused
         The sheet is non-uniform and has more triangles than are held.
     """

@@ -1,4 +1,4 @@
-"""Light through the exact triangles of a file, one telescopelet at a time, in double precision.
+"""Light through the triangles of a file themselves, one telescopelet at a time, in double precision.
 
 A file is known here only as triangles. Those over one cell are gathered. In each body rays meet the first
 facet that faces outward against them, then the first that faces outward along them. Walls (facets nearly
