@@ -132,9 +132,9 @@ def rays(view: View, pixels: Ints, points: Floats) -> tuple[Floats, Floats]:
 
 
 def _on_disc(square: Floats) -> Floats:
-    """Points of the unit square mapped to the unit disc, areas kept (Shirley & Chiu, J.
+    """Map points of the unit square to the unit disc, areas kept.
 
-    Graphics Tools 2, 45 (1997)).
+    Shirley & Chiu, J. Graphics Tools 2, 45 (1997).
     """
     a, b = 2.0 * square[..., 0] - 1.0, 2.0 * square[..., 1] - 1.0
     wide = np.abs(a) > np.abs(b)

@@ -169,10 +169,7 @@ ATLAS = "atlas"
 """Name under which the time of an atlas is recorded."""
 
 LABELLED, PER_ATLAS_RAY, PER_FIGURE, PER_SOLID_RAY = 0.1, 1.7e-7, 2.0, 7e-6
-"""Seconds of a picture apart from its rays, of a ray through lenses, of measuring a figure, of a ray of Fig.
-
-1(b).
-"""
+"""Seconds of a picture apart from its rays, a ray through lenses, measuring a figure, a ray of Fig. 1(b)."""
 
 
 def atlas_seconds(job: AtlasJob) -> float:

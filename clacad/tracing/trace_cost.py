@@ -18,7 +18,7 @@ PER_RAY = {"law": 3.5e-7, "thin": 4.2e-7, "surfaces": 4.2e-7, "mesh": 5e-7}
 """Seconds for reading, tracing and writing a ray."""
 
 PLAIN = {"law": 1.7e-6, "thin": 2.0e-6, "surfaces": 2.6e-6, "mesh": 3.0e-6}
-"""Seconds a ray where there are too few rays for compiled kernels."""
+"""Seconds for a ray where there are too few rays for compiled kernels."""
 
 PER_EFFECT = 2e-6
 PER_BYTE = 4e-7

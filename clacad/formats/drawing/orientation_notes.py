@@ -16,7 +16,7 @@ SAME = 1e-9
 HALF: tuple[Floats, ...] = (np.diag([-1.0, -1.0]),)
 QUARTER: tuple[Floats, ...] = (np.array([[0.0, -1.0], [1.0, 0.0]]),)
 OVER: tuple[Floats, ...] = (np.diag([1.0, -1.0]), np.diag([-1.0, 1.0]))
-"""Half turns that turn a plate over, either of which is allowed."""
+"""Ways to rotate a plate in its plane by a half or a quarter turn, and to turn it over; any one suffices."""
 
 
 def orientation(window: Window) -> list[str]:

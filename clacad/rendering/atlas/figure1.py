@@ -27,10 +27,7 @@ from clacad.tracing.trace import trace
 
 
 def section_findings(scene: Scene) -> Iterator[AtlasFinding]:
-    """Behaviour of a parallel bundle through one telescopelet of ideal lenses: eqs.
-
-    (1) to (6) of the paper.
-    """
+    """Parallel bundle through one telescopelet of ideal lenses: eqs. (1) to (6) of the paper."""
     window = prescribe(scene.design()).with_cells((1, 1))
     start, direction = parallel_bundle(window)
     result = trace(window, Rays(start, direction), rung="thin", record=True, path="size")

@@ -13,15 +13,13 @@ from clacad.tracing.compiled.packing import MOST_ARRAYS
 Vector = tuple[float, float, float]
 
 # Slots of an event, the next thing a ray meets: kind, distance, then for each array its cell i, j and the
-# ray's start
-# seen from there, then the normal of a facet.
+# ray's start seen from there, then the normal of a facet.
 KIND, DISTANCE, PLACE = range(3)
 FACET_NORMAL = PLACE + 4 * MOST_ARRAYS
 EVENT_NUMBERS = FACET_NORMAL + 3
 
 # Slots of the search's floats; the first are distances that divide the ray. Two numbers for each array
-# follow: start as
-# given, start seen from the present cell, cell as given, present cell, steps in between.
+# follow: start as given, start seen from the present cell, cell as given, present cell, steps in between.
 DIVISIONS = 24
 BASE, START, HOME, CELL, STEP, WORK_NUMBERS = range(DIVISIONS, DIVISIONS + 12 * MOST_ARRAYS, 2 * MOST_ARRAYS)
 
@@ -33,8 +31,7 @@ FACET = 20
 """
 
 # Slots of a ray on its walk: cell, point and direction; optical length; point of the sheet; cells met first,
-# last, and
-# first that differs; the array the cell belongs to; marks; the last face met.
+# last, and first that differs; the array the cell belongs to; marks; the last face met.
 CI, CJ, X, Y, Z, DX, DY, DZ, PATH, PX, PY, PZ, FIRST = range(13)
 LAST, ODD, AT_ARRAY, SECOND, GHOSTLY, LANDED, SURFACE, WALKER_NUMBERS = 14, 16, 18, 19, 20, 21, 22, 23
 
