@@ -21,7 +21,8 @@ from clacad.tracing.triangles.tiles import over_bins
 
 # Columns of a body's row: corner of the grid, bins per length, bins in x and y, number of the first bin and
 # of the first corner of bins, and the heights between which facets that face down, and those that face up,
-# lie. Of its squares: direction of diagonals on both sides, the steepest slopes there, and the deviation of corners.
+# lie. Of its squares: direction of diagonals on both sides, the steepest slopes there, and the deviation of
+# corners.
 LOW_X, LOW_Y, PER_X, PER_Y, BINS_X, BINS_Y, BIN, CORNER, DOWN_LOW, DOWN_HIGH, UP_LOW, UP_HIGH = range(12)
 SPLIT, CLIMB, OFF = 12, 14, 16
 GRID_NUMBERS = 17
