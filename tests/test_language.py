@@ -38,7 +38,16 @@ LEFT_OUT = {
 }
 """Words, as regular expressions → what is written instead."""
 
-STRICT: tuple[str, ...] = ("base", "sheet", "prescription", "design", "config")
+STRICT: tuple[str, ...] = (
+    "base",
+    "sheet",
+    "prescription",
+    "design",
+    "config",
+    "tracing",
+    "formats",
+    "rendering",
+)
 """Folders and files of the package whose comments and docstrings are free of them."""
 
 

@@ -1,4 +1,4 @@
-"""One format a module: writing, reading back and health of it side by side.
+"""File formats, one a module: its writing, reading back and health check.
 
-Which files an export holds, and whether they are the design, is asked in `exporting` and `verification`.
+`exporting` decides which files an export contains; `verification` compares them with the design.
 """

@@ -1,8 +1,8 @@
-"""Where the parts of an assembly stand: placements composed level by level, arrays of them at a time.
+"""Placements of the parts of an assembly: composed level by level, as arrays.
 
-A placement is the upper three rows of a homogeneous matrix, (3, 4): x ↦ A x + b. Rows of a sheet and the cells of a row
-are kept apart as the file has them: a sheet of a million cells is two thousand placements, and is written out only where
-somebody must see each of its cells.
+A placement is the upper three rows of a homogeneous matrix, (3, 4): x ↦ A x + b. Rows of a sheet and the
+cells of a row are kept separate, as in the file. A sheet of a million cells is two thousand placements, and
+is written out only where each of its cells is needed.
 """
 
 from __future__ import annotations
@@ -21,20 +21,22 @@ from clacad.storage.errors import UnreadableFile
 Node = TypeVar("Node", bound=Hashable)
 
 MOST = 8_000_000
-"""Instances of one part that are written out; a file that claims more, and is no sheet of rows, is refused."""
+"""Instances of one part that are written out; a file with more, unless it is a sheet of rows, is rejected."""
 
 UNPLACED = np.eye(3, 4)
 ALONE = UNPLACED[None]
 
 NEGLIGIBLE = 1e-12
-"""Relative to the lengths that are added: more than what is lost when they are rounded."""
+"""Relative to the lengths that are added: more than their rounding error."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placements:
-    """Where one part stands: each of the inner placements within each of the outer ones, as cells of a row in rows.
+    """Placements of one part: each of the inner placements within each of the outer ones, as cells of a row
+    in rows.
 
-    Number k of them is `inner[k % n]`, then `outer[k // n]`. Those of no such order are all outer ones.
+    Number k of them is `inner[k % n]`, then `outer[k // n]`. Placements without this order are all outer
+    ones.
 
     Parameters
     ----------
@@ -55,11 +57,11 @@ class Placements:
 
     @property
     def in_rows(self) -> bool:
-        """Whether they are rows and cells in them, none turned."""
+        """Whether they are rows and cells in them, all unrotated."""
         return len(self.inner) > 1 and len(self.outer) > 1 and self.unturned
 
     def at(self, numbers: Ints) -> Floats:
-        """Some of them, (k, 3, 4).
+        """Selected placements, (k, 3, 4).
 
         Raises
         ------
@@ -73,12 +75,12 @@ class Placements:
         return product(self.outer[row], self.inner[column])
 
     def one(self, number: int) -> Floats:
-        """One of them, (3, 4)."""
+        """One placement, (3, 4)."""
         row, column = divmod(number, len(self.inner))
         return self.outer[row] if self.inner is ALONE else product(self.outer[row], self.inner[column])
 
     def all(self) -> Floats:
-        """Every one of them, (m n, 3, 4).
+        """All placements, (m n, 3, 4).
 
         Raises
         ------
@@ -91,7 +93,7 @@ class Placements:
         return product(self.outer[:, None], self.inner[None]).reshape(-1, 3, 4)
 
     def within(self, own: Floats) -> Placements:
-        """The placements of something that has the placements `own` (e, 3, 4) in this part.
+        """Placements of an object whose placements in this part are `own` (e, 3, 4).
 
         Raises
         ------
@@ -105,10 +107,10 @@ class Placements:
         return Placements(self.all(), own)
 
     def ends(self) -> Iterator[tuple[Floats, Floats, Floats]]:
-        """Every turn among them, as a placement without a move, with the least and greatest moves (3,) of all that have it."""
-        if self.unturned and len(
-            self
-        ):  # a rounded sum of greater numbers is no smaller: sums of ends are the ends
+        """Every rotation among them, as a placement without a move, with the least and greatest moves (3,) of
+        its placements.
+        """
+        if self.unturned and len(self):  # rounding is monotonic: sums of extremes are the extremes
             across, along = self.outer[..., 3], self.inner[..., 3]
             yield UNPLACED, across.min(axis=0) + along.min(axis=0), across.max(axis=0) + along.max(axis=0)
             return
@@ -116,7 +118,9 @@ class Placements:
             yield turn, moves.min(axis=0), moves.max(axis=0)
 
     def near(self, low: Floats, high: Floats) -> Ints:
-        """Numbers, ascending, of all whose moves lie between low and high (2,) of x and y, and of others besides."""
+        """Numbers, ascending, of all placements whose moves lie between low and high (2,) in x and y; may
+        include others.
+        """
         if not self.unturned or not len(self):
             return np.arange(len(self))
         across, along = self.outer[:, :2, 3], self.inner[:, :2, 3]
@@ -136,7 +140,8 @@ def _between(values: Floats, low: Floats, high: Floats) -> Ints:
 
 
 def fill(lattice: Lattice, first: Ints, steps: Ints) -> bool:
-    """Whether rows of cells fill a lattice, each cell once; False, too, where an outline cuts it or rows run up and down.
+    """Whether rows of cells fill a lattice, each cell once; also False where an outline cuts it or rows run
+    up and down.
 
     Parameters
     ----------
@@ -144,7 +149,7 @@ def fill(lattice: Lattice, first: Ints, steps: Ints) -> bool:
     first : (m, 2)
         A cell of each row.
     steps : (n, 2)
-        From there to the cells of the row.
+        Steps from that cell to the cells of the row.
     """
     if lattice.outline is not None or (len(steps), len(first)) != lattice.count or steps[:, 1].any():
         return False
@@ -155,7 +160,9 @@ def fill(lattice: Lattice, first: Ints, steps: Ints) -> bool:
 
 
 def turns(placements: Floats) -> Iterator[tuple[Floats, Floats]]:
-    """Every turn among placements (k, 3, 4), as a placement without a move, with the moves (m, 3) of all that have it."""
+    """Every rotation among placements (k, 3, 4), as a placement without a move, with the moves (m, 3) of its
+    placements.
+    """
     for rows in by_turn(placements):
         turn = np.concatenate([placements[rows[0], :, :3], np.zeros((3, 1))], axis=1)
         yield turn, placements[rows, :, 3]
@@ -163,7 +170,7 @@ def turns(placements: Floats) -> Iterator[tuple[Floats, Floats]]:
 
 def product(outer: Floats, inner: Floats) -> Floats:
     """Apply placements (…, 3, 4) `inner` first, then `outer`; their leading shapes are broadcast."""
-    if unturned(outer) and unturned(inner):  # moves alone: the same numbers, of a million cells in no time
+    if unturned(outer) and unturned(inner):  # moves alone: the same numbers, and fast for a million cells
         shape = np.broadcast_shapes(outer.shape, inner.shape)
         found = np.empty(shape)
         found[..., :3] = UNPLACED[:, :3]
@@ -180,7 +187,7 @@ def unturned(placements: Floats) -> bool:
 
 
 def by_turn(placements: Floats) -> list[Ints]:
-    """Rows of placements (k, 3, 4) grouped by how they turn, to twelve places."""
+    """Rows of placements (k, 3, 4) grouped by rotation, to twelve decimals."""
     linear = placements[:, :, :3].reshape(-1, 9)
     if not len(linear) or (linear == linear[0]).all():
         return [np.arange(len(linear))] if len(linear) else []
@@ -211,19 +218,19 @@ def composed(
     Parameters
     ----------
     held : mapping
-        What a node holds: (child, its placements (e, 3, 4) in the node's frame).
+        Content of a node: (child, its placements (e, 3, 4) in the node's frame).
     nodes : iterable
-        All nodes; those that nobody holds are roots and stand unplaced.
+        All nodes; those that no node contains are roots and have no placement.
 
     Returns
     -------
     dict of Placements
-        As many as the node stands in the whole.
+        One placement for each occurrence of the node in the whole.
 
     Raises
     ------
     UnreadableFile
-        A part holds itself, or stands more than `MOST` times and not as cells stand in rows.
+        A part contains itself, or occurs more than `MOST` times without the order of cells in rows.
     """
     everyone = list(dict.fromkeys(nodes))
     waiting = dict.fromkeys(everyone, 0)

@@ -1,4 +1,4 @@
-"""The file of a tolerance study, read where others need what it says: the report, a drawing."""
+"""The file of a tolerance study, for readers of its content: the report, a drawing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FORMAT = 1
 
 
 def read_study(folder: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """What a study wrote to a folder as tolerances.json, or None where there is none."""
+    """The study that was written to a folder as tolerances.json, or None where there is none."""
     try:
         found = json.loads((Path(folder) / f"{TOLERANCES}.json").read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

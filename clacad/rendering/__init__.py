@@ -1,7 +1,7 @@
-"""The view through the sheet: pictures and movies of scene files, and what they measure.
+"""The view through the sheet: pictures and movies of scene files, and measurements on them.
 
-`render` gives the linear light of a still as an array; `render_movie` yields frames. Files are written by
-`clacad.rendering.picture_files`.
+`render` returns the linear light of a still as an array; `render_movie` yields frames.
+`clacad.rendering.picture_files` writes files.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ __all__ = ["Picture", "render", "render_movie", "view_through"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: the package alone loads nothing."""
+    """Import a public name on first use: importing the package alone loads nothing else."""
     if name in __all__:
         from clacad.rendering import picture
 

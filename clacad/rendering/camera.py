@@ -1,9 +1,9 @@
-"""Camera rays: where a pixel's samples look, the same on every machine.
+"""Camera rays: the directions of a pixel's samples, the same on every machine.
 
 Samples of a pixel are the first points of one Sobol sequence, shifted digit by digit with a hash of the
-pixel's number (random digital shift: the points stay a net, and neighbouring pixels do not repeat one
-another's pattern, so that a pixel grid that divides the lens pitch does not alias the aperture). A single
-sample looks through the middle of its pixel.
+pixel's number (random digital shift). The points stay a net, and neighbouring pixels have different patterns,
+so a pixel grid that divides the lens pitch does not alias the aperture. A single sample is in the middle of
+its pixel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _BITS = 52
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera ready to look, in the scene's unit.
+    """A camera ready to use, in the scene's unit.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class View:
 
 
 def aim(camera: Camera) -> View:
-    """Set a camera up: right = look × up, or its opposite in a mirrored view."""
+    """Prepare a camera: right = look × up, or its opposite in a mirrored view."""
     position, target = np.array(camera.position), np.array(camera.target)
     look = target - position
     distance = float(np.linalg.norm(look))
@@ -63,7 +63,7 @@ def aim(camera: Camera) -> View:
     if camera.frame is not None:
         across = camera.frame
     else:
-        assert camera.fov is not None  # the scene's rules ask for one of the two
+        assert camera.fov is not None  # the scene's rules require one of the two
         across = 2.0 * distance * math.tan(0.5 * camera.fov)
     width, height = camera.pixels
     focus = 1.0 if camera.focus is None else camera.focus / distance
@@ -80,9 +80,9 @@ def offsets(pixels: Ints, first: int, count: int, whole: int) -> Floats:
     pixels : (n,) ints
         Numbers of the pixels, row by row.
     first, count : int
-        Which samples of the sequence.
+        Number of the first sample of the sequence, and how many.
     whole : int
-        Samples a pixel gets in all; 1 is the middle of the pixel and of the opening.
+        Total samples of a pixel; 1 is the middle of the pixel and of the opening.
 
     Returns
     -------
@@ -132,7 +132,10 @@ def rays(view: View, pixels: Ints, points: Floats) -> tuple[Floats, Floats]:
 
 
 def _on_disc(square: Floats) -> Floats:
-    """Points of the unit square on the unit disc, areas kept (Shirley & Chiu, J. Graphics Tools 2, 45 (1997))."""
+    """Map points of the unit square to the unit disc, areas kept.
+
+    Shirley & Chiu, J. Graphics Tools 2, 45 (1997).
+    """
     a, b = 2.0 * square[..., 0] - 1.0, 2.0 * square[..., 1] - 1.0
     wide = np.abs(a) > np.abs(b)
     radius = np.where(wide, a, b)

@@ -1,10 +1,12 @@
-"""A picture in two steps: small with every effect, then fine without those that cost much and change little.
+"""A picture in two steps: small with every effect, then fine without effects that cost much and change
+little.
 
-The light of a pixel is E[all effects] = E[the cheap ones] + E[all − the cheap ones]. The second mean is small, by the plan's
-own bound, and costs the most; it is taken over blocks of pixels, by the same rays with and without those effects, so
-that what both have cancels ray by ray (two-level Monte Carlo: Heinrich, LNCS 2179, 58 (2001); Giles, Oper. Res. 56, 607
-(2008)). The mean over a block is right; detail finer than a block is lost of what those effects add, and of nothing else.
-The small picture is there after a sixty-fourth of the rays, and is shown at once.
+The light of a pixel is E[all effects] = E[the cheap ones] + E[all − the cheap ones]. The second mean is
+small, by the plan's own bound, and costs the most. It is taken over blocks of pixels, by the same rays with
+and without those effects, so that common parts cancel ray by ray (two-level Monte Carlo: Heinrich, LNCS 2179,
+58 (2001); Giles, Oper. Res. 56, 607 (2008)). The mean over a block is right; only the light that those
+effects add loses detail finer than a block. The small picture is finished after a sixty-fourth of the rays,
+and is shown at once.
 """
 
 from __future__ import annotations
@@ -24,32 +26,32 @@ from clacad.scene import Scene
 from clacad.sheet.window import Window
 
 BLOCK = 8
-"""Pixels of the fine picture along a side of one of the small picture."""
+"""Pixels of the fine picture along a side of one pixel of the small picture."""
 
 BROAD = 5
-"""Blocks along a side whose mean those effects are given by: the noise of one block alone would show."""
+"""Blocks along a side whose mean represents those effects: the noise of one block alone would be visible."""
 
 WEAK = 0.1
-"""Largest share of the light that an effect may change if it is to be added block by block."""
+"""Largest share of the light that an effect may change if it is added block by block."""
 
 COSTLY = 5.0
-"""Least time of a trace with such an effect over the bare trace."""
+"""Least ratio of the time of a trace with such an effect to the bare trace."""
 
 
 @dataclass(frozen=True, eq=False)
 class CoarseView:
-    """A picture drawn small, and what is needed to draw it fine.
+    """A picture drawn small, and the data to draw it fine.
 
     Attributes
     ----------
     scene : Scene
-        The still that is asked for.
+        The requested still.
     passage : Passage
         With every effect.
     small : Picture
-        With every effect, of a pixel a block.
+        With every effect; a pixel for each block.
     blockwise : tuple of str
-        Effects that the fine picture gets block by block; none where all are cheap or strong.
+        Effects that are added to the fine picture block by block; none where all are cheap or strong.
     compiled : bool
         Whether the small picture was drawn by compiled code.
     """
@@ -62,11 +64,11 @@ class CoarseView:
 
     @property
     def fine_passage(self) -> Passage:
-        """How the rays of the fine picture pass the sheet."""
+        """Passage of the rays of the fine picture."""
         return without(self.passage, self.blockwise)
 
     def enlarged(self) -> Picture:
-        """The small picture at the asked size."""
+        """The small picture at the requested size."""
         small, (width, height) = self.small, self.scene.camera.pixels
         down, across = (
             np.arange(n) * m // n for n, m in zip((height, width), small.samples.shape, strict=True)
@@ -87,7 +89,7 @@ class CoarseView:
         small = self.small
         if (
             self.compiled != fast
-        ):  # the last bits of the fine picture shall not hang on what was compiled already
+        ):  # the last bits of the fine picture must not depend on what was compiled already
             small = view_through(small.scene, threads=threads, compiled=fast, passage=self.passage)
         cheap = view_through(small.scene, threads=threads, compiled=fast, passage=passage)
         added = _spread(small.light - cheap.light, _on_sheet(self.scene, fine.window))
@@ -102,18 +104,18 @@ class CoarseView:
 def view_coarsely(
     scene: Scene, passage: Passage, *, threads: int | None = None, progress: Progress | None = None, frames: int = 1
 ) -> CoarseView:  # fmt: skip
-    """Draw a still small, with every effect; in numpy where compiled code would have to be compiled first.
+    """Draw a still small, with every effect; in numpy where kernels would have to be compiled first.
 
     Parameters
     ----------
     scene : Scene
         A still.
     passage : Passage
-        As `sheet_passage.plan_passage` plans it.
+        As planned by `sheet_passage.plan_passage`.
     threads, progress
-        As of `picture.render`.
+        As in `picture.render`.
     frames : int
-        Of the movie that it is the first of.
+        Number of frames of the movie whose first frame it is.
     """
     width, height = (-(-n // BLOCK) for n in scene.camera.pixels)
     small = scene.replace("camera.pixels", [width, height])
@@ -123,8 +125,9 @@ def view_coarsely(
 
 
 def must_compile(scene: Scene, passage: Passage, frames: int = 1) -> bool:
-    """Whether a still, or so many frames like it, is drawn by compiled code that has to be compiled first: half a minute before
-    its first pixel.
+    """Whether a still, or `frames` similar ones, is drawn by kernels that must be compiled first.
+
+    Compiling takes half a minute before the first pixel.
     """
     if not worth_compiling(scene, frames):
         return False
@@ -149,7 +152,7 @@ def without(passage: Passage, effects: tuple[str, ...]) -> Passage:
 
 
 def enlarge(small: Floats, shape: tuple[int, int]) -> Floats:
-    """Values of blocks (h, w, ...) at the middles of (rows, columns) finer pixels, linearly between theirs."""
+    """Values of blocks (h, w, ...) at the middles of (rows, columns) finer pixels, interpolated linearly."""
     for axis, count in enumerate(shape):
         have = small.shape[axis]
         place = np.clip((np.arange(count) + 0.5) * (have / count) - 0.5, 0.0, have - 1.0)
@@ -163,7 +166,9 @@ def enlarge(small: Floats, shape: tuple[int, int]) -> Floats:
 
 
 def _spread(blocks: Floats, on: Bools) -> Floats:
-    """Broad means of blocks (h, w, 3) over the pixels of the sheet alone: what lies beside it has none of their light."""
+    """Broad means of blocks (h, w, 3) over the pixels of the sheet alone: pixels outside it have none of
+    their light.
+    """
     light, share = _broad(blocks), _broad(_shares(on, blocks.shape[:2]))
     with np.errstate(divide="ignore", invalid="ignore"):
         added = enlarge(light, on.shape) / enlarge(share, on.shape)[..., None]
@@ -171,7 +176,7 @@ def _spread(blocks: Floats, on: Bools) -> Floats:
 
 
 def _broad(blocks: Floats) -> Floats:
-    """Sums of BROAD × BROAD blocks about each, of those that there are."""
+    """Sums of the existing blocks among BROAD × BROAD about each."""
     half = BROAD // 2
     for axis in (0, 1):
         pad = [(half + 1, half) if k == axis else (0, 0) for k in range(blocks.ndim)]

@@ -1,4 +1,4 @@
-"""What will I see? A photograph behind a design's sheet, from where an eye is, with and without the sheet."""
+"""A photograph behind a design's sheet, as an eye sees it with and without the sheet."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clacad.sheet.window import Window
 
 @dataclass(frozen=True, slots=True)
 class EyeRequest:
-    """Where the eye and the photograph are.
+    """Positions of the eye and the photograph.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class EyeRequest:
     height : float or None
         Height of the photograph; None: it fills the view without the sheet.
     aside : (float, float)
-        How far the eye stands to the right and up of the sheet's middle.
+        Displacement of the eye to the right and up from the sheet's middle.
     pixels : int
         Across the picture.
     samples : int
@@ -83,7 +83,7 @@ def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
 
 
 def _camera_and_screen(request: EyeRequest, window: Window, photo: str) -> dict[str, Any]:
-    """A scene's camera where the eye is, and its only object: the photograph on a screen; lengths in design units."""
+    """A scene's camera at the eye, and its only object: the photograph on a screen; lengths in design units."""
     x0, x1, y0, y1 = window.lattice.extent()
     side = max(x1 - x0, y1 - y0)
     eye = 4.0 * side if request.eye is None else request.eye
@@ -116,5 +116,5 @@ def _read(text: str) -> tuple[str, Any]:
 
 
 def without_sheet(scene: Scene, passage: Passage) -> Picture:
-    """The picture without the sheet; nothing of the passage but its words is used."""
+    """The picture without the sheet; only the words of the passage are used."""
     return view_through(scene, sheet=False, passage=passage)

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF")
-"""Formats that are opened; the library knows others, of which some start an interpreter."""
+"""Formats that are opened; the library supports others, some of which start an interpreter."""
 
 KEPT = 1 << 24
-"""Pixels of a picture that are kept: of a larger one means of whole blocks are, of linear light."""
+"""Largest number of pixels kept of a picture; larger ones are averaged over blocks, in linear light."""
 
 _STRIP = 1 << 20
 """Pixels decoded at a time."""
 
 
 class BadPicture(ValueError):
-    """A file that is no picture, or a damaged one; exit status 2, like any other mistake in what was given."""
+    """A file that is no picture, or a damaged one; exit status 2, like any other mistake in the input."""
 
     exit_status = 2
 
@@ -45,12 +45,13 @@ def decode(pixels: NDArray[Any]) -> Floats:
 def read_picture(path: str | os.PathLike[str]) -> Floats:
     """Linear light (h, w, 3) of a picture file, upright; transparent pixels are laid over black.
 
-    Of a picture of more than 2²⁴ pixels blocks of 2 × 2, 3 × 3 … are averaged, so that what is kept has fewer.
+    Pictures of more than 2²⁴ pixels are averaged over blocks of 2 × 2, 3 × 3 …, so that fewer pixels are
+    kept.
 
     Raises
     ------
     BadPicture
-        No picture of a format that is opened, cut short or damaged.
+        No picture of a supported format, truncated or damaged.
     OverBudget
         More bytes or pixels than are read.
     OSError
@@ -62,7 +63,10 @@ def read_picture(path: str | os.PathLike[str]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _read(_real: str, path: str, _facts: tuple[int, ...]) -> Floats:
-    """As `read_picture`; a scene reads its photograph for every still, and the last one is kept while its file is the same."""
+    """Read as `read_picture`, with a cache.
+
+    A scene reads its photograph for every still; the last one is kept while its file is unchanged.
+    """
     from PIL import ImageOps
 
     with opened_picture(path) as picture:
@@ -80,7 +84,7 @@ def _read(_real: str, path: str, _facts: tuple[int, ...]) -> Floats:
 
 
 def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Width and height of a picture file, pixels, as it stands upright. Errors: see `read_picture`."""
+    """Width and height of a picture file, pixels, after upright rotation. Errors: see `read_picture`."""
     with opened_picture(path) as picture:
         lies = picture.getexif().get(_ORIENTATION, 1) in (5, 6, 7, 8)
         return (picture.height, picture.width) if lies else (picture.width, picture.height)
@@ -91,13 +95,13 @@ _ORIENTATION = 0x0112
 
 @contextmanager
 def opened_picture(path: str | os.PathLike[str]) -> Iterator[Image]:
-    """Open a picture whose size is allowed; whatever the library makes of its bytes within the block is a refusal."""
+    """Open a picture whose size is allowed; any error of the library within the block becomes a refusal."""
     from PIL import Image, UnidentifiedImageError
 
     spent = Spending("picture", path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the library's own limit; ours is held below
+            warnings.simplefilter("ignore")  # the library's own limit; clacad's is applied below
             with Image.open(path, formats=FORMATS) as picture:
                 spent.count(picture.width * picture.height)
                 yield picture
@@ -124,7 +128,7 @@ def _light(picture: Image, top: int, bottom: int) -> Floats:
 
 
 def _means(light: Floats, side: int) -> Floats:
-    """Means of blocks of side × side pixels, of what there is of them at the right and lower edge."""
+    """Means of blocks of side × side pixels; blocks at the right and lower edge may be smaller."""
     if side == 1:
         return light
     down, across = (np.arange(0, n, side) for n in light.shape[:2])

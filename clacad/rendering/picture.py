@@ -1,7 +1,7 @@
-"""Pictures: tiles over the cores, samples until the noise is met, one array of linear light.
+"""Pictures: tiles over the cores, samples until the noise target is met, one array of linear light.
 
-A tile is computed whole by one thread and depends on nothing else, so the picture is the same on any number
-of cores; memory is that of a tile a thread, and of the picture.
+One thread computes a whole tile, which depends on nothing else, so the picture is the same on any number of
+cores. Memory is that of a tile a thread, and of the picture.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from clacad.sheet.window import Window
 Progress = Callable[[str, float | None], None]
 
 TILES = (64, 256)
-"""Side of a tile, pixels: as many as make a block of rays, but within these."""
+"""Side of a tile, pixels: enough for a block of rays, but within these limits."""
 
 BLOCK = 1 << 16
 """Rays traced at a time: about 20 MB of columns."""
@@ -46,15 +46,15 @@ class Picture:
     light : (h, w, 3)
         Linear light, sRGB primaries; row 0 is the top.
     samples : (h, w) ints
-        Rays each pixel got.
+        Number of rays of each pixel.
     error : (h, w)
         Standard error of the pixel's mean, the largest of three colours; 0 with one sample.
     scene : Scene
     passage : Passage
-        Rung, effects and why.
+        Rung, effects and their reasons.
     window : Window
     blockwise : tuple of (effect, pixels)
-        Effects that were added by their means over blocks of so many pixels a side; see `coarse_first`.
+        Effects that were added by their means over blocks, with pixels a side of a block; see `coarse_first`.
     """
 
     light: Floats
@@ -72,7 +72,7 @@ class Picture:
 
 def render(scene: Scene | str | os.PathLike[str], *, threads: int | None = None, progress: Progress | None = None,
            compiled: bool | None = None) -> Floats:  # fmt: skip
-    """Render a still: what the camera sees past and through the sheet.
+    """Render a still: the camera's view past and through the sheet.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def render_movie(scene: Scene | str | os.PathLike[str], *, threads: int | None =
     Raises
     ------
     SceneError
-        Before the first frame is drawn: every mistake of every frame.
+        Raised before the first frame is drawn, with every mistake of every frame.
     ValueError
         The scene has no animation.
     """
@@ -150,10 +150,10 @@ def checked_frames(scene: Scene) -> list[Scene]:
 def view_through(scene: Scene, *, threads: int | None = None, progress: Progress | None = None,
                  compiled: bool | None = None, passage: Passage | None = None, sheet: bool = True,
                  window: Window | None = None) -> Picture:  # fmt: skip
-    """Render a still and tell how; parameters as in `render`.
+    """Render a still and return the `Picture` with its data; parameters as in `render`.
 
-    With `passage` the plan is the caller's; with ``sheet=False`` the view is that without the sheet; with `window` the
-    sheet is that, not what the scene's design makes.
+    `passage` replaces the plan. With ``sheet=False`` the view is that without the sheet. `window` replaces
+    the sheet of the scene's design.
     """
     from clacad.tracing.compiled.threads import thread_count
 
@@ -187,7 +187,7 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
 
 
 def worth_compiling(scene: Scene, frames: int = 1) -> bool:
-    """Whether a still, or so many frames like it, has rays enough to load compiled code for them."""
+    """Whether a still, or `frames` similar ones, has enough rays to load compiled code for them."""
     width, height = scene.camera.pixels
     return int(frames * width * height * scene.camera.samples) > SMALL_PICTURE
 
@@ -203,7 +203,7 @@ def _tile_shape(view: View, samples: int, single: bool) -> tuple[int, int]:
 def _each(
     work: Callable[[tuple[int, int]], None], corners: Sequence[tuple[int, int]], threads: int, progress: Progress | None
 ) -> None:  # fmt: skip
-    """Do all tiles, telling how far it is."""
+    """Render all tiles, and report the progress."""
 
     def tell(done: int) -> None:
         if progress is not None:
@@ -227,8 +227,8 @@ def tile(
 ) -> tuple[Floats, Ints, Floats]:
     """Mean light, samples and standard error of the pixels of a tile, each (h, w, ...).
 
-    With a noise target, pixels that miss it (or whose neighbours do) get as many samples again as they
-    have, until they meet it or have `most_samples`.
+    With a noise target, pixels that miss it (or whose neighbours do) get as many samples again as they have.
+    This repeats until they meet it or have `most_samples`.
     """
     y, x = np.mgrid[rows, columns]
     pixels = (y * view.width + x).ravel().astype(np.int64)
@@ -275,7 +275,7 @@ def _sample(viewing: Viewing, view: View, pixels: Ints, active: Ints, which: Sam
 
 
 def tried(viewing: Viewing, view: View, pixels: Ints, samples: int) -> None:
-    """Render some pixels (n,) of a picture and drop them: to see what they take."""
+    """Render some pixels (n,) of a picture and discard them, to measure their time."""
     sums = Sums(np.zeros((len(pixels), 3)), np.zeros((0, 3)))
     _sample(viewing, view, pixels, np.arange(len(pixels)), SampleRange(0, samples, samples), sums)
 
@@ -290,7 +290,7 @@ def _standard_error(total: Floats, square: Floats, count: Ints) -> Floats:
 def _noisy(
     total: Floats, square: Floats, count: Ints, target: float, shape: tuple[int, ...]
 ) -> NDArray[np.bool_]:
-    """Pixels that miss the target or touch one that does: few samples may by chance all agree."""
+    """Pixels that miss the target or touch one that does: a few samples may agree by chance."""
     bad = (_standard_error(total, square, count) > target).reshape(shape)
     padded = np.pad(bad, 1)
     h, w = shape

@@ -1,4 +1,5 @@
-"""What a picture costs in processor seconds: a few of its own pixels are rendered, for scenes differ a hundredfold.
+"""Cost of a picture in processor seconds: some of its own pixels are rendered, because scenes differ a
+hundredfold.
 
 An atlas is forecast by a model of one reference machine; see `clacad.base.machine_rates`.
 """
@@ -26,48 +27,51 @@ if TYPE_CHECKING:
     from clacad.rendering.sheet_passage import Passage
 
 COMPILING = 40.0
-"""Seconds of compiling what draws a picture, of geometry alone; with effects up to half as much again."""
+"""Seconds to compile what draws a picture, of geometry alone; with effects up to half as much again."""
 
 COMPILED = "compiling what draws pictures"
-"""Name under which that is noted."""
+"""Name under which the compile time is recorded."""
 
 MEASURED = 1.3
-"""Factor by which a part of some work tells what the whole takes."""
+"""Factor by which an extrapolation from a part of some work may be wrong."""
 
 FIXED = 0.05
 """Seconds of a picture apart from its rays."""
 
 ENOUGH = 0.1
-"""Seconds of the pixels that are tried, from which on they tell what the others take."""
+"""Seconds of the tried pixels from which on they are representative."""
 
 MUCH = 3.0
-"""Times what the first of them take that they must take."""
+"""Least ratio of the time of all tried pixels to that of the first ones."""
 
 FIRST = 3
-"""Pixels along each side of the patches that are tried first; twice as many until they are enough."""
+"""Pixels along each side of the patches that are tried first; doubled until they suffice."""
 
 SQUARES, NOISY = 5, 3
-"""Squares along a side of the picture that tell how many samples a noise target takes, and pixels along a side of each."""
+"""Squares along a side of the picture used to estimate the samples of a noise target, and pixels along a side
+of each.
+"""
 
 GRID = 24
-"""Pixels along a side of the picture by which it is seen how much of it looks at a sheet."""
+"""Pixels along a side of the picture from which the share that looks at a sheet is found."""
 
 PATCHES = ((0.31, 0.22), (0.44, 0.61), (0.57, 0.35), (0.7, 0.83))
-"""Where in the picture they are, down and across."""
+"""Positions of the patches in the picture, down and across."""
 
 
 def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> Span:
-    """Processor seconds of a still, or of so many frames like it; some pixels tell how often a noise target takes them again.
+    """Processor seconds of a still, or of `frames` similar ones; some pixels show how often a noise target
+    repeats them.
 
-    The range is narrow where pixels take the same however many are drawn together, and wide where a block of them takes
-    less than they do one by one, as with effects that split light.
+    The range is narrow where the time of a pixel does not depend on how many are drawn together. It is wide
+    where a block takes less than its pixels one by one, as with effects that split light.
 
     Parameters
     ----------
     scene : Scene
         A still.
     passage : Passage
-        As `sheet_passage.plan_passage` plans it.
+        As planned by `sheet_passage.plan_passage`.
     frames : int
     """
     view = aim(scene.camera)
@@ -79,7 +83,7 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> Span:
 
 
 def _again(viewing: Viewing, scene: Scene, view: View) -> float:
-    """Samples of a pixel over those it gets at first, by squares of pixels all over the picture."""
+    """Samples of a pixel relative to its first ones, from squares of pixels all over the picture."""
     if not scene.camera.noise > 0.0:
         return 1.0
     counts = []
@@ -92,7 +96,7 @@ def _again(viewing: Viewing, scene: Scene, view: View) -> float:
 
 
 def _emptier(viewing: Viewing, view: View) -> float:
-    """Share of the whole picture that looks at a sheet over that of the places that are tried; 1 where it is no less."""
+    """Share of the whole picture that looks at a sheet, relative to that of the tried patches; at most 1."""
     rows, columns = (np.linspace(0, n - 1, min(n, GRID)).astype(np.int64) for n in (view.height, view.width))
     tried_at = np.concatenate([_patch(view, FIRST, at) for at in PATCHES])
     shares = [
@@ -103,9 +107,10 @@ def _emptier(viewing: Viewing, view: View) -> float:
 
 
 def _seconds_a_pixel(viewing: Viewing, view: View, samples: int) -> tuple[float, float]:
-    """Processor seconds of a pixel, of some spread over the picture, at least and at most.
+    """Least and largest processor seconds of a pixel, from some pixels spread over the picture.
 
-    Both are what so many more of them take longer: by themselves, and as that grows with their number up to a block of rays.
+    Both are the additional time of additional pixels: the measured one, and its extrapolation up to a block
+    of rays.
     """
     side, whole = FIRST, view.width * view.height
     _spent(viewing, view, side, samples)  # loads what is compiled
@@ -113,7 +118,7 @@ def _seconds_a_pixel(viewing: Viewing, view: View, samples: int) -> tuple[float,
     while True:
         side *= 2
         took, many = _spent(viewing, view, side, samples)
-        # a block of rays takes something however few they are: it must not be taken for theirs
+        # a block has a fixed cost even with few rays: it must not be attributed to the rays
         if (took >= ENOUGH and took >= MUCH * first) or 2 * many >= whole:
             alone = max(took - first, 0.25 * took) / max(1, many - fewest)
             block = max(many, min(whole, BLOCK // samples))
@@ -128,10 +133,11 @@ def _seconds_a_pixel(viewing: Viewing, view: View, samples: int) -> tuple[float,
 
 
 def _spent(viewing: Viewing, view: View, side: int, samples: int) -> tuple[float, int]:
-    """Processor seconds of some square patches of a picture, of so many pixels a side, and how many pixels they are.
+    """Processor seconds of some square patches of a picture, of `side` pixels a side, and their number of
+    pixels.
 
-    Neighbours look through the same lenslets, and rays through one lenslet take less together: pixels far from one
-    another would tell of another picture.
+    Neighbours look through the same lenslets, and rays through one lenslet take less time together. Widely
+    spaced pixels would represent another picture.
     """
     pixels = np.unique(np.concatenate([_patch(view, side, at) for at in PATCHES]))
     began = time.thread_time()
@@ -140,7 +146,7 @@ def _spent(viewing: Viewing, view: View, side: int, samples: int) -> tuple[float
 
 
 def _patch(view: View, side: int, at: tuple[float, float]) -> Ints:
-    """Pixels of a square patch about a place of the picture, (0 … 1, 0 … 1), as far as it lies in it."""
+    """Pixels of a square patch about a position in the picture, (0 … 1, 0 … 1), as far as it lies inside."""
     y, x = (
         np.arange(side) + int(part * size) - side // 2
         for part, size in zip(at, (view.height, view.width), strict=True)
@@ -150,17 +156,20 @@ def _patch(view: View, side: int, at: tuple[float, float]) -> Ints:
 
 
 def task(scene: Scene, frames: int = 1) -> str:
-    """Name under which such a picture, or so many frames like it, is noted: rung, effects and path decide what a ray costs."""
+    """Name under which the time of such a picture, or of `frames` similar ones, is recorded.
+
+    Rung, effects and path determine the time of a ray.
+    """
     rungs = "+".join(one.rung for one in scene.sheets)
     path = "compiled" if worth_compiling(scene, frames) else "numpy"
     return f"render {rungs} {scene.effects.mode} {path}"
 
 
 ATLAS = "atlas"
-"""Name under which an atlas is noted."""
+"""Name under which the time of an atlas is recorded."""
 
 LABELLED, PER_ATLAS_RAY, PER_FIGURE, PER_SOLID_RAY = 0.1, 1.7e-7, 2.0, 7e-6
-"""Seconds of a picture apart from its rays, of a ray through lenses, of measuring a figure, of a ray of Fig. 1(b)."""
+"""Seconds of a picture apart from its rays, a ray through lenses, measuring a figure, a ray of Fig. 1(b)."""
 
 
 def atlas_seconds(job: AtlasJob) -> float:

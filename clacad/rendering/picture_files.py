@@ -1,4 +1,4 @@
-"""Picture and movie files: sRGB encoding, metadata that says what the picture is, atomic writing."""
+"""Picture and movie files: sRGB encoding, metadata that describes the picture, atomic writing."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ NOT_SIMULATED = (
 
 
 class UnknownPicture(ValueError):
-    """A file name whose ending names no format that is written here; exit status 2."""
+    """A file name with the ending of no supported format; exit status 2."""
 
     exit_status = 2
 
 
 def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Bytes:
-    """Bytes of linear light: times exposure, cut to 0 … 1, sRGB-encoded (IEC 61966-2-1) unless "linear"."""
+    """Bytes of linear light: times exposure, clipped to 0 … 1, sRGB-encoded (IEC 61966-2-1) unless "linear"."""
     value = np.clip(light * exposure, 0.0, 1.0)
     if encoding == "srgb":
         value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
@@ -39,7 +39,7 @@ def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Byte
 
 
 def metadata_of(picture: Picture) -> dict[str, str]:
-    """What a picture's metadata say, by key."""
+    """Metadata of a picture, by key."""
     scene = picture.scene
     found = {
         "Title": scene.name,
@@ -59,12 +59,12 @@ def metadata_of(picture: Picture) -> dict[str, str]:
 
 
 def _passages(picture: Picture) -> list[Passage]:
-    """How rays pass each sheet."""
+    """Passages of all sheets."""
     return [one.passage for one in picture.passage.several] or [picture.passage]
 
 
 def _of_sheets(scene: Scene, said: list[str]) -> str:
-    """What is said of each sheet, by its id where there are several; the first's alone where nothing is said of others."""
+    """Texts of all sheets, by id where there are several; the first alone where the others have none."""
     if len(scene.sheets) == 1 or len(said) == 1:
         return said[0]
     return "; ".join(f"{sheet.id}: {text}" for sheet, text in zip(scene.sheets, said, strict=True))
@@ -85,7 +85,7 @@ def _version() -> str:
 
 
 def pixels_of(picture: Picture) -> Bytes:
-    """Encoded bytes (h, w, 3) as the scene's camera asks."""
+    """Encoded bytes (h, w, 3) with the exposure and encoding of the scene's camera."""
     camera = picture.scene.camera
     return encode(picture.light, camera.exposure, camera.encoding)
 
@@ -144,7 +144,7 @@ def labelled(pixels: Bytes, text: str, lines: int = 1) -> Bytes:
     pixels : (h, w, 3) bytes
     text : str
     lines : int
-        Lines that the strip has room for at least: frames of a movie must all be as high.
+        Least number of lines that the strip has room for: frames of a movie must have equal heights.
     """
     from PIL import Image, ImageDraw
 
@@ -160,7 +160,9 @@ def labelled(pixels: Bytes, text: str, lines: int = 1) -> Bytes:
 
 
 def label_lines(text: str, width: int) -> list[str]:
-    """A label broken between words, but not at " = ", so that each line fits below a picture so many pixels wide."""
+    """A label broken between words, but not at " = ", so that each line fits below a picture of `width`
+    pixels.
+    """
     size, font = _label_font(width)
     lines = [""]
     for word in text.replace(" = ", "\0=\0").split():
@@ -173,7 +175,7 @@ def label_lines(text: str, width: int) -> list[str]:
 
 
 def _label_font(width: int) -> tuple[int, Any]:
-    """Size and font of a label below a picture so many pixels wide."""
+    """Size and font of a label below a picture of `width` pixels."""
     from PIL import ImageFont
 
     size = max(10, min(14, width // 32))

@@ -1,4 +1,4 @@
-"""An asked direction error in a picture: the cheapest rung, or the coarsest facets, within it."""
+"""Rendering within a requested direction error: the cheapest rung, or the coarsest facets, that meets it."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from clacad.verification.accuracy.choose_setting import facets_for
 from clacad.verification.accuracy.error_and_seconds import MOST_DISAGREEMENT, TargetOutOfReach
 
 MOST_QUADS = 256
-"""Finest facets a scene file may ask for."""
+"""Finest facets that a scene file may request."""
 
 
 def within_target(scene: Scene, target: float) -> Scene:
     """Choose how rays pass the sheet so that they leave within a target of the exact surfaces.
 
-    Rung auto takes the cheapest rung within it on the scene's own rays, and only effects that turn light by more;
-    rung mesh takes the coarsest facets; another rung is measured and refused if it is off by more.
+    Rung auto takes the cheapest rung within it on the scene's own rays, and only effects that turn light by
+    more. Rung mesh takes the coarsest facets. Any other rung is measured and rejected if its error is larger.
 
     Parameters
     ----------
@@ -41,7 +41,8 @@ def within_target(scene: Scene, target: float) -> Scene:
     BadRequest
         The scene has several sheets.
     TargetOutOfReach
-        The scene's rung, or its mesh file, is off by more; the message says by how much and what is not.
+        The error of the scene's rung, or its mesh file, is larger; the message gives it and a rung that meets
+        the target.
     """
     if len(scene.sheets) > 1:
         raise BadRequest(
@@ -69,7 +70,7 @@ def within_target(scene: Scene, target: float) -> Scene:
 
 
 def _quads_within(design: Design, window: Window, target: float) -> int:
-    """Coarsest quads a cell side whose facets keep directions within the target (radians), in the worst cell where they differ."""
+    """Coarsest quads a cell side whose facets keep directions within the target (radians), in the worst cell."""
     facets = facets_for(design, worst_cell(window, design.check.field).buildable, target, ("3mf",))
     assert facets is not None
     if facets.quads > MOST_QUADS:
@@ -81,7 +82,9 @@ def _quads_within(design: Design, window: Window, target: float) -> int:
 
 
 def _compared(situation: Situation, rung: Rung, mesh: str | None) -> tuple[float, float]:
-    """Rms angle to the exact surfaces over the scene's rays that live on both, and the share of other fates."""
+    """Rms angle to the exact surfaces over the scene's rays that are alive on both, and the share of other
+    fates.
+    """
     from clacad.tracing.trace import trace
 
     if not len(situation.rays):

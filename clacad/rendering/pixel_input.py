@@ -1,4 +1,4 @@
-"""A viewing laid out for the kernel that does everything, where that can be."""
+"""A viewing laid out for the single kernel `compiled.pixels.sample_all`, where that supports it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def pane_of(
     window: Window, passage: Passage, lines: tuple[SpectralLine, ...], scale: float, front: float, opaque: bool, present: bool,
     before: bool,
 ) -> Pane | None:  # fmt: skip
-    """The sheet for `compiled.pixels.sample_all`; None where a picture needs more than that kernel does.
+    """The sheet for `compiled.pixels.sample_all`; None where a picture needs more than that kernel supports.
 
     Parameters as the attributes of `view.Viewing`.
     """
@@ -74,7 +74,7 @@ def first_box(window: Window) -> Floats:
 
 
 class SampleRange(NamedTuple):
-    """Samples first, first + 1, … first + more − 1 of the sequence, of which a pixel may get `most` in all."""
+    """Samples first, first + 1, … first + more − 1 of the sequence, out of at most `most` for a pixel."""
 
     first: int
     more: int
@@ -84,7 +84,7 @@ class SampleRange(NamedTuple):
 class Sums(NamedTuple):
     """Sums of the samples of m pixels, and of their squares: (m, 3) each, changed in place.
 
-    `square` has no rows where nothing asks for it.
+    `square` has no rows where squares are not needed.
     """
 
     total: Floats
@@ -112,7 +112,9 @@ def _eye(view: View, which: SampleRange) -> Any:
 
 
 def kernels_are_kept(viewing: Viewing, view: View) -> bool:
-    """Whether what a compiled picture runs most of is on disk, so that it is loaded and not compiled first."""
+    """Whether the main kernels of a compiled picture are on disk, so that they are loaded and not compiled
+    first.
+    """
     from clacad.base.kernel_cache import is_kept
 
     if viewing.pane is not None and view.aperture == 0.0:
@@ -132,5 +134,5 @@ def kernels_are_kept(viewing: Viewing, view: View) -> bool:
     return is_kept(look_all, looked) and all(
         rung_is_kept(passage.rung, lay_out(window))
         for window, passage in traced
-        if window.uniform and not (passage.rung == "thin" and window.thin.field)  # these are numpy's
+        if window.uniform and not (passage.rung == "thin" and window.thin.field)  # these run in numpy
     )

@@ -1,8 +1,7 @@
-"""The scene's objects as arrays that a ray can be held against: primitives, paints, bounds.
+"""The scene's objects as arrays for intersection with rays: primitives, paints, bounds.
 
-Lengths in the scene's unit. A primitive lives in its own frame: local = Rᵀ (point − origin). Primitives of
-one object stand together in a cluster with one bounding sphere, so that a ray that misses the object
-costs one test.
+Lengths are in the scene's unit. A primitive has its own frame: local = Rᵀ (point − origin). Primitives of one
+object form a cluster with one bounding sphere, so a ray that misses the object costs one test.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
 """Kinds of primitive."""
 
 LIT, CHECKER, COORDINATES, STRIPES, IMAGE = range(5)
-"""Kinds of paint; coordinates and image shine by themselves."""
+"""Kinds of paint; coordinates and image are luminous."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +87,14 @@ class SceneArrays:
     pattern : (n,)
         Side of a tile, width of a pair of stripes.
     piece : (n, 2) ints
-        First and end row of what the primitive owns: corners in `outline`, pixels, or triangles of the forest.
+        First and end row of the primitive's own data: corners in `outline`, pixels, or triangles of the
+        forest.
     outline : (k, 2)
         Corners of prisms.
     pixels : (k, 3), picture : (n, 2) ints
         Linear light of pictures, row by row; height and width.
     forest : Tree, root : (n,) ints
-        All meshes behind one another; where each begins.
+        All meshes in one tree; root of each.
     cluster : (m, 2) ints, cluster_bound : (m, 4)
         First and end primitive of each object, and a sphere round it.
     ambient, key : float
@@ -252,7 +252,7 @@ def _screen(scene: Scene, thing: SceneObject, frame: Floats, at: Floats) -> Prim
     size = (0.5 * w, 0.5 * h, 0.0, 0.0)
     both = (thing.colour, thing.colour)
     if thing.pattern == "image":
-        assert thing.file is not None  # the scene's rules ask for it
+        assert thing.file is not None  # the scene's rules require it
         return Primitive(SCREEN, frame, at, size, both, IMAGE, image=read_picture(scene.file(thing.file)))
     if thing.pattern == "stripes":
         return Primitive(SCREEN, frame, at, size, thing.colours, STRIPES, thing.period or 1.0)
@@ -261,12 +261,12 @@ def _screen(scene: Scene, thing: SceneObject, frame: Floats, at: Floats) -> Prim
 
 
 def _mesh(scene: Scene, thing: SceneObject) -> Tree:
-    """The tree of a mesh object; kept, since every frame of a movie asks for the same."""
-    assert thing.file is not None  # the scene's rules ask for it
+    """The tree of a mesh object; cached, because every frame of a movie needs it."""
+    assert thing.file is not None  # the scene's rules require it
     path = scene.file(thing.file)
     try:
         facts = os.stat(path)
-    except OSError:  # told by the reader
+    except OSError:  # reported by the reader
         return _grown(scene, thing)
     key = (str(path), facts.st_mtime_ns, facts.st_size, thing.size, thing.up)
     if key not in _TREES:
@@ -283,6 +283,6 @@ def _grown(scene: Scene, thing: SceneObject) -> Tree:
 
 
 KEPT_TREES = 4
-"""Trees kept at most."""
+"""Largest number of cached trees."""
 
 _TREES: dict[tuple[str, int, int, tuple[float, ...], str], Tree] = {}

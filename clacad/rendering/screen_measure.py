@@ -1,7 +1,7 @@
-"""What a view does to a coordinate screen: numbers instead of looking.
+"""Measurement of the effect of a view on a coordinate screen.
 
 All objects are replaced by one flat screen in z = z_k whose colour is its own x, y. In the rendered picture
-every point of the sheet then names the screen point seen there, and a straight-line fit gives the map
+the colour at every point of the sheet is then the screen point seen there. A straight-line fit gives the map
 X = A + M x₀ of the paper's formulas, stretch = M⁻¹ on the sheet.
 """
 
@@ -21,7 +21,7 @@ from clacad.rendering.sheet_passage import Passage, geometry_alone
 from clacad.scene import EffectsSpec, Scene, SceneObject
 
 WIDE = 4.0e4
-"""Side of the screen, scene lengths: wider than any view near a pole of the stretch needs."""
+"""Side of the screen, scene lengths: wide enough for any view near a pole of the stretch."""
 
 CLIP = 4.0
 """Rays farther from the fit than this many median distances are left out (strays at lens edges)."""
@@ -37,7 +37,7 @@ class ScreenMap:
         Screen point seen at the middle of the sheet.
     matrix : (2, 2)
     rms : (2,) length
-        Of the rays that were fitted.
+        Rms residual of the fitted rays.
     share : float
         Rays fitted over rays on the sheet.
     direct : float
@@ -70,7 +70,9 @@ class ScreenMap:
         return np.asarray(np.linalg.solve(self.matrix, np.array([x, y]) - self.offset))
 
     def shown(self, x: float, y: float, radius: float) -> float:
-        """Rays that meet the screen within a radius of (x, y), over those that an endless lossless sheet would send there."""
+        """Rays that meet the screen within a radius of (x, y), relative to those through an endless lossless
+        sheet.
+        """
         near = np.hypot(self.seen[:, 0] - x, self.seen[:, 1] - y) < radius
         area = np.pi * radius * radius / abs(float(np.linalg.det(self.matrix)))  # on the sheet
         return float(np.count_nonzero(near) * self.grain / area)
@@ -103,7 +105,7 @@ def measure(
     ----------
     scene : Scene
     z : float, length
-        Behind the sheet.
+        Position behind the sheet.
     pixels : int
         Rays across the picture; best not a multiple of the lens pitch.
     threads, compiled
@@ -129,7 +131,9 @@ def measure(
 def ghost_shifts(
     scene: Scene, z: float, pixels: int = 400, threads: int | None = None, compiled: bool | None = None
 ) -> Floats:
-    """How far (n, 2) beside the direct view's screen point each ray of a ghost meets the screen; as `measure`."""
+    """Displacement (n, 2) of each ray of a ghost on the screen from the direct view's screen point; as
+    `measure`.
+    """
     direct = measure(scene, z, pixels, threads, compiled)
     plain = coordinate_scene(scene, z, pixels)
     ghosts = replace(geometry_alone(plain, direct=True), shining=(int(Fate.GHOST),))
@@ -140,7 +144,9 @@ def ghost_shifts(
 def _on_screen(
     plain: Scene, passage: Passage, threads: int | None, compiled: bool | None
 ) -> tuple[Floats, Floats, Floats]:
-    """Points of the sheet (n, 2) whose rays meet the screen, where they do (n, 2), and all points of the sheet."""
+    """Points of the sheet (n, 2) whose rays meet the screen, their screen points (n, 2), and all points of
+    the sheet.
+    """
     window = prescribe(plain.design())
     picture = view_through(plain, passage=passage, threads=threads, compiled=compiled)
     x0, inside = sheet_points(plain, window, picture.light.shape[:2])
@@ -150,7 +156,7 @@ def _on_screen(
 
 
 def sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Where each pixel's ray crosses z = 0 (n, 2), scene lengths, and whether on the cells of array 1."""
+    """Points (n, 2) where each pixel's ray crosses z = 0, scene lengths, and whether on the cells of array 1."""
     from clacad.sheet.window import Window
 
     assert isinstance(window, Window)
@@ -169,7 +175,7 @@ def fitted(x0: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, int]:
     Parameters
     ----------
     x0, seen : (n, 2) lengths
-        Where rays cross the sheet and the screen.
+        Points where rays cross the sheet and the screen.
 
     Returns
     -------
@@ -177,7 +183,7 @@ def fitted(x0: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, int]:
         seen ≈ offset + matrix · x0.
     rms : (2,) lengths
     count : int
-        Rays that were kept.
+        Number of rays kept.
     """
     design = np.column_stack([np.ones(len(x0)), x0])
     kept = np.ones(len(x0), dtype=bool)

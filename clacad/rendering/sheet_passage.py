@@ -1,7 +1,7 @@
-"""How rays of a scene pass the sheet: the rung and the effects, as planned once for the whole picture.
+"""Passage of a scene's rays through the sheet: the rung and the effects, planned once for the whole picture.
 
-Of several sheets each has its own rung and effects, and light goes from one to the next: light that a sheet splits goes on
-as so many rays, light that it sends back is not met by the sheets before it again.
+Each of several sheets has its own rung and effects, and light goes from one to the next. Light that a sheet
+splits continues as several rays. Light that a sheet sends back does not meet the previous sheets again.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Beyond:
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """How rays pass the sheet.
+    """Passage of rays through the sheet.
 
     Attributes
     ----------
@@ -59,9 +59,9 @@ class Passage:
     mesh : Mesh, str or None
         Rung mesh: the triangles.
     continuous : bool
-        Rung law: by the law at the very point met, not that of the cell hit.
+        Rung law: use the law at the very point met, not that of the cell hit.
     several : tuple of StackedPassage
-        All sheets, where there are more than one; the rest says how rays pass the first.
+        All sheets, where there are more than one; the other attributes describe the first.
     """
 
     rung: Rung
@@ -73,7 +73,7 @@ class Passage:
 
     @property
     def plain(self) -> bool:
-        """Whether the trace alone says all: no effect beyond the labels of geometry, and no share of a law."""
+        """Whether the trace alone suffices: no effect beyond the labels of geometry, and no share of a law."""
         if self.several:
             return all(one.passage.plain for one in self.several)
         if self.plan is None:
@@ -84,7 +84,7 @@ class Passage:
 
     @property
     def by_lines(self) -> bool:
-        """Whether an effect of any sheet traces each wavelength by itself."""
+        """Whether an effect of any sheet traces each wavelength separately."""
         return any(kind.lines for kind in declared_all(self.names))
 
     @property
@@ -96,19 +96,26 @@ class Passage:
 
     @property
     def homogeneous(self) -> bool:
-        """Whether the sheet is nothing but its law."""
+        """Whether the sheet is represented by its law alone."""
         return self.rung == "law" and self.plain and not self.several
 
     def light_of_all(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, Bools]:
-        """Trace a block of camera rays through every sheet; what shines, and which rays (n,) met a sheet."""
+        """Trace a block of camera rays through every sheet; return what shines, and which rays (n,) met a
+        sheet.
+        """
         if self.several:
             return through_all(self.several, rays, compiled)
         beyond, result = self.light(window, rays, compiled)
         return beyond, np.asarray(result.fate != Fate.MISSED)
 
     def light(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, TraceResult]:
-        """Trace a block of rays through one sheet, in its frame, on this thread alone, and give what shines."""
-        known = window.uniform or self.rung in ("surfaces", "mesh")  # the rungs compiled where cells differ
+        """Trace a block of rays through one sheet, in its frame, on this thread alone, and return what
+        shines.
+        """
+        known = window.uniform or self.rung in (
+            "surfaces",
+            "mesh",
+        )  # rungs with kernels for non-uniform sheets
         path: Literal["numpy", "numba"] = "numba" if compiled and known else "numpy"
         options: dict[str, Any] = {} if self.mesh is None else {"mesh": self.mesh}
         if self.continuous:
@@ -123,7 +130,7 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class StackedPassage:
-    """How rays pass one of several sheets.
+    """Passage of rays through one of several sheets.
 
     Attributes
     ----------
@@ -139,7 +146,8 @@ class StackedPassage:
 
 
 def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool) -> tuple[Beyond, Bools]:
-    """Trace camera rays through sheets behind one another; what shines, and which rays (n,) met any of them.
+    """Trace camera rays through sheets behind one another; return what shines, and which rays (n,) met any of
+    them.
 
     Frame and unit are those of the first sheet.
     """
@@ -157,7 +165,7 @@ def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool)
         beyond, result = one.passage.light(one.sheet.window, sent, compiled)
         missed = result.fate == Fate.MISSED
         met[parent[~missed]] = True
-        if one.opaque and number:  # beside the first it is the caller who shows nothing
+        if one.opaque and number:  # outside the first sheet it is the caller who shows nothing
             met[parent] = True
         passed = Beyond(
             parent[beyond.parent], leaving(one.sheet, rung, beyond.position), beyond.direction,
@@ -173,13 +181,13 @@ def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool)
 
 
 def _joined(light: Beyond, kept: Bools, more: Beyond) -> Beyond:
-    """The rays of a list that are kept, and those of another one."""
+    """Concatenate the kept rays of a list and those of another one."""
     names = ("parent", "position", "direction", "flux")
     return Beyond(*(np.concatenate([getattr(light, name)[kept], getattr(more, name)]) for name in names))
 
 
 def stack_of(scene: Scene) -> Stack:
-    """The sheets of a still scene with where they stand, in the first one's frame and unit.
+    """The sheets of a still scene with their positions, in the first one's frame and unit.
 
     Raises
     ------
@@ -213,7 +221,7 @@ def in_scene(sheets: list[StackedSheet], unit: float, scene: Scene) -> Stack:
 
 
 def plan_passage(scene: Scene, window: Window) -> Passage:
-    """Choose rung and effects of a still scene, of several sheets for each.
+    """Choose rung and effects of a still scene, for each of several sheets.
 
     Raises
     ------
@@ -235,7 +243,7 @@ def plan_passage(scene: Scene, window: Window) -> Passage:
 
 
 def _passage(scene: Scene, sheet: SheetSpec, plan: Plan, window: Window) -> Passage:
-    """How rays pass one sheet, as planned."""
+    """Passage of rays through one sheet, as planned."""
     mesh: Mesh | str | None = None
     if plan.rung == "mesh":
         from clacad.mesh import tessellate
@@ -252,7 +260,7 @@ def _smooth(sheet: SheetSpec, window: Window) -> bool:
     Raises
     ------
     BadRequest
-        Its law is a table's, which has no values between its cells.
+        The law comes from a table, which has no values between its cells.
     """
     if sheet.continuous and window.cell_laws is not None and window.cell_laws.smooth is None:
         raise BadRequest(

@@ -1,8 +1,8 @@
-"""Which wavelengths are traced, and what each adds to the picture.
+"""Traced wavelengths, and the contribution of each to the picture.
 
-Objects have linear sRGB colours. Behind a dispersing sheet their light is needed line by line: a spectrum is
-built from the three numbers with three bands that sum to 1, such that without dispersion the very same
-three numbers come back. Colour matching: CIE 1931, fits of Wyman, Sloan & Shirley, J. Computer Graphics
+Objects have linear sRGB colours. Behind a dispersing sheet their light is needed line by line. A spectrum is
+built from the three numbers with three bands that sum to 1, such that without dispersion it gives exactly
+these three numbers again. Colour matching: CIE 1931, fits of Wyman, Sloan & Shirley, J. Computer Graphics
 Techniques 2(2) (2013); daylight D65, CIE 15, its table at 10 nm over the range used.
 """
 
@@ -20,7 +20,9 @@ RGB_LINES = (611.4e-9, 549.1e-9, 464.2e-9)
 """Dominant wavelengths of the sRGB primaries (ITU-R BT.709) under D65, metres."""
 
 DAYLIGHT_NM = tuple(440.0 + 26.25 * k for k in range(9))
-"""Nine samples of daylight, nm: nearly all of the eye's response, and known of almost every material of the table."""
+"""Nine samples of daylight, nm: nearly all of the eye's response, and within the data of almost every
+material of the table.
+"""
 
 _D65_NM = tuple(range(430, 660, 10))
 _D65 = (
@@ -44,7 +46,7 @@ class SpectralLine:
     weight : (3,)
         Linear rgb of the picture for one unit of that radiance.
     whole : bool
-        This one line carries the whole picture: colours pass as they are.
+        Whether this one line carries the whole picture: colours pass unchanged.
     """
 
     wavelength: float | None
@@ -60,9 +62,9 @@ def lines(light: Light, window: Window, dispersion: bool) -> tuple[SpectralLine,
     ----------
     light : Light
     window : Window
-        Only materials can tell wavelengths apart.
+        Window whose materials distinguish wavelengths.
     dispersion : bool
-        Whether the lines are traced apart; else one passes for all.
+        Whether the lines are traced separately; else one represents all.
     """
     tells = any(body.material is not None for body in window.bodies)
     if isinstance(light.spectrum, float):
@@ -80,7 +82,7 @@ def _daylight() -> tuple[SpectralLine, ...]:
     weights /= weights.sum(axis=0)  # equal radiance at every line is white
     blue, red = np.clip((510.0 - waves) / 40.0, 0.0, 1.0), np.clip((waves - 570.0) / 30.0, 0.0, 1.0)
     bands = np.column_stack([red, 1.0 - red - blue, blue])
-    basis = bands @ np.linalg.inv(weights.T @ bands)  # colours come back exactly; rows still sum to 1
+    basis = bands @ np.linalg.inv(weights.T @ bands)  # colours are reproduced exactly; rows still sum to 1
     return tuple(SpectralLine(1e-9 * wave, b, w) for wave, b, w in zip(waves, basis, weights, strict=True))
 
 

@@ -2,7 +2,7 @@
 
 A ray that crosses the sheet meets, in this order: objects before the sheet, the sheet (rung and effects as
 planned), objects behind it. A ray that misses the sheet goes straight on. Nothing is divided by an image
-distance, so objects at, in or near the sheet and at poles of the stretch need no care.
+distance, so objects at, in or near the sheet and at poles of the stretch need no special treatment.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from clacad.sheet.stack import BadStack
 from clacad.sheet.window import Window
 
 UNTINTED = (1.0, 1.0, 1.0)
-"""Tint of a sheet that takes no light of any colour."""
+"""Tint of a sheet that absorbs no light of any colour."""
 
 
 def set_up(
     scene: Scene, window: Window, compiled: bool, passage: Passage | None = None, sheet: bool = True
 ) -> Viewing:
-    """Prepare a still scene for looking at.
+    """Prepare a still scene for rendering.
 
     Parameters
     ----------
@@ -92,7 +92,8 @@ def _box_of_all(passage: Passage, window: Window) -> Floats:
 
 
 def _refuse_between(stage: SceneArrays, passage: Passage, scale: float) -> None:
-    """Refuse objects that reach between sheets: light on its way from one to the next is not held against objects.
+    """Reject objects between sheets: light on its way from one sheet to the next is not tested against
+    objects.
 
     Raises
     ------
@@ -129,7 +130,7 @@ def sheet_box(window: Window) -> Floats:
 
 
 def radiance(viewing: Viewing, position: Floats, direction: Floats) -> Floats:
-    """Light (n, 3), linear sRGB primaries, that camera rays bring back.
+    """Light (n, 3), linear sRGB primaries, of camera rays.
 
     Parameters
     ----------
@@ -166,7 +167,7 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
 
 
 def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Bools) -> Floats:
-    """Light of rays that met the sheet: what stands before it, else what is seen through it, else black."""
+    """Light of rays that met the sheet: of an object before it, else of what is seen through it, else black."""
     light = np.zeros((len(position), 3))
     rows = np.flatnonzero(met)
     hidden = np.zeros(len(position), dtype=bool)
@@ -198,7 +199,7 @@ def _before(viewing: Viewing, position: Floats, direction: Floats) -> tuple[Floa
 def may_stand_before(stage: SceneArrays, front: float, camera: Camera, box: Floats) -> bool:
     """Whether any object may be met between the camera and the sheet (box, scene lengths).
 
-    A floor below both, or above both, is not: rays are straight.
+    A floor below both, or above both, is excluded: rays are straight.
     """
     reach = camera.position[1] - 0.5 * camera.aperture, camera.position[1] + 0.5 * camera.aperture
     low, high = min(box[0, 1], reach[0]), max(box[1, 1], reach[1])
@@ -214,7 +215,7 @@ def may_stand_before(stage: SceneArrays, front: float, camera: Camera, box: Floa
 def seen(
     viewing: Viewing, position: Floats, direction: Floats, limit: Floats | float
 ) -> tuple[Floats, Bools]:
-    """Light and hits of rays in the scene, by whichever path is chosen; see `reference.scene_hits.look`."""
+    """Light and hits of rays in the scene, by the selected path; see `reference.scene_hits.look`."""
     if not viewing.compiled:
         return look(viewing.stage, position, direction, limit)
     from clacad.rendering.compiled.scene_hits import look_all
@@ -227,7 +228,7 @@ def seen(
 
 
 def may_cross(box: Floats, position: Floats, direction: Floats) -> Bools:
-    """Which rays (n,) come through a box (low, high)."""
+    """Which rays (n,) pass through a box (low, high)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (box[0] - position) / direction, (box[1] - position) / direction
         near = np.fmax.reduce(np.fmin(a, b), axis=1)

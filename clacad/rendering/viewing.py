@@ -1,4 +1,4 @@
-"""What a block of camera rays needs: the stage, the sheet and how light passes it."""
+"""Input of a block of camera rays: the stage, the sheet and how light passes it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clacad.sheet.window import Window
 
 @dataclass(frozen=True, eq=False)
 class Viewing:
-    """Everything a block of camera rays needs.
+    """All data that a block of camera rays needs.
 
     Attributes
     ----------
@@ -24,19 +24,19 @@ class Viewing:
     passage : Passage
         How rays pass the sheet: rung, effects, which fates shine.
     lines : tuple of SpectralLine
-        Wavelengths to trace and what each adds to the picture.
+        Wavelengths to trace and the contribution of each to the picture.
     scale : float
         Window lengths in one scene length.
     box : (2, 3) lengths, scene frame
         Around the sheet, with room to spare: rays that miss it miss the sheet.
     front : float, length
-        Scene z up to which objects stand before the sheet.
+        Scene z up to which objects are before the sheet.
     opaque : bool
-        Whether nothing is seen beside the sheet.
+        Whether nothing is visible outside the sheet.
     present : bool
         Whether there is a sheet at all.
     before : bool
-        Whether anything may stand between camera and sheet.
+        Whether an object may be between camera and sheet.
     compiled : bool
         Compiled code or numpy.
     tables : Tables
@@ -44,7 +44,7 @@ class Viewing:
     tint : (red, green, blue)
         Linear transmission of what is seen through the sheet.
     pane : Pane or None
-        The sheet for the kernel that does everything, where that can be.
+        The sheet for the single kernel `compiled.pixels.sample_all`, where that supports it.
     """
 
     stage: SceneArrays

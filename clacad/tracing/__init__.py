@@ -1,4 +1,4 @@
-"""Rays through windows, rung by rung: the law, ideal lenslets, exact surfaces, facets.
+"""Ray tracing through windows on four rungs: the law, ideal lenslets, exact surfaces, facets.
 
-`trace` chooses; `layout` and `ledger` are shared; physics beyond refraction is in `effects`.
+`trace` calls the requested rung. `layout` and `ledger` are shared. Physics beyond refraction is in `effects`.
 """

@@ -1,4 +1,4 @@
-"""What the tracer knows of an effect: its name, and the rung it replaces."""
+"""The part of an effect that the tracer knows: its name, and the rung it replaces."""
 
 from __future__ import annotations
 
@@ -16,4 +16,4 @@ class TracedEffect(Protocol):
 
     @property
     def rung(self) -> Rung | None:
-        """Rung that the effect replaces the requested one by (facets: mesh), or None."""
+        """Rung that the effect uses instead of the requested one (facets: mesh), or None."""

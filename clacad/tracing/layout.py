@@ -23,7 +23,7 @@ from clacad.sheet.turn import turned
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 
 SAMPLES = 49
-"""Points a side on which a face's height is bounded; the slope times half a spacing is added."""
+"""Points a side at which a face's height is sampled for its bounds; slope times half a spacing is added."""
 
 SLOPE_MARGIN = 1.25
 """Factor on the largest sampled slope: a lens is steepest at its corners, which are sampled."""
@@ -39,7 +39,7 @@ class FacePlan:
     vertex : (3,) lengths
         Apex: x, y from the cell's centre, z from the body's `level`.
     rotation : (3, 3) or None
-        Lens → sheet; None when the axes coincide, so that nothing need be turned.
+        Lens → sheet; None when the axes coincide and no rotation is needed.
     array : int or None
     land : float
         Height of the land over the body's level; NaN without land.
@@ -48,11 +48,12 @@ class FacePlan:
     slope : float
         Bound of the lens's slope against the sheet plane.
     whole : bool
-        The lens is a graph over all of its optical zone and stands proud of the land there.
+        The lens is a graph over all of its optical zone and protrudes beyond the land there.
     change : VertexChange or None
-        How far the lens of each cell stands from `vertex`, and how large it is.
+        Offset of the lens of each cell from `vertex`, and its size.
     blind : 0, 1 or 2
-        Index (1: i, 2: j) that says nothing of which lens is met, for the face is the same along it: see `Face.blind`.
+        Index (1: i, 2: j) that does not affect which lens is met, because the face is invariant along it: see
+        `Face.blind`.
     """
 
     surface: Surface
@@ -70,7 +71,7 @@ class FacePlan:
 
 @dataclass(frozen=True, eq=False)
 class BodyPlan:
-    """One body: two faces, and where it ends.
+    """One body: its two faces and its outline.
 
     Attributes
     ----------
@@ -91,7 +92,7 @@ class BodyPlan:
     centre : (x, y)
         Of the outline and of `inner`, sheet frame.
     plate : Plate or None
-        Where the outline is one: it stands in the sheet frame.
+        The outline where it is a plate, in the sheet frame.
     """
 
     front: FacePlan
@@ -110,7 +111,7 @@ class BodyPlan:
 
     @property
     def arrays(self) -> tuple[int, ...]:
-        """The lens arrays this body carries, each once, in the order of the light."""
+        """Lens arrays that this body carries, each once, in the order of the light."""
         seen = [face.array for face in (self.front, self.back) if face.array is not None]
         return tuple(dict.fromkeys(seen))
 
@@ -130,11 +131,12 @@ class Layout:
     margin : float
         Land on the inside of every border: seam / 2.
     lattices : tuple of Lattice, one an array
-        Pattern of its cells about its own middle; which cells exist is asked of `lattice`.
+        Pattern of its cells about its own middle; `lattice` decides which cells exist.
     widths : (arrays, k) lengths
         `halves` of every array.
     whole_steps : (arrays, arrays, 2) ints, residual : (arrays, arrays, 2) lengths
-        [a, b]: displacement of array b against array a = that many lattice steps plus the residual. Of arrays of one pitch.
+        [a, b]: displacement of array b against array a, as lattice steps plus a residual. For arrays of one
+        pitch.
     """
 
     window: Window
@@ -159,7 +161,7 @@ class Layout:
 
     @cached_property
     def kept(self) -> dict[str, Any]:
-        """What others worked out from this layout, kept as long as it lives."""
+        """Cache of data that other modules derived from this layout, with its lifetime."""
         return {}
 
 
@@ -184,7 +186,7 @@ def _laid_out(window: Window) -> Layout:
 
 
 def array_numbers(lattice: Lattice, placements: tuple[CellPlacement, ...]) -> dict[str, Any]:
-    """What a `Layout` says of its arrays: how each lies, and against each other one."""
+    """Fields of a `Layout` that describe its arrays: the lattice of each, and displacements between them."""
     arrays = len(placements)
     steps, residual = np.zeros((arrays, arrays, 2), dtype=np.int64), np.zeros((arrays, arrays, 2))
     for a in range(arrays):
@@ -221,7 +223,7 @@ def _half_widths(lattice: Lattice) -> Floats:
 
 
 def lenses(layout: Layout, face: FacePlan, cell: Ints) -> LensPlaces:
-    """Where the lenses of cells (m, 2) stand and how large they are, z over the body's level."""
+    """Positions and sizes of the lenses of cells (m, 2), z over the body's level."""
     if face.change is None:
         return LensPlaces(face.vertex)
     return face.change.places(face.vertex, layout.lattice, cell)
@@ -237,10 +239,10 @@ def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Flo
 
 
 class SampledCell(NamedTuple):
-    """Points of cells where faces are sampled.
+    """Sample points of cells where faces are sampled.
 
-    x, y (m,) as the face's one lens sees them, and their spacing, lengths; which lie in the optical zone, (m,); where the
-    lenses over each of them stand, (cells, 1), None: alike.
+    x, y (m,) as the face's lens sees them, and their spacing, lengths; which lie in the optical zone, (m,);
+    places of the lenses over each of them, (cells, 1), None: all alike.
     """
 
     x: Floats
@@ -251,13 +253,13 @@ class SampledCell(NamedTuple):
 
     @property
     def apart(self) -> float:
-        """How far the farthest lens stands off, length."""
+        """Largest offset of a lens, length."""
         if self.places is None or self.places.moved is None:
             return 0.0
         return float(np.hypot(*self.places.moved.T).max())
 
     def bend(self, surface: Surface, reach: float) -> float:
-        """Bound, 1/length, of how the most curved of the lenses bends that reach so far, length."""
+        """Bound, 1/length, on the curvature of all the lenses out to the distance `reach`, length."""
         if self.places is None or self.places.size is None:
             return sharpest_bend(surface, reach)
         least = float(self.places.size.min())
@@ -306,18 +308,22 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
 
 
 def _covered(gap: Floats, bend: float, spacing: float) -> bool:
-    """Whether the sampled thickness is positive by more than faces that bend so much (1/length) can bend between two samples."""
+    """Whether the sampled thickness is positive by more than faces of this bend (1/length) can vary between
+    two samples.
+    """
     return bool(np.isfinite(gap).all() and gap.min() > bend * spacing * spacing)
 
 
 def _farthest_cells(window: Window, body: Body) -> Ints | None:
-    """Cells (m, 2) whose lenses stand farthest from where the faces have them; None where all stand alike."""
+    """Cells (m, 2) whose lenses have the largest offsets from the faces' vertices; None where all are alike."""
     found = [outermost_cells(window, face) for face in (body.front, body.back) if face.change is not None]
     return np.unique(np.concatenate(found), axis=0) if found else None
 
 
 def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | None) -> SampledCell:
-    """The sampled points of a face's cell, as its lens sees them that stands where it has to; of all `cells` (m, 2)."""
+    """Sample points of a face's cell, as seen by the lens at its vertex, or by the lenses of all `cells` (m,
+    2).
+    """
     if face.array is None:
         return sampled
     if window.placements[face.array].own:
@@ -329,7 +335,7 @@ def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | Non
         places = LensPlaces(face.vertex, np.zeros((len(cells), 1, 2)), np.zeros((len(cells), 1)))
     x, y = places.seen(sampled.x[None], sampled.y[None])
     seen = SampledCell(x.ravel(), y.ravel(), sampled.spacing, np.tile(sampled.zone, len(cells)), places)
-    # between two of the directions in which cells were looked for a lens may stand a little farther out
+    # between two of the sampled directions a lens may have a slightly larger offset
     return seen._replace(spacing=sampled.spacing + (1.0 - cos(pi / DIRECTIONS)) * seen.apart)
 
 
@@ -412,7 +418,7 @@ Footprint = tuple[Box, tuple[float, float, float], tuple[str, float, float], tup
 
 
 def _footprint(window: Window, body: Body) -> Footprint:
-    """Bounding box, a region inside, the outline and the centre of both."""
+    """Bounding box, inner region, outline and their centre."""
     arrays = {face.array for face in (body.front, body.back) if face.array is not None}
     if window.outline is None:
         place = window.placements[body.front.array if body.front.array is not None else arrays.pop()]
@@ -440,7 +446,7 @@ def _footprint(window: Window, body: Body) -> Footprint:
 def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[float, float, float]:
     """A region about the middle of `box` that lies in the union of the kept cells of an array."""
     scale = max(place.scale(lattice))
-    if place.turn:  # what a circle holds it holds however it is turned
+    if place.turn:  # a circle inside stays inside under any rotation
         x0, x1, y0, y1 = lattice.extent()
         reach = 0.5 * min(place.scale(lattice)) * min(x1 - x0, y1 - y0)
         if isinstance(lattice.outline, Circle | Rectangle):
@@ -457,7 +463,7 @@ def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[flo
     half_x, half_y = 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
     if not lattice.hexagonal and lattice.outline is None:
         return half_x, half_y, np.inf
-    lost = 2.0 * scale * lattice.circumradius  # a cell that is cut is left out
+    lost = 2.0 * scale * lattice.circumradius  # cells that are cut do not count
     if isinstance(lattice.outline, Circle):
         # the box of the kept cells need not be centred on the outline to better than a cell
         return half_x, half_y, 0.5 * scale * lattice.outline.diameter - 2.0 * lost

@@ -49,7 +49,7 @@ class Ledger:
 
     @classmethod
     def blank(cls, n: int, recorded: int) -> Ledger:
-        """Columns without contents, for a tracer that writes every row itself."""
+        """Uninitialised columns, for a tracer that writes every row itself."""
         return cls(
             position=np.empty((n, 3)),
             direction=np.empty((n, 3)),
@@ -64,12 +64,14 @@ class Ledger:
         )
 
     def launchable(self) -> Rows:
-        """Rows (k,) of rays that go forwards at the start; the others are MISSED or INVALID already."""
+        """Rows (k,) of rays that go forwards at the start; the others are already MISSED or INVALID."""
         with np.errstate(invalid="ignore"):
             return np.flatnonzero((self.fate == Fate.MISSED) & (self.direction[:, 2] > 0.0))
 
     def record(self, face: int, rows: Rows, position: Floats, direction: Floats) -> None:
-        """Note where k rays met a face and how they went on, (k, 3) each; later faces repeat it until they are met."""
+        """Record where k rays met a face and their directions behind it, (k, 3) each; later faces repeat them
+        until met.
+        """
         if len(self.hits):
             self.hits[face:, rows] = position
             self.directions[face:, rows] = direction
@@ -91,13 +93,13 @@ class Ledger:
         self.surface[rows] = surface
 
     def miss(self, rows: Rows) -> None:
-        """Give rays (k,) back as launched."""
+        """Reset rays (k,) to their launched state."""
         if len(self.hits):
             self.hits[:, rows] = self.position[rows]
             self.directions[:, rows] = self.direction[rows]
 
     def closed(self) -> TraceResult:
-        """The result."""
+        """Result of the trace."""
         recorded = len(self.hits) > 0
         return TraceResult(
             position=self.position,

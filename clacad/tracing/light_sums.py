@@ -1,13 +1,14 @@
-"""Light in sums: rays by fate, their angle to a law, their mean direction, and the law they show; no row is kept.
+"""Light in sums: rays by fate, angle to a law, mean direction, and the law that rays show; no row is kept.
 
-Rays are traced PIECE at a time, and each piece is added up as it comes, in numpy or compiled (`reference/light_sums.py`,
-`compiled/light_sums.py`). Pieces do not hang on the number of threads, their sums are put together exactly in one order:
-the same bits on one thread and on many.
+Rays are traced PIECE at a time, and each piece is summed as it is finished, in numpy or compiled
+(`reference/light_sums.py`, `compiled/light_sums.py`). Pieces do not depend on the number of threads, and
+their sums are added exactly in one order: one thread and many give the same bits.
 
-Half a million rays and more, compiled, take a fifth of what rows and angles from them take; traced in numpy sums take a tenth
-longer, for they hold what a fit needs. So they serve who asks this of many rays, and not `verify`, which looks at every number of
-each ray (accounting), draws spots from rows and says the doubt of its fits; nor `accuracy`, whose errors are between two results
-ray by ray, with 95 in 100; nor `tolerance` and `optimise`, whose few hundred or thousand rays a sample are worth no kernel.
+From half a million rays on, compiled sums take a fifth of the time of rows and their angles. In numpy sums
+take a tenth longer, because they contain what a fit needs. Only callers with many rays use them.
+The others do not: `verify` needs every number of each ray (accounting), draws spots from rows and prints the uncertainty of its
+fits; `accuracy` compares two results ray by ray, with 95 in 100; `tolerance` and `optimise` trace a few
+hundred or thousand rays a sample, too few for a kernel.
 """
 
 from __future__ import annotations
@@ -25,29 +26,29 @@ from clacad.tracing.reference.law_rung import ordinary
 from clacad.tracing.reference.light_sums import GRADIENT, KNOWN, NORMAL, NUMBERS, OUT, SQUARE, sums_of
 
 PIECE = 1 << 14
-"""Rays added up together: the rows of their results stay in the second-level cache."""
+"""Rays summed together: the rows of their results stay in the second-level cache."""
 
 STEPS = 20
-"""Traces after which a fit that has not settled is given up; three or four are usual."""
+"""Traces after which a fit that has not converged is given up; three or four are usual."""
 
 SETTLED = 1e-13
-"""Change of 1/η and δ/η, each over the largest of them, below which a fit has settled."""
+"""Change of 1/η and δ/η, relative to the largest of them, below which a fit has converged."""
 
 ALIKE = 1e-12
-"""Least share of the largest in a singular value that tells something of the law."""
+"""Least singular value, relative to the largest, that still determines a parameter of the law."""
 
 Summed = tuple[Floats, float]
-"""Sums (2, NUMBERS) of a piece with what rounding took away, and its largest angle to the law."""
+"""Sums (2, NUMBERS) of a piece with their rounding errors, and its largest angle to the law."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightSums:
-    """What many rays do, summed.
+    """Sums over many rays.
 
     Attributes
     ----------
     law : Law
-        That the angles are to.
+        Law that angles are measured to.
     counts : dict
         Number of rays of each fate, by name.
     known : int
@@ -76,12 +77,12 @@ class LightSums:
         return np.asarray(self.sums[OUT : OUT + 3] / alive if alive else np.full(3, nan))
 
     def step(self) -> Floats:
-        """Change of (1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y) that brings the law nearest to these rays, to first order.
+        """Change of (1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y) that fits the law to these rays, to first order.
 
         Raises
         ------
         ValueError
-            The rays do not tell the four numbers apart.
+            The rays do not determine the four numbers.
         """
         n, g = self.sums[NORMAL:GRADIENT], self.sums[GRADIENT:]
         matrix = np.array([
@@ -97,7 +98,7 @@ class LightSums:
         return np.asarray(right.T @ ((left.T @ (g * [1.0, 1.0, -1.0, -1.0] / whole)) / values) / whole)
 
     def nearer_law(self) -> Law:
-        """The law after that step, with its orientation held.
+        """Law after one `step`, with its orientation fixed.
 
         Raises
         ------
@@ -110,7 +111,7 @@ class LightSums:
 def summed(
     traced: Callable[[Rays], TraceResult], rays: Rays, law: Law, compiled: bool, threads: int
 ) -> LightSums:
-    """Trace rays piece by piece and add them up.
+    """Trace rays piece by piece and sum them.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def summed(
 
 
 def fitted(sums: Callable[[Rays, Law | None], LightSums], rays: Rays, law: Law | None = None) -> LightSums:
-    """Sums about the law that the ALIVE rays show, found by tracing them again until it settles.
+    """Sums about the law that the ALIVE rays show, found by repeated tracing until it converges.
 
     Parameters
     ----------
@@ -147,12 +148,12 @@ def fitted(sums: Callable[[Rays, Law | None], LightSums], rays: Rays, law: Law |
         `Tracer.sums`: rays and a law → their sums about it.
     rays : Rays
     law : Law or None
-        Where to start, and whose orientation is held; None: the one that the window was made for.
+        Start of the fit, whose orientation is kept; None: the law of the window's design.
 
     Raises
     ------
     ValueError
-        As `LightSums.nearer_law`; or it does not settle.
+        As `LightSums.nearer_law`; or the fit does not converge.
     """
     found = sums(rays, law)
     for _ in range(STEPS):

@@ -1,8 +1,8 @@
-"""A face given by heights on a grid, as maps and point files hold it: a bicubic surface that light can meet.
+"""A face given by heights on a grid, as in maps and point files: a bicubic surface that light can meet.
 
-The surface is the cubic spline through the samples of one cell. Beyond the border of the cell, where the samples are
-another lens's, and where land covers the lens, it goes on as the design's lens does, displaced as the nearest sample is:
-a spline must not ring at an edge that the part has.
+The surface is the cubic spline through the samples of one cell. Beyond the border of the cell the samples
+belong to another lens. There, and where land covers the lens, the surface continues as the design's lens,
+displaced by the nearest sample's deviation: a spline must not ring at an edge of the part.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from clacad.base.types import Floats
 from clacad.sheet.window import Face, Window, face_height, in_optical_tile, lens_height
 
 RINGS = 3
-"""Nodes by which the grid reaches beyond the samples."""
+"""Nodes by which the grid extends beyond the samples."""
 
 ROUNDS = 30
 SAME = 1e-13
-"""Height over the pitch at which a ray has met the surface."""
+"""Height over the pitch below which a ray has met the surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +28,15 @@ class SampledFace:
     """One face over one cell as a bicubic spline.
 
     face : Face
-        Of the design: for its land.
+        Face of the design, for its land.
     origin : (3,) lengths
         Centre of the face's cell in the sheet frame, z = 0.
     window : Window
-        Whose optical zone ends the face.
+        Window whose optical zone ends the face.
     low, step : (2,) lengths
-        First node, cell frame, and distance of nodes.
+        First node, cell frame, and spacing of nodes.
     coefficients : (nx + 2, ny + 2) lengths
-        Of cubic B-splines; node (i, j) is the middle of the 3 × 3 block that begins at [i, j].
+        Coefficients of cubic B-splines; node (i, j) is the middle of the 3 × 3 block that begins at [i, j].
     """
 
     face: Face
@@ -48,7 +48,7 @@ class SampledFace:
 
 
 def sampled_face(window: Window, face: Face, origin: Floats, samples: Floats, step: Floats) -> SampledFace:
-    """Lay a bicubic surface through samples of one cell.
+    """Fit a bicubic surface to samples of one cell.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def sampled_face(window: Window, face: Face, origin: Floats, samples: Floats, st
     samples : (m, 3) lengths
         x and y in the cell frame, on a grid; z in the sheet frame.
     step : (2,) lengths
-        Distance of samples along x and y.
+        Spacing of samples along x and y.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _lens(face: Face, x: Floats, y: Floats) -> Floats:
 
 
 def _nearest(values: Floats) -> Floats:
-    """Fill what is NaN in a table (m, n) by its nearest known neighbours, ring after ring."""
+    """Replace NaN in a table (m, n) by the nearest known neighbours, ring after ring."""
     filled = values.copy()
     while np.isnan(filled).any():
         padded = np.pad(filled, 1, constant_values=np.nan)
@@ -127,7 +127,7 @@ def _interpolation(count: int) -> Floats:
 
 
 def height_and_slope(face: SampledFace, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Height (n,) of the surface at places of its cell frame, and its derivatives along x and y."""
+    """Height (n,) of the surface at positions in its cell frame, and its derivatives along x and y."""
     cells, values, slopes = [], [], []
     for k, at in enumerate((x, y)):
         most = face.coefficients.shape[k] - 4
@@ -154,7 +154,7 @@ def height_and_slope(face: SampledFace, x: Floats, y: Floats) -> tuple[Floats, F
 def meet_sampled(
     face: SampledFace, position: Floats, direction: Floats
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Meet rays with a bicubic surface.
+    """Intersect rays with a bicubic surface.
 
     Parameters
     ----------

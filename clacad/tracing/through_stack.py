@@ -1,9 +1,9 @@
-"""Rays through sheets behind one another: each sheet's own trace, and between them empty space.
+"""Rays through sheets behind one another: each sheet's own trace, with empty space between.
 
-Rays are handed on in the frame of the next sheet, moved along z alone, so that a cell far from the axis is as exact in
-the last sheet as in the first. The ideal rungs have no material: there a sheet acts between its lens planes
-(`sheet.stack.lens_planes`), so that the air between sheets is the real one on every rung. Rung "law" puts light that enters
-at the first of these planes onto the second, at the same height.
+Rays are passed on in the frame of the next sheet, moved along z alone, so a cell far from the axis is as
+exact in the last sheet as in the first. The ideal rungs have no material: there a sheet acts between its lens
+planes (`sheet.stack.lens_planes`), so the air between sheets is the real one on every rung. Rung "law" moves
+light that enters at the first of these planes to the second, at equal x and y.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class StackTrace:
     position, direction : (n, 3) arrays
         As of `TraceResult`, in the frame and unit of the stack.
     fate : (n,) uint8 array of `Fate`
-        ALIVE: so through every sheet. GHOST and LAND: so through one at least, and out of the last; of both LAND. Any other
-        fate is where the ray ended.
+        ALIVE: alive through every sheet. GHOST or LAND: such in at least one sheet, and out of the last; LAND
+        if both occurred. Any other fate is where the ray ended.
     ended : (n,) ints
-        Number of the sheet that said the last word, the last one for rays that came through.
+        Number of the sheet that decided the fate; the last sheet for rays that passed all.
     optical_path : (n,) array, lengths of the stack
     passed : tuple of (rows, TraceResult)
-        For each sheet the launched rays (k,) that came to it, and what it did to them, in its own frame and unit.
+        For each sheet the launched rays (k,) that reached it, and their result in its own frame and unit.
     """
 
     position: Floats
@@ -68,23 +68,24 @@ class StackTrace:
 
 @dataclass(frozen=True, eq=False)
 class StackTracer:
-    """A stack laid out once, called with rays as often as wanted.
+    """A stack laid out once, called with rays as often as needed.
 
     Parameters
     ----------
     stack : Stack
     rung : "law", "thin", "surfaces" or "mesh"
     mesh : sequence of meshes, int or None
-        Rung "mesh" only: for each sheet what `clacad.trace` takes as `mesh`, or one number of quads for all.
+        Rung "mesh" only: for each sheet the `mesh` argument of `clacad.trace`, or one number of quads for
+        all.
     threads, path
-        As of `clacad.trace`.
+        As in `clacad.trace`.
 
     Raises
     ------
     BadStack
-        An ideal rung, and lens planes of neighbours that lie within one another.
+        An ideal rung is requested and lens planes of neighbouring sheets overlap.
     ValueError
-        As of `clacad.trace`.
+        As in `clacad.trace`.
     """
 
     stack: Stack
@@ -95,7 +96,7 @@ class StackTracer:
     tracers: tuple[Tracer, ...] = field(init=False, repr=False, default=())
 
     def __post_init__(self) -> None:
-        """Lay out every sheet, equal ones once."""
+        """Lay out every sheet, identical sheets once."""
         sheets = self.stack.sheets
         if self.rung in ("law", "thin"):
             for before, after in zip(sheets, sheets[1:]):
@@ -113,7 +114,7 @@ class StackTracer:
             object.__setattr__(self, "tracers", (*self.tracers, made[key]))
 
     def __call__(self, rays: Rays) -> StackTrace:
-        """Trace rays; in front of the first sheet, frame and unit of the stack."""
+        """Trace rays that start in front of the first sheet, in the frame and unit of the stack."""
         many = len(rays)
         found = StackTrace(
             rays.position.copy(), rays.direction.copy(), np.full(many, Fate.ALIVE, dtype=np.uint8),
@@ -133,9 +134,9 @@ class StackTracer:
 def _taken_over(
     found: StackTrace, rows: Rows, result: TraceResult, number: int, one: StackedSheet, rung: Rung
 ) -> Rows:
-    """Write what a sheet did to rays (k,); those that go on."""
+    """Write the result of one sheet for rays (k,); return the rays that go on."""
     moved = result.fate != Fate.INVALID
-    moved &= result.fate != Fate.MISSED  # as launched: they end where they left the sheet before
+    moved &= result.fate != Fate.MISSED  # as launched: they end where they left the previous sheet
     at = rows[moved]
     found.position[at] = leaving(one, rung, result.position[moved])
     found.direction[rows] = result.direction
@@ -174,11 +175,11 @@ def trace_stack(
     rays : Rays
         In front of the first sheet, frame and unit of the stack.
     rung, mesh, threads, path
-        As of `StackTracer`.
+        As in `StackTracer`.
 
     Raises
     ------
     BadStack, ValueError
-        As of `StackTracer`.
+        As in `StackTracer`.
     """
     return StackTracer(stack, rung, mesh, threads, path)(rays)

@@ -1,6 +1,6 @@
 """Tracing rays through windows, rung by rung, and through explicit sequences of surfaces.
 
-`trace` is one signature over four rungs: the law itself, ideal lenslets with cells, the exact surfaces, the
+`trace` has one signature for four rungs: the law itself, ideal lenslets with cells, the exact surfaces, the
 facets of a mesh. `trace_sequence` is the primitive for surfaces given one by one.
 """
 
@@ -31,8 +31,8 @@ def trace(
 ) -> TraceResult:  # fmt: skip
     """Trace rays through a window.
 
-    What is laid out for it, a file's triangles among that, is kept as long as the window; `clacad.Tracer` holds it in
-    its own hands.
+    Prepared data (packed arrays, triangles of a file) is cached on the window. Use `clacad.Tracer` to control
+    its lifetime.
 
     Parameters
     ----------
@@ -42,41 +42,44 @@ def trace(
     rung : "law", "thin", "surfaces" or "mesh"
         Homogeneous sheet; ideal lenslets; exact Snell at the surfaces; Snell at the facets.
     effects : sequence of names or `clacad.effects.Effect`
-        Physics added to the geometry; none costs nothing.
+        Physics added to the geometry; an empty sequence costs nothing.
     record : bool
         Keep `hits` and `directions` at every face.
     mesh : Mesh, int, TriangleSoup, path or None
-        For rung "mesh" only: the sheet's own, so many quads a cell side of it, triangles from anywhere, or a file of
-        them (STL, 3MF, PLY, OBJ, GLB). None: the sheet's own of 16 quads a cell side, as scenes have it.
+        For rung "mesh" only: the sheet's own mesh, its number of quads a cell side, triangles from any
+        source, or a file of them (STL, 3MF, PLY, OBJ, GLB). None: the sheet's own mesh of 16 quads a cell
+        side, as in scenes.
     normals : "facet" or "vertex"
-        Rung "mesh" only: the facets' own, or the exact ones at the vertices, interpolated.
+        Rung "mesh" only: normals of the facets, or the exact normals at the vertices, interpolated.
     threads : int or None
         None: the environment variable CLACAD_THREADS, else every core.
     path : "numpy", "numba", "size" or None
-        Which implementation; None takes what is done first here and now, compiled kernels wherever they are loaded
-        already; rung "mesh" is then always compiled. "size" goes by the number of rays alone: the same bits in every
-        process. Arrays that are turned and lenses at heights of their own are known to numpy alone, which traces their
-        exact surfaces whatever is asked; triangles that are not the sheet's own mesh, and those of cells that differ, to
-        the kernels alone.
+        Which implementation runs. None chooses the faster one at this moment, compiled kernels wherever they
+        are already loaded; rung "mesh" is then always compiled. "size" depends on the number of rays alone:
+        the same bits in every process.
+        Only numpy can trace rotated arrays and lenses at individual heights; it traces their exact surfaces
+        for any `path`. Only the kernels can trace triangles that are not the sheet's own mesh, and meshes of
+        non-uniform sheets.
     precision : "float64" or "float32"
         Rung "surfaces" without effects only: "float32" computes the straight path of the light in single
-        precision, for pictures; directions are then good to about a microradian. Always compiled.
+        precision, for pictures. Directions are then accurate to about a microradian. Always compiled.
     continuous : bool
-        Rung "law" only, of a sheet whose law varies: by the law at the very point met instead of that of the cell hit.
-        Their difference is what cells of a finite size cost.
+        Rung "law" only, for a sheet whose law varies: use the law at the very point met instead of the law of
+        the cell hit. The difference is the error due to the finite cell size.
 
     Returns
     -------
     TraceResult
-        Every ray in exactly one fate; only INVALID rows may hold NaN. The implementation changes no fate and no cell,
-        and directions by 1.4e-15 at most.
+        Every ray has exactly one fate; only INVALID rows may contain NaN. The implementation changes no fate
+        and no cell, and directions by at most 1.4e-15.
 
     Raises
     ------
     TypeError
-        A design in place of the window, or rays that are none; the message says what to call.
+        A design in place of the window, or an argument that is not rays; the message names the function to
+        call.
     ValueError
-        An unknown word, a precision or a mesh the rung does not have, a mesh of other bodies, a sheet that cannot be
-        meshed, or a wavelength outside a material's data.
+        An unknown word, a precision or a mesh that the rung does not have, a mesh of other bodies, a sheet
+        that cannot be meshed, or a wavelength outside a material's data.
     """
     return Tracer(window, rung, effects, mesh, normals, threads, path, precision, continuous)(rays, record)

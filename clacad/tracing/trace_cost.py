@@ -1,4 +1,6 @@
-"""What tracing a file of rays costs in processor seconds, by a model of one reference machine; see `clacad.base.machine_rates`."""
+"""Processor seconds of tracing a file of rays, by a model of one reference machine; see
+`clacad.base.machine_rates`.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +9,26 @@ from collections.abc import Sequence
 from clacad.tracing.which_path import IDEAL_FACES, worth_compiled
 
 FIXED = 0.03
-"""Archives opened, the result put together."""
+"""Seconds for opening archives and assembling the result."""
 
 COMPILED = 0.7
-"""Loading what compiles and the kernels that it kept."""
+"""Seconds for loading the compiler and the kernels it cached."""
 
 PER_RAY = {"law": 3.5e-7, "thin": 4.2e-7, "surfaces": 4.2e-7, "mesh": 5e-7}
-"""Reading, tracing and writing a ray."""
+"""Seconds for reading, tracing and writing a ray."""
 
 PLAIN = {"law": 1.7e-6, "thin": 2.0e-6, "surfaces": 2.6e-6, "mesh": 3.0e-6}
-"""The same where there are too few rays for compiled kernels."""
+"""Seconds for a ray where there are too few rays for compiled kernels."""
 
 PER_EFFECT = 2e-6
 PER_BYTE = 4e-7
-"""Of a file of triangles: read, sorted into a tree."""
+"""Seconds for each byte of a file of triangles: read, sorted into a tree."""
 
 
 def trace_seconds(
     rays: int, rung: str, effects: Sequence[str] = (), faces: int = 4, mesh_bytes: int = 0
 ) -> float:
-    """Processor seconds.
+    """Processor seconds of a trace.
 
     Parameters
     ----------
@@ -47,14 +49,16 @@ def trace_seconds(
 def task(
     rung: str, effects: Sequence[str] = (), rays: int = 0, faces: int = 4, from_file: bool = False
 ) -> str:
-    """Name under which such a trace is noted: what decides how long a ray takes."""
+    """Name under which such a trace is recorded: everything that affects the time of a ray."""
     plain = _in_numpy(rung, effects, rays, faces, from_file)
     parts = ["trace", rung, "numpy" if plain else "", "file" if from_file else "", *sorted(effects)]
     return " ".join(part for part in parts if part)
 
 
 def _in_numpy(rung: str, effects: Sequence[str], rays: int, faces: int, from_file: bool) -> bool:
-    """Whether the rays are too few for compiled kernels; ideal rungs have none under effects, and a file's facets nothing else."""
+    """Whether the rays are too few for compiled kernels; ideal rungs with effects have none, facets of a file
+    only those.
+    """
     if rung in ("law", "thin"):
         return bool(effects) or not worth_compiled(rays, IDEAL_FACES)
     return not (from_file or worth_compiled(rays, faces))

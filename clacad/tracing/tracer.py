@@ -1,8 +1,8 @@
-"""A window made ready for rays: what is laid out once for all the calls that trace through it.
+"""A window prepared for rays: data laid out once for all calls that trace through it.
 
-Which implementation runs changes no fate and no cell, and directions by 1.4e-15 at most. A call with `path` "numpy",
-"numba" or "size" gives the same bits wherever and whenever it runs; what the package writes is traced so.
-Without a `path`, `which_path` says when kernels are loaded.
+The implementation changes no fate and no cell, and directions by at most 1.4e-15. A call with `path` "numpy",
+"numba" or "size" gives the same bits in every process; files that the package writes are traced so. Without a
+`path`, `which_path` decides when kernels are loaded.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Tracer:
-    """One window and rung, laid out once, called with rays as often as wanted, from any thread.
+    """One window and rung, laid out once, called with rays as often as needed, from any thread.
 
     Parameters
     ----------
     window, rung, effects, mesh, normals, threads, path, precision, continuous
-        As of `clacad.trace`. A file of triangles is read here; what it becomes later is not seen.
+        As in `clacad.trace`. A file of triangles is read here; later changes of the file have no effect.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class Tracer:
 
     Notes
     -----
-    A tracer can be pickled and sent to other processes, what was laid out with it.
+    A tracer can be pickled, with its prepared data, and sent to other processes.
 
     >>> import clacad
     >>> window = clacad.prescribe(clacad.load("designs/paper-a-covered.toml"))
@@ -82,7 +82,7 @@ class Tracer:
     facets: Facets | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be traced, and lay out."""
+        """Reject what cannot be traced, and lay out."""
         need_window(self.window, "trace", ", rays")
         self._refuse_words()
         if self.precision == "float32" or (
@@ -96,7 +96,7 @@ class Tracer:
             lay_out(self.window)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the mesh: what was laid out of it is kept."""
+        """State without the mesh: the data laid out from it is kept."""
         return {**self.__dict__, "mesh": None}
 
     def __call__(self, rays: Rays | OneRay, record: bool = False) -> TraceResult:
@@ -105,7 +105,7 @@ class Tracer:
         if self.precision == "float32" and record:
             raise ValueError('precision "float32" keeps no record')
         if self.effects:
-            from clacad.effects import trace_with  # passes over the blocks of a trace without them
+            from clacad.effects import trace_with  # iterates over the blocks of a trace without effects
 
             mesh = self.facets if self.facets is not None else self.mesh
             result: TraceResult = trace_with(
@@ -135,13 +135,13 @@ class Tracer:
             return _by_numpy(layout, rays, self.rung, recorded, self.continuous)
 
     def sums(self, rays: Rays, law: Law | None = None) -> LightSums:
-        """Trace rays and add up what they do, keeping no rows: a fifth of the time where only sums are asked for.
+        """Trace rays and return sums without rows: a fifth of the time where only sums are needed.
 
         Parameters
         ----------
         rays : Rays
         law : Law or None
-            That angles are to; None: the one that the window was made for.
+            Law that angles are measured to; None: the law of the window's design.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class Tracer:
         return summed(piecewise, rays, law, True, thread_count(self.threads))
 
     def _chosen(self, rays: int) -> Path:
-        """The path of so many rays, whatever pieces they are traced in."""
+        """Path for a number of rays, regardless of the pieces they are traced in."""
         if self.facets is not None or self.precision == "float32":
             few = self._tiles_in_numpy(rays, 2 * len(self.window.bodies))
             return "numpy" if few else "numba"
@@ -176,13 +176,15 @@ class Tracer:
         return "numba" if compiled_suits(self.rung, self.path, rays, faces, lay_out(self.window)) else "numpy"
 
     def _tiles_in_numpy(self, rays: int, faces: int) -> bool:
-        """Whether numpy traces so many rays through a sheet's own mesh: as asked, or because they are few."""
+        """Whether numpy traces a number of rays through a sheet's own mesh: as requested, or because they are
+        few.
+        """
         if self.facets is None or not isinstance(self.facets.found_in, Tiles):
             return False
         return self.path == "numpy" or (self.path == "size" and not worth_compiled(rays, faces))
 
     def _refuse_words(self) -> None:
-        """Refuse words that are not known, and a mesh or its normals where no facets are traced."""
+        """Reject unknown words, and a mesh or its normals where no facets are traced."""
         known: dict[str, tuple[object, ...]] = {
             "rung": ("law", "thin", "surfaces", "mesh"), "path": ("numpy", "numba", "size", None),
             "precision": ("float64", "float32"), "normals": ("facet", "vertex"),
@@ -210,7 +212,7 @@ class Tracer:
 
 
 def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous: bool = False) -> TraceResult:
-    """Rungs law, thin and surfaces in numpy, hits kept at so many faces."""
+    """Rungs law, thin and surfaces in numpy, with hits kept at `recorded` faces."""
     ledger = Ledger.opened(rays, recorded)
     rows = ledger.launchable()
     if rung == "law":
@@ -224,7 +226,7 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
 
 
 def _through_facets(facets: Facets, rays: Rays, recorded: int, threads: int | None) -> TraceResult:
-    """Rung "mesh"; by Embree what goes straight through, where it shall search, the rest by the own trees."""
+    """Rung "mesh": straight paths by Embree where it is selected, the rest by the package's own trees."""
     layout, found_in = facets.layout, facets.found_in
     if not facets.embree or recorded or rays.wavelength is not None:
         return _compiled(layout, rays, recorded, threads, found_in)
@@ -239,13 +241,13 @@ def _through_facets(facets: Facets, rays: Rays, recorded: int, threads: int | No
 
 
 def _enter(result: TraceResult, rows: Rows, own: TraceResult) -> None:
-    """Write the rows (k,) of rays that were traced apart, with no effects."""
+    """Write the rows (k,) of rays that were traced separately, with no effects."""
     for name in ("position", "direction", "fate", "optical_path", "cell", "order", "surface"):
         getattr(result, name)[rows] = getattr(own, name)
 
 
 def _ideal(layout: Layout, rays: Rays, rung: Rung, threads: int | None) -> TraceResult:
-    """Rungs law and thin: the plain rays by the compiled kernels, the rest in numpy."""
+    """Rungs law and thin: plain rays by the compiled kernels, the rest in numpy."""
     from clacad.tracing.compiled.law_rung import trace_law_plain
     from clacad.tracing.compiled.thin import trace_thin_plain
     from clacad.tracing.compiled.threads import thread_count
@@ -254,7 +256,7 @@ def _ideal(layout: Layout, rays: Rays, rung: Rung, threads: int | None) -> Trace
     trace_plain = trace_law_plain if rung == "law" else trace_thin_plain
     rest, result = trace_plain(layout, rays, ledger, thread_count(threads)), ledger.closed()
     LOADED.add(rung)
-    if waves is not None:  # whatever the geometry says, what is no wavelength is INVALID
+    if waves is not None:  # a ray without a valid wavelength is INVALID regardless of the geometry
         rest = np.union1d(rest, np.flatnonzero(~(np.isfinite(waves) & (waves > 0.0))))
     if len(rest):
         own = Rays(rays.position[rest], rays.direction[rest], None if waves is None else waves[rest])
@@ -291,7 +293,7 @@ def _compiled(
 
 
 def common_line(rays: Rays) -> float | Literal[False] | None:
-    """Wavelength of all the rays, None for the design's; False if they differ or if some are no wavelengths."""
+    """Wavelength of all the rays, None for the design's; False if they differ or if some are invalid."""
     waves = rays.wavelength
     if waves is None:
         return None
@@ -301,13 +303,13 @@ def common_line(rays: Rays) -> float | Literal[False] | None:
 
 
 def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
-    """Rows (k,) of rays of one wavelength at a time, with the refractive index of each body there."""
+    """Rows (k,) of rays of one wavelength at a time, with the refractive index of each body at it."""
     bodies = layout.window.bodies
     if rays.wavelength is None:
         yield rows, tuple(body.index for body in bodies)
         return
     each = rays.wavelength[rows]
-    if len(each) and bool((each == each[0]).all()):  # pictures come line by line: nothing to sort
+    if len(each) and bool((each == each[0]).all()):  # pictures are traced line by line: nothing to sort
         yield rows, tuple(body.index_at(float(each[0])) for body in bodies)
         return
     waves, which = np.unique(each, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Which wall a ray stands at, and its normal: borders of cells, borders of optical zones, the outline."""
+"""Which wall a ray is at, and its normal: borders of cells, borders of optical zones, the outline."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ from clacad.sheet.plate_edges import nearest_edges
 from clacad.tracing.layout import BodyPlan, Layout
 
 NUDGE = 16 * 2.0**-52
-"""Share of a cell by which a ray is set beyond its wall, so that rounding does not leave it before it."""
+"""Share of a cell by which a ray is moved beyond its wall, so that rounding does not leave it before the
+wall.
+"""
 
 
 def wall_normals(
     layout: Layout, body: BodyPlan, direction: Floats, local: dict[int, Floats], xy: Floats
 ) -> Floats:
-    """Horizontal unit normals (m, 2) of the walls that rays stand at, on the side the rays go to.
+    """Horizontal unit normals (m, 2) of the walls that rays are at, on the side the rays go to.
 
     Parameters
     ----------
     direction : (m, 3)
     local : one (m, 2) array for each of the body's arrays
-        The points, seen from the cells they are in.
+        The points, relative to the cells they are in.
     xy : (m, 2)
         The same points in the sheet frame.
     """

@@ -1,9 +1,10 @@
 """Which implementation traces: numpy, or the compiled kernels of a rung.
 
-Without a `path` kernels are loaded once numpy has traced, in this process and on this rung, for as many seconds as loading
-takes, or compiling where none are kept; the seconds of a ray are those measured in this process. No sequence of calls then takes
-more than about twice what it would have, had one known how many calls there are (the rule of who rents skis until the rent has
-paid for a pair: Karlin, Manasse, Rudolph, Sleator, Algorithmica 3, 79 (1988)).
+Without a `path`, kernels are loaded once numpy has traced for as many seconds, in this process and on this
+rung, as loading takes, or compiling where none are cached. The time of a ray is that measured in this
+process. Any sequence of calls then takes at most about twice the time that advance knowledge of all calls
+would give. This is the ski rental rule: rent until the rent equals the price (Karlin, Manasse, Rudolph,
+Sleator, Algorithmica 3, 79 (1988)).
 """
 
 from __future__ import annotations
@@ -20,42 +21,43 @@ from clacad.tracing.layout import Layout
 Path = Literal["numpy", "numba", "size"]
 
 SMALL_JOB = 3_000_000
-"""Ray-surfaces up to which `path` "size" is numpy's."""
+"""Ray-surfaces up to which `path` "size" uses numpy."""
 
 LOADING = 0.8
-"""Seconds that loading kernels takes that are kept on disk."""
+"""Seconds to load kernels that are cached on disk."""
 
 COMPILING: Mapping[Rung, float] = {"law": 7.0, "thin": 8.0, "surfaces": 30.0}
-"""Seconds that compiling the kernels of a rung takes where none are kept."""
+"""Seconds to compile the kernels of a rung where none are cached."""
 
 IN_NUMPY: Mapping[Rung, float] = {"law": 2.2e-7, "thin": 5.5e-7, "surfaces": 7e-7}
 """Seconds of a ray-surface in numpy, until some were measured in this process."""
 
 LEAST_MEASURED = 4096
-"""Rays of a call from which on its seconds are those of its rays."""
+"""Rays of a call from which on its time is attributed to its rays."""
 
 IDEAL_FACES = 4
-"""Faces that a ray counts for on rungs law and thin, which have none: numpy takes about as long."""
+"""Number of faces assumed on rungs law and thin, which have none: numpy takes about as long."""
 
 LOADED: set[str] = set()
 """Kernels, see `kernels_of`, that have run in this process."""
 
 MEASURED: dict[str, float] = {}
-"""Seconds of a ray-surface in numpy as last measured in this process, by the kernels that were not loaded."""
+"""Seconds of a ray-surface in numpy as last measured in this process; keys are the kernels that were not loaded."""
 
 WAITED: dict[str, float] = {}
-"""Seconds that numpy takes for the rays of this process, by the kernels that were not loaded."""
+"""Seconds that numpy takes for the rays of this process; keys are the kernels that were not loaded."""
 
 
 def worth_compiled(rays: int, faces: int) -> bool:
-    """Whether so many rays through so many faces are traced by the compiled kernels where their number alone decides."""
+    """Whether compiled kernels trace these rays through these faces where the number alone decides."""
     return rays * faces > SMALL_JOB
 
 
 def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout: Layout) -> bool:
-    """Whether compiled code traces so many rays through so many faces: as asked, or where it is done first.
+    """Whether compiled code traces a number of rays through a number of faces: as requested, or where it is
+    faster.
 
-    Without a path the rays are counted among those that waited.
+    Without a path the rays are added to those that waited.
     """
     if not has_kernel(rung, layout.window):
         return False
@@ -70,7 +72,7 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
 
 @contextmanager
 def measuring(rung: Rung, layout: Layout, rays: int, faces: int) -> Iterator[None]:
-    """Measure what numpy takes for rays, in processor seconds: cells that differ take longer than equal ones."""
+    """Measure the processor seconds of numpy for rays: non-uniform sheets take longer than uniform ones."""
     began = thread_time()
     yield
     if rays >= LEAST_MEASURED:
@@ -78,12 +80,12 @@ def measuring(rung: Rung, layout: Layout, rays: int, faces: int) -> Iterator[Non
 
 
 def _rate(rung: Rung) -> Rung:
-    """Rung whose rates hold for a rung."""
+    """Rung whose rates apply to a rung."""
     return "surfaces" if rung == "mesh" else rung
 
 
 def has_kernel(rung: Rung, window: Window) -> bool:
-    """Whether compiled code knows a rung of a sheet: rung law needs one law, rung thin equal cells without a field lens."""
+    """Whether a rung of a sheet has kernels: rung law needs one law, rung thin a uniform sheet without a field lens."""
     if rung == "law":
         return window.cell_laws is None
     if rung == "thin":
@@ -92,12 +94,12 @@ def has_kernel(rung: Rung, window: Window) -> bool:
 
 
 def kernels_of(rung: Rung, layout: Layout) -> str:
-    """What the kernels that trace a rung are called here: sheets whose cells differ have their own."""
+    """Name of the kernels that trace a rung: non-uniform sheets have their own, except on rung law."""
     return rung if layout.window.uniform or rung == "law" else f"{rung} of cells that differ"
 
 
 def _worth(rung: Rung, layout: Layout) -> float:
-    """Seconds until a rung's kernels are there."""
+    """Seconds until a rung's kernels are available."""
     from clacad.tracing.compiled.kept_kernels import rung_is_kept
 
     return LOADING if rung_is_kept(rung, layout) else COMPILING[_rate(rung)]

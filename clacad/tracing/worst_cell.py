@@ -1,8 +1,8 @@
-"""Which cell of a sheet a whole sheet is judged by, and light through that cell of it.
+"""The cell by which a whole sheet is judged, and light through that cell.
 
-Where cells are alike it is the middle one. Else it is that whose light leaves farthest from the law, of those whose lenses stand
-farthest out and of a sample over the sheet. Bundles are made for the sheet of equal cells like it, and sent through the whole
-sheet, neighbours and all.
+For a uniform sheet it is the middle cell. Else it is the cell whose light leaves farthest from the law, among
+those whose lenses have the largest offsets and a sample over the sheet. Bundles are made for its uniform
+equivalent, and sent through the whole sheet, neighbours included.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TRIED_RAYS = 256
 """Rays through each cell from which the worst is chosen."""
 
 FEWEST_TRIED = 8
-"""Of them that must get through for a cell to be judged by where they go."""
+"""Of these, rays that must get through for a cell to be judged by their directions."""
 
 MOST_SCREENED = 2000
 """Cells of a sheet up to which all are screened: a millisecond each."""
@@ -34,7 +34,7 @@ SCREENING_RAYS = 32
 """Rays through each cell that is screened."""
 
 WORST = 8
-"""Cells with the largest error of those screened that are added to the sample."""
+"""Cells with the largest screened error that are added to the sample."""
 
 _SCREENED: WeakKeyDictionary[Window, dict[float, Ints]] = WeakKeyDictionary()
 """Worst cells of windows, by the field."""
@@ -42,17 +42,17 @@ _SCREENED: WeakKeyDictionary[Window, dict[float, Ints]] = WeakKeyDictionary()
 
 @dataclass(frozen=True, eq=False)
 class SeenCell:
-    """One cell of a sheet: bundles are made for the sheet of equal cells like it, and sent through the sheet itself.
+    """One cell of a sheet: bundles are made for its uniform equivalent, and sent through the sheet itself.
 
     Attributes
     ----------
     window : Window
         The sheet.
     like : Window
-        Of equal cells; the sheet itself where its cells are alike.
+        Uniform equivalent of the cell; the sheet itself where it is uniform.
     cell : (2,) ints
     tried : int
-        Cells of which this is the worst; 0 where all are alike.
+        Cells of which this is the worst; 0 for a uniform sheet.
     """
 
     window: Window
@@ -62,7 +62,9 @@ class SeenCell:
 
     @property
     def buildable(self) -> Window:
-        """`like` without a cut outline, with room for partners that stand aside: what meshes and solids are made of."""
+        """`like` without a cut outline, with room for displaced partners: the window that meshes and solids
+        are made of.
+        """
         return self.like if self.like is self.window else self.like.with_cells(self.like.lattice.count)
 
     def send(self, lit: Bundle) -> TraceResult:
@@ -70,27 +72,29 @@ class SeenCell:
         return trace(self.window, self.placed(lit).rays, path="size")
 
     def placed(self, lit: Bundle) -> Bundle:
-        """A bundle that was made for `like`, before this cell of the sheet."""
+        """Move a bundle that was made for `like` in front of this cell of the sheet."""
         if self.like is self.window:
             return lit
         cell = (int(self.cell[0]), int(self.cell[1]))
         return replace(lit, cell=cell, rays=Rays(self.moved(lit), lit.rays.direction))
 
     def moved(self, lit: Bundle) -> Floats:
-        """Starts (n, 3) of a bundle that was made for `like`, before this cell of the sheet."""
+        """Starts (n, 3) of a bundle that was made for `like`, moved in front of this cell of the sheet."""
         apart = self.window.centres(0, self.cell) - self.like.centres(0, np.array(lit.cell))
         return np.asarray(lit.rays.position + [*apart, 0.0])
 
 
 def worst_cell(window: Window, field: float) -> SeenCell:
-    """The cell whose light of a cone (half angle `field`, radians) leaves farthest from the law, of those tried."""
+    """The tried cell whose light of a cone (half angle `field`, radians) leaves farthest from the law."""
     return worst_of(tried_cells(window, field), field)
 
 
 def tried_cells(window: Window, field: float) -> list[SeenCell]:
-    """Cells that a sheet is judged by: the one of a uniform sheet; else a sample, and the outermost and the worst cells.
+    """Cells that a sheet is judged by: the one of a uniform sheet; else a sample, the outermost and the worst
+    cells.
 
-    Up to `MOST_SCREENED` cells all are screened by few rays, and those with the largest rms direction error are added.
+    Up to `MOST_SCREENED` cells all are screened by few rays. Those with the largest rms direction error are
+    added.
     """
     if window.uniform:
         return [SeenCell(window, window, np.array(central_cell(window)))]
@@ -105,7 +109,9 @@ def _as_seen(window: Window, cells: Ints) -> list[SeenCell]:
 
 
 def _screened(window: Window, field: float) -> Ints:
-    """The cells (WORST, 2) of all through which few rays leave farthest from the law, or get lost; kept with the window."""
+    """The cells (WORST, 2) through which few rays leave farthest from the law, or get lost; kept with the
+    window.
+    """
     kept = _SCREENED.setdefault(window, {})
     if field not in kept:
         every = _as_seen(window, window.lattice.cells())
@@ -115,14 +121,16 @@ def _screened(window: Window, field: float) -> Ints:
 
 
 def worst_of(tried: list[SeenCell], field: float) -> SeenCell:
-    """That through which next to no light gets, else whose light leaves farthest (rms) from the law."""
+    """The cell through which almost no light gets, else whose light leaves farthest (rms) from the law."""
     if len(tried) == 1:
         return tried[0]
     return tried[int(np.argmax(_rms_errors(tried, field, TRIED_RAYS)))]
 
 
 def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
-    """Rms angle (n,) of the light of each cell to the law, by `count` rays; infinite where next to no light gets through."""
+    """Rms angle (n,) of the light of each cell to the law, by `count` rays; infinite where almost no light
+    gets through.
+    """
     rays, alive, direction = through_all(tried, field, count)
     each = rays.direction.reshape(len(tried), -1, 3)
     asked = np.concatenate([one.like.law.refract(some) for one, some in zip(tried, each, strict=True)])
@@ -133,7 +141,9 @@ def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
 
 
 def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, Bools, Floats]:
-    """`count` rays through every cell of a sheet that is tried, as many through each; which are ALIVE, and where they go."""
+    """Trace `count` rays through every tried cell of a sheet; return them, which are ALIVE, and where they
+    go.
+    """
     starts, rays, points = [], [], []
     for one in tried:
         lit = bundle(one.like, count, field)

@@ -1,4 +1,4 @@
-"""How far a part may be off, in millimetres and as a drawing says it: from the [tolerances] of its design."""
+"""Allowed deviations of a part, in millimetres, as drawings state them: from the [tolerances] of its design."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Allowances:
-    """Each ± half; 0 where the design says nothing.
+    """Half widths of the ± tolerances; 0 where the design states none.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Allowances:
     rotation, tilt : float, radians
         Of array 2 against array 1, about the normal and about x and y.
     roughness : float, mm
-        Greatest rms height of the lens faces.
+        Largest rms height of the lens faces.
     """
 
     thickness: tuple[float, float] = (0.0, 0.0)
@@ -45,11 +45,13 @@ class Allowances:
 
 
 NO_ALLOWANCES = Allowances()
-"""Of a design that states none."""
+"""Allowances of a design that states none."""
 
 
 def allowances(design: Design) -> Allowances:
-    """What a design allows; its lens faces may be as rough as [tolerances] or [body] say, the larger of the two."""
+    """Tolerances of a design; the roughness of its lens faces is that of [tolerances] or [body], the larger
+    of the two.
+    """
     spec, mm = design.tolerances, millimetres(design.unit_m)
     return Allowances(
         (spec.thickness[0] * mm, spec.thickness[1] * mm), spec.separation * mm, spec.radius,

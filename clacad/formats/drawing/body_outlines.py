@@ -1,4 +1,4 @@
-"""Outlines of the bodies in a plane y = const, from the very faces that are traced and written."""
+"""Outlines of the bodies in a plane y = const, from the same faces that are traced and written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A little drawing board for dimensioned drawings: shapes, dimension lines with numbers, leaders; kept, and given as SVG."""
+"""A drawing board for dimensioned drawings: shapes, dimension lines with numbers, leaders; recorded, and
+returned as SVG.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ STYLE = (
 
 @dataclass(frozen=True, eq=False)
 class LineMark:
-    """A line through points (k, 2), px, or the closed outline that they are."""
+    """A line through points (k, 2), px, or the closed outline that they form."""
 
     points: Floats
     kind: str
@@ -44,7 +46,7 @@ class CircleMark:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Text at a place, px; `anchor` is start, middle or end; `room`: width, px, of the ground that it is laid on, or 0."""
+    """Text at a position, px; `anchor` is start, middle or end; `room`: width, px, of its background, or 0."""
 
     at: Point
     words: str
@@ -55,7 +57,7 @@ class Words:
 
 @dataclass(frozen=True, slots=True)
 class ScaleNote:
-    """The place where a view says its scale, which the paper decides."""
+    """Position at which a view prints its scale, which depends on the paper."""
 
     at: Point
     anchor: str = "end"
@@ -63,7 +65,7 @@ class ScaleNote:
 
 @dataclass(frozen=True, eq=False)
 class DimensionMark:
-    """A dimension: the two points it is taken between, a point of its line, its words, and what it is drawn with."""
+    """A dimension: its two end points, a point of its line, its words, and the marks it is drawn with."""
 
     ends: tuple[Point, Point]
     base: Point
@@ -76,7 +78,7 @@ Mark = LineMark | CircleMark | Words | ScaleNote | DimensionMark
 
 
 class Canvas:
-    """Drawing board in pixels, y downwards; it keeps what is drawn, for a page or for paper.
+    """Drawing board in pixels, y downwards; it records what is drawn, for a page or for paper.
 
     scale : float or None
         Pixels a millimetre of the part, where the view is to scale.
@@ -103,7 +105,7 @@ class Canvas:
         self.marks.append(Words(at, words, anchor, kind))
 
     def scale_note(self, at: Point, anchor: str = "end") -> None:
-        """Say the scale here."""
+        """Print the scale here."""
         self.marks.append(ScaleNote(at, anchor))
 
     def across(self, x0: float, x1: float, y: float, words: str, start: tuple[float, float]) -> None:
@@ -148,7 +150,7 @@ class Canvas:
             )
 
     def datum(self, tip: Point, way: Point, letter: str) -> None:
-        """A boxed letter that stands `way` off the edge it names."""
+        """A boxed letter at the offset `way` from the edge it names."""
         middle = (tip[0] + way[0], tip[1] + way[1])
         half = 6.0
         near = tuple(np.asarray(middle) - half * np.sign(way))
@@ -159,11 +161,11 @@ class Canvas:
         self.text((middle[0], middle[1] + 4.0), letter)
 
     def body(self, zoom: float = 1.0) -> str:
-        """The marks as SVG; `zoom`: what is drawn at 96 px an inch is enlarged so much."""
+        """The marks as SVG; `zoom`: enlargement of what is drawn at 96 px an inch."""
         return "\n".join(_svg(mark, self.scale, zoom) for mark in self.marks)
 
     def svg(self) -> str:
-        """The drawing as one element that says what it shows."""
+        """The drawing as one SVG element with a label of its content."""
         rules = "".join(f".drawing {rule}}}" for rule in STYLE.split("}") if rule)
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" class="drawing" viewBox="0 0 {self.width:.0f} {self.height:.0f}" '
@@ -234,7 +236,7 @@ def _svg(mark: Mark, scale: float | None, zoom: float) -> str:
 
 
 def said_scale(note: ScaleNote, scale: float | None, zoom: float) -> Words:
-    """The words of a scale note on a page that is enlarged by `zoom`."""
+    """Text of a scale note on a page that is enlarged by `zoom`."""
     words = "not to scale" if scale is None else f"{scale_text(scale * zoom)}, mm"
     return Words(note.at, words, note.anchor, "note")
 

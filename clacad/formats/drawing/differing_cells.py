@@ -1,6 +1,7 @@
-"""What a drawing says of a sheet whose cells differ: by which key, and how three of its cells look, the worst among them.
+"""Notes of a drawing on a non-uniform sheet: the key that makes it non-uniform, and three of its cells, the
+worst included.
 
-The views show the cell in the middle; every cell stands in the STEP file and in the table of faces.
+The views show the cell in the middle; the STEP file and the table of faces contain every cell.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def differing_key(design: Design) -> str:
-    """The key of a design by which its cells differ; "" where they are alike."""
+    """The key of a design that makes its sheet non-uniform; "" for a uniform sheet."""
     asked = {
         "lattice.aperture.point": isinstance(design.lattice.aperture, AimedAt),
         "law.varying": design.law_spec.varying is not None,
@@ -36,7 +37,9 @@ def differing_key(design: Design) -> str:
 
 
 def differing_notes(design: Design, window: Window) -> tuple[str, ...]:
-    """That cells differ, by which key, and where all of them stand; nothing of equal cells."""
+    """Notes that the sheet is non-uniform, by which key, and where all cells are listed; empty for a uniform
+    sheet.
+    """
     if window.uniform:
         return ()
     return (
@@ -47,7 +50,7 @@ def differing_notes(design: Design, window: Window) -> tuple[str, ...]:
 
 
 def cells_table(window: Window) -> Canvas:
-    """The first, the middle and the worst cell: where they and their lenses stand, how high their steps are; mm."""
+    """The first, the middle and the worst cell: positions of cells and lenses, heights of steps; mm."""
     mm = millimetres(window.unit)
     faces = _one_face_an_array(window)
     cells = {
@@ -80,8 +83,9 @@ def cells_table(window: Window) -> Canvas:
 
 
 def worst_cell(window: Window) -> Ints:
-    """The kept cell (2,) whose lens stands farthest from the middle of its cell; where all stand alike, whose partner
-    is displaced the most.
+    """The kept cell (2,) whose lens lies farthest from the middle of its cell.
+
+    Where all lenses are aligned, it is the cell whose partner is displaced the most.
     """
     cells = window.lattice.cells()
     moved = [face for face in window.faces if face.change is not None]

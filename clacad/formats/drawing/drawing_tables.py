@@ -1,4 +1,4 @@
-"""What stands beside the views on a drawing: faces, sags, errors and what they cost, notes, the title block."""
+"""Tables of a drawing: faces, sags, errors and their effects, notes, the title block."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ COSTS = {"image_shift": "image shift", "blur": "blur", "law_rms": "law rms"}
 
 
 def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Canvas:
-    """Rows of words under a title, each column as wide as its widest word at least."""
+    """Rows of words under a title, each column at least as wide as its widest word."""
     lines = [list(head), *(list(row) for row in rows)]
     widths = [14.0 + CHARACTER * max(len(line[k]) for line in lines) for k in range(len(head))]
     wanted = 1.1 * CHARACTER * len(title)  # the title is bold
@@ -60,7 +60,7 @@ def _radius(value: float, mm: float, half: float) -> str:
 
 
 def faces_table(window: Window, allowed: Allowances) -> Canvas:
-    """Every face: radii and conic constants along its own axes, where its apex stands in its cell, how it is turned."""
+    """Every face: radii and conic constants along its own axes, position of its apex in its cell, rotation."""
     mm = millimetres(window.unit)
     head = [
         "face",
@@ -96,7 +96,7 @@ HEADS = {
     "a6": "x^6, x^4 y^2, x^2 y^4, y^6",
     "a8": "x^8, x^6 y^2, x^4 y^4, x^2 y^6, y^8",
 }
-"""Heads of the columns of even terms, in the letters that pens have."""
+"""Heads of the columns of even terms, in characters that the drawing fonts have."""
 
 
 def _orders(window: Window) -> list[str]:
@@ -106,14 +106,16 @@ def _orders(window: Window) -> list[str]:
 
 
 def _terms(face: Face, order: str, mm: float) -> str:
-    """Coefficients of one order, towards +z as the radii are."""
+    """Coefficients of one order, positive towards +z like the radii."""
     if not isinstance(face.surface, EvenPolynomial):
         return "-"
     return ", ".join(f"{face.side * a / mm ** POWER[order] + 0.0:.6g}" for a in getattr(face.surface, order))
 
 
 def sag_table(window: Window) -> Canvas:
-    """Heights of each lens over its apex along its own axes x and y, out to the corner of the cell that uses it farthest."""
+    """Heights of each lens over its apex along its own axes x and y, to the farthest corner of a cell from
+    any apex.
+    """
     mm = millimetres(window.unit)
     curved = structured_faces(window)
     reach = _reach(window)
@@ -129,7 +131,9 @@ def sag_table(window: Window) -> Canvas:
 
 
 def _reach(window: Window) -> float:
-    """How far from its apex a lens may be used (length): the corner distance of a cell, and how far off lenses stand."""
+    """Largest distance from its apex at which a lens is used (length): corner distance of a cell plus the
+    lens offset.
+    """
     moved = [
         np.hypot(*window.vertices(face, extreme_cells(face.change, window.lattice))[:, :2].T).max()
         for face in window.faces
@@ -140,7 +144,7 @@ def _reach(window: Window) -> float:
 
 
 def _conic(value: float) -> str:
-    """A conic constant; what rounding left of a sphere is 0."""
+    """A conic constant; rounding errors of a sphere's are 0."""
     return "0" if abs(value) < LEAST_CONIC else f"{value:.5g}"
 
 
@@ -151,14 +155,18 @@ def _sag(face: Face, at: float, axis: int, mm: float) -> str:
 
 
 LEAST_CONIC = 1e-12
-"""Conic constants below are rounding errors: they move no lens that fits a sheet by a millionth of a wavelength."""
+"""Conic constants below are rounding errors: they change no lens that fits a sheet by a millionth of a
+wavelength.
+"""
 
 MOST_EDGES = 32
 """Edges of a plate that a table lists; a longer boundary is drawn to scale alone."""
 
 
 def plate_tables(design: Design, window: Window) -> list[Canvas]:
-    """Holes of a plate, and the corners of its boundary, about the middle of the cells (mm); none of a plain outline."""
+    """Holes of a plate, and the corners of its boundary, about the middle of the cells (mm); none of a plain
+    outline.
+    """
     plate = window.outline
     if not isinstance(plate, Plate):
         return []
@@ -193,14 +201,14 @@ def plate_tables(design: Design, window: Window) -> list[Canvas]:
 
 
 def _coordinate(value: float, plate: Plate, mm: float) -> str:
-    """Where something lies on a plate; what rounding left of 0 (cos 90°) is 0."""
+    """Coordinate on a plate; rounding errors of 0 (cos 90°) are 0."""
     return mm_text(0.0 if abs(value) < 1e-12 * max(plate.reach) else value * mm)
 
 
 def errors_table(
     design: Design, window: Window, allowed: Allowances, study: Mapping[str, Any] | None
 ) -> Canvas:
-    """What may go wrong by how much, and what each costs as far as a tolerance study has told."""
+    """Possible errors with their sizes, and the effect of each where a tolerance study computed it."""
     if study is not None:
         return _studied(design, study)
     two = len(window.bodies) > 1
@@ -223,7 +231,7 @@ def errors_table(
 
 
 def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
-    """Parameters of a study with what each changes over its tolerance, the dearest for the law first."""
+    """Parameters of a study with the change over the tolerance of each, the largest effect on the law first."""
     changes = {
         measure: {row["parameter"]: row["change"] for row in study["ranking"].get(measure, ())}
         for measure in COSTS
@@ -245,7 +253,7 @@ def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """What a title block says beside the part's own numbers.
+    """Text of a title block in addition to the part's own numbers.
 
     number : str
         Of the drawing.
@@ -302,7 +310,7 @@ def _material(material: Any, index: float) -> str:
 def notes(
     window: Window, allowed: Allowances, slope_rms: float, width: float, more: Sequence[str] = ()
 ) -> Canvas:
-    """Datums, finish, tolerances, how the part is held, what more there is to say; lines broken at `width` px."""
+    """Datums, finish, tolerances, how the part is held, and further notes; lines broken at `width` px."""
     mm = millimetres(window.unit)
     rough = (
         f"Rq at most {1e6 * allowed.roughness:.3g} nm"

@@ -1,7 +1,8 @@
-"""A drawing as DXF (R2010), by ezdxf: sheets side by side in model space, mm of paper; dimensions are dimensions.
+"""A drawing as DXF (R2010), by ezdxf: sheets next to each other in model space, mm of paper, with true
+dimensions.
 
-A DIMENSION measures its own two points; its factor (DIMLFAC) turns paper into part, so that a CAD program reads true sizes
-off any view. Needs the extra `dxf`.
+A DIMENSION measures its own two points. Its factor (DIMLFAC) converts paper to part, so that a CAD program
+reads true sizes in any view. Needs the extra `dxf`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from clacad.formats.drawing.sheet_layout import MARGIN, PlacedBlock, Sheet
 from clacad.storage.errors import FileDisagrees, NotPossible, UnreadableFile
 
 GAP = 20.0
-"""Between two sheets, mm."""
+"""Gap between two sheets, mm."""
 
 LAYERS = {
     "OUTLINE": (5, 35), "DIMENSIONS": (7, 18), "TEXT": (7, 18), "AXES": (8, 18), "LIGHT": (30, 18), "FRAME": (7, 50),
@@ -47,7 +48,7 @@ DIGITS = 1e-4
 
 
 def require_drawing() -> None:
-    """Say which extras are missing.
+    """Raise an error that names the missing extras.
 
     Raises
     ------
@@ -62,7 +63,7 @@ def require_drawing() -> None:
 
 
 def write_drawing_dxf(made: Sequence[Sheet], path: Path) -> int:
-    """Write all sheets; the number of dimensions. The same sheets give the same bytes.
+    """Write all sheets; return the number of dimensions. Equal sheets give equal bytes.
 
     Raises
     ------
@@ -72,7 +73,7 @@ def write_drawing_dxf(made: Sequence[Sheet], path: Path) -> int:
     from ezdxf import units
 
     fixed = ezdxf.options.write_fixed_meta_data_for_testing
-    ezdxf.options.write_fixed_meta_data_for_testing = True  # no clock and no chance in the header
+    ezdxf.options.write_fixed_meta_data_for_testing = True  # no clock and no random numbers in the header
     try:
         document = ezdxf.new("R2010")
         document.units = units.MM
@@ -160,7 +161,9 @@ class _Pen:
         text.set_placement(self._at(words.at), align=where[words.anchor])
 
     def _measure(self, mark: DimensionMark, scale: float | None) -> None:
-        """A DIMENSION whose picture is what the board shows: ezdxf's own would measure words by fonts of this machine."""
+        """A DIMENSION whose picture is that of the board: ezdxf's own would measure words by fonts of this
+        machine.
+        """
         assert scale is not None, "a dimension stands on a view to scale"
         factor = 1.0 / (scale * self._unit)
         dimension = self.space.add_linear_dim(
@@ -181,7 +184,7 @@ class _Pen:
 
 
 def dimensions_in(path: Path) -> Iterator[tuple[str, float]]:
-    """Words of each dimension of a drawing, and the length (mm of the part) between the points it is taken at.
+    """Words of each dimension of a drawing, and the length (mm of the part) between its two points.
 
     Raises
     ------
@@ -202,7 +205,7 @@ def dimensions_in(path: Path) -> Iterator[tuple[str, float]]:
 
 
 def check_drawing_dxf(path: Path, written: int) -> None:
-    """Read a drawing back: every dimension is there, and says what lies between its points.
+    """Read a drawing back: every dimension exists, and its words agree with the distance of its points.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How the part must be held, told from its geometry alone: light, lenses, outline and holes."""
+"""How the part must be held, derived from its geometry alone: light, lenses, outline and holes."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from clacad.sheet.plate import Plate
 from clacad.sheet.window import Face, Window
 
 SAME = 1e-9
-"""Part of the larger within which two lengths are one."""
+"""Relative difference within which two lengths are equal."""
 
 HALF: tuple[Floats, ...] = (np.diag([-1.0, -1.0]),)
 QUARTER: tuple[Floats, ...] = (np.array([[0.0, -1.0], [1.0, 0.0]]),)
 OVER: tuple[Floats, ...] = (np.diag([1.0, -1.0]), np.diag([-1.0, 1.0]))
-"""Ways to turn a plate, of which any will do."""
+"""Ways to rotate a plate in its plane by a half or a quarter turn, and to turn it over; any one suffices."""
 
 
 def orientation(window: Window) -> list[str]:
-    """How the part must be held: sentences, told from the geometry alone."""
+    """Sentences on how the part must be held, derived from the geometry alone."""
     first, last = window.bodies[0].name, window.bodies[-1].name
     found = [
         "The light of the checks travels towards +z and meets lens 1 first"
@@ -77,7 +77,7 @@ def _both_sides_alike(window: Window, faces: list[Face], reach: float) -> bool:
 
 
 def _heights(face: Face, reach: float) -> Floats:
-    """How a face bulges over a quarter of its cell (8, 8), length; all surfaces are even in x and in y."""
+    """Heights of a face over a quarter of its cell (8, 8), length; all surfaces are even in x and in y."""
     x = reach * np.arange(1, 9) / 8.0
     return face.surface.side * sag(face.surface, x[:, None], x[None, :])
 
@@ -88,7 +88,9 @@ def _same(one: Floats, other: Floats) -> bool:
 
 
 def _fits(window: Window, ways: tuple[Floats, ...]) -> bool:
-    """Whether a plate turned in one of these ways lies on itself; what is no plate has nothing that points."""
+    """Whether a plate rotated in one of these ways coincides with itself; outlines that are no plate always
+    do.
+    """
     plate = window.outline
     return not isinstance(plate, Plate) or any(
         np.array_equal(_marks(plate, np.eye(2)), _marks(plate, way)) for way in ways
@@ -96,7 +98,7 @@ def _fits(window: Window, ways: tuple[Floats, ...]) -> bool:
 
 
 def _marks(plate: Plate, way: Floats) -> Floats:
-    """Ends, centre and radius of every edge of a turned plate, in an order of their own, in steps of rounding."""
+    """Ends, centre and radius of every edge of a rotated plate, sorted, in steps of the rounding error."""
     step = 1e-6 * max(plate.reach)
     ends = [np.rint(plate.edges[:, pair] @ way.T / step) for pair in ([X0, Y0], [X1, Y1], [CX, CY])]
     later = (ends[0][:, 0] > ends[1][:, 0]) | (

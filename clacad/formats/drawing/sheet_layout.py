@@ -1,4 +1,4 @@
-"""Views and tables on sheets of paper: what stands where, how much it is enlarged, and on how many sheets."""
+"""Layout of views and tables on sheets of paper: positions, enlargement, number of sheets."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 PAPERS: Mapping[str, tuple[float, float]] = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "a2": (594.0, 420.0)}
-"""Width and height of a sheet on its side, mm (ISO 216)."""
+"""Width and height of a sheet in landscape, mm (ISO 216)."""
 
 MARGIN = 10.0
-"""From the edge of the paper to the frame, mm."""
+"""Distance from the edge of the paper to the frame, mm."""
 
 ROOM = 3.0
-"""Between the frame or a neighbour and what stands on the sheet, mm."""
+"""Distance from the frame or a neighbour to the content of the sheet, mm."""
 
 PIXEL = 25.4 / 96.0
 """Millimetres a pixel of the drawing boards, enlarged by 1."""
@@ -42,7 +42,7 @@ class PlacedBlock:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """One sheet of paper, mm: its size, what stands on it, how much that is enlarged."""
+    """One sheet of paper, mm: its size, its content, and the enlargement of that."""
 
     paper: tuple[float, float]
     zoom: float
@@ -50,7 +50,7 @@ class Sheet:
 
     @property
     def unit(self) -> float:
-        """Millimetres on paper a pixel of its boards."""
+        """Millimetres on paper for each pixel of its boards."""
         return PIXEL * self.zoom
 
 
@@ -67,7 +67,7 @@ def sheets(design: Design, window: Window, facts: Feasibility, paper: str, study
         Of that window.
     paper : "a4", "a3" or "a2"
     study : mapping or None
-        What `tolerances.json` of a study of this design says.
+        Content of `tolerances.json` of a study of this design.
     """
     from clacad import __version__
 
@@ -85,7 +85,9 @@ def sheets(design: Design, window: Window, facts: Feasibility, paper: str, study
     heading = drawing_tables.Heading(design.sha256[:12], __version__, paper)
     title = drawing_tables.title_block(window, heading, 9, 9)
     tried = [(zoom, _packed(boards, title, PAPERS[paper], zoom)) for zoom in ZOOMS]
-    zoom, pages = min(tried, key=lambda one: len(one[1]))  # the fewest sheets, and of those the largest
+    zoom, pages = min(
+        tried, key=lambda one: len(one[1])
+    )  # the fewest sheets, and of those the largest enlargement
     made = []
     for number, page in enumerate(pages, 1):
         block = drawing_tables.title_block(window, heading, number, len(pages))

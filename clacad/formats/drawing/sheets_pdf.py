@@ -26,7 +26,7 @@ def sheet_svg(sheet: Sheet) -> str:
 
 
 def write_drawing_pdf(made: Sequence[Sheet], path: Path) -> None:
-    """Write all sheets, a page each; the same sheets give the same bytes."""
+    """Write all sheets, a page each; equal sheets give equal bytes."""
     import typst
 
     with scratch_folder() as place:
@@ -45,7 +45,7 @@ def write_drawing_pdf(made: Sequence[Sheet], path: Path) -> None:
 
 
 def check_drawing_pdf(path: Path, pages: int) -> None:
-    """Refuse what is no whole PDF of so many pages.
+    """Reject a file that is not a whole PDF with this number of pages.
 
     Raises
     ------

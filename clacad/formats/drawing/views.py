@@ -1,7 +1,8 @@
 """Dimensioned drawings, true to scale, of the assembly, of one telescopelet and of its lenses.
 
-Outlines come from the faces that are traced and written; every number beside a dimension line is measured on them
-or is one of the derived numbers. Lengths are in millimetres; ± stands where the design's [tolerances] say how much.
+Outlines come from the faces that are traced and written. Every number at a dimension line is measured on them
+or is one of the derived numbers. Lengths are in millimetres; ± is printed where the design's [tolerances]
+specify it.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ MOST_CELLS = 240
 
 @dataclass(frozen=True, eq=False)
 class DrawnLight:
-    """What of the light is drawn through a telescopelet.
+    """Light that is drawn through a telescopelet.
 
     Parameters
     ----------
@@ -51,12 +52,14 @@ class DrawnLight:
 
 
 def mm_text(value: float, half: float = 0.0) -> str:
-    """A length in millimetres as a drawing shows it, with what it may be off."""
+    """A length in millimetres as a drawing prints it, with its tolerance."""
     return f"{value:.5g} ±{half:.2g}" if half > 0.0 else f"{value:.5g}"
 
 
 def assembly(window: Window) -> Canvas:
-    """The whole sheet from the side, cut through a row of cells, with its outer sizes and those of its bodies."""
+    """The whole sheet from the side, cut through a row of cells, with its outer sizes and those of its
+    bodies.
+    """
     mm = millimetres(window.unit)
     x0, x1, _, _ = whole_extent(window)
     low, high = window.z_range
@@ -93,7 +96,7 @@ def assembly(window: Window) -> Canvas:
 
 
 def row_text(window: Window) -> str:
-    """Which cells the section goes through, as its title says it: those of the row that is drawn, not of the lattice."""
+    """Title of the section with its cells: those of the row that is drawn, not of the lattice."""
     n1, n2 = window.lattice.count
     row = window.lattice.row(central_cell(window)[1])
     cells = f"{len(row)} cells of {mm_text(window.lattice.pitch[0] * millimetres(window.unit))}"
@@ -125,7 +128,7 @@ def _draw_body(canvas: Canvas, window: Window, body: Body, y: float, at: Callabl
 
 
 def plan(window: Window) -> Canvas:
-    """The sheet seen along the light, with its axes: which way round it goes."""
+    """The sheet seen along the light, with its axes, which show its orientation."""
     mm = millimetres(window.unit)
     x0, x1, y0, y1 = whole_extent(window)
     scale = 190.0 / (max(x1 - x0, y1 - y0) * mm)
@@ -133,7 +136,7 @@ def plan(window: Window) -> Canvas:
     across, upright = _inner_distances(window)
     drop = (
         STEP_DOWN if isinstance(window.outline, Plate) else 0.0
-    )  # the datum of a round side stands over the words
+    )  # the datum of a round side is above the words
     canvas = Canvas(
         380.0 + STEP_OUT * len(upright),
         tall + 92.0 + drop + STEP_DOWN * len(across),
@@ -201,16 +204,19 @@ def _inner_dimensions(
 
 
 STEP_DOWN, STEP_OUT = 20.0, 44.0
-"""Between dimensions one beyond another, px."""
+"""Distance of successive dimension lines, px."""
 
 MOST_PLACES = 4
-"""Different distances of holes along an axis that a view dimensions; the table of holes has all."""
+"""Largest number of distinct hole distances along an axis that a view dimensions; the table of holes has all.
+"""
 
 Distance = tuple[float, float, str]
 
 
 def _inner_distances(window: Window) -> tuple[list[Distance], list[Distance]]:
-    """Stretches (low, high, words) along x and along y, lengths, to be dimensioned: clear aperture, places of holes."""
+    """Stretches (low, high, words) along x and along y, lengths, to be dimensioned: clear aperture, positions
+    of holes.
+    """
     clear: list[Distance] = []
     if isinstance(window.lattice.outline, Circle) and window.outline != window.lattice.outline:
         half = 0.5 * window.lattice.outline.diameter
@@ -228,12 +234,14 @@ def _inner_distances(window: Window) -> tuple[list[Distance], list[Distance]]:
 
 
 def _extreme_places(plate: Plate) -> tuple[float, float]:
-    """X of the lowest and y of the leftmost points of a plate (lengths), beside the middle of a side that is straight there."""
+    """X of the lowest and y of the leftmost points of a plate (lengths), away from the middle of a straight
+    side.
+    """
     boundary = plate.polygons(360)[0]
     x, y = boundary.T
     near = 1e-6 * max(plate.reach)
     lowest, leftmost = x[y < y.min() + near], y[x < x.min() + near]
-    share = 0.7  # beside the words of a dimension, which stand in the middle
+    share = 0.7  # away from the words of a dimension, which are in the middle
     places = [float(side.min() + share * (side.max() - side.min())) for side in (lowest, leftmost)]
     return places[0], places[1]
 
@@ -322,10 +330,10 @@ def _second(window: Window) -> float:
 
 
 def _spans(window: Window, at: Callable[..., Floats], canvas: Canvas) -> dict[str, tuple[float, float]]:
-    """Draw the bodies over one cell; extents along z of each, at the middle of its cell.
+    """Draw the bodies over one cell; return the extent along z of each, at the middle of its cell.
 
-    A body of two arrays is drawn, and its extent taken, over the cells of both its lenses, each face along the middle of
-    its own lens: displaced ones do not face one another.
+    A body of two arrays is drawn, and its extent taken, over the cells of both its lenses, each face along
+    the middle of its own lens: displaced lenses do not face each other.
     """
     found = {}
     for body in window.bodies:
@@ -418,7 +426,9 @@ def lens_detail(
 
 
 def _curved_side(body: Body, array: int) -> int | None:
-    """Side of a body that carries this lens where the other side does not: 0 front, 1 back; None where both do."""
+    """Side of a body that carries this lens where the other side does not: 0 front, 1 back; None where both
+    do.
+    """
     sides = [k for k, face in enumerate((body.front, body.back)) if face.array == array]
     return sides[0] if len(sides) == 1 else None
 
@@ -433,7 +443,7 @@ def _detail_dimensions(
     canvas: Canvas, x: Floats, front: Floats, back: Floats, at: Callable[..., Floats], mm: float, curved: int | None,
     base: float, half: float,
 ) -> None:  # fmt: skip
-    """Draw pitch, and sag of a lens on a plate, or thicknesses of a lens of its own at the middle and the edge."""
+    """Draw pitch, and sag of a lens on a plate, or thicknesses of a separate lens at the middle and the edge."""
     pitch = (x[-1] - x[0]) * mm
     (xa, ya), (xb, _) = at(x[0], _low(front)), at(x[-1], _low(front))
     canvas.across(

@@ -1,4 +1,4 @@
 """Heights, points, tables and masks: sag grids, TIFF, PNG, XYZ, pose tables, SVG, DXF, GDSII.
 
-What is held against the design is in `verification.files`.
+`verification.files` compares such files with the design.
 """

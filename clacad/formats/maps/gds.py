@@ -1,9 +1,10 @@
 """GDSII grey levels: a layer for each height of a face. Needs the extra `gds`.
 
-A face's heights are cut into N equal levels; every pixel of a lenslet's cell goes to the layer of its level, layer 0
-the lowest. One cell is drawn and repeated by rows; where the cells of a face differ each is drawn and stands once, in
-levels that are the same for all. Lengths in the file are micrometres on a grid of a nanometre. The calibration file
-gives the height of each layer. Read back in `clacad.formats.maps.gds_reading`.
+A face's heights are cut into N equal levels; every pixel of a lenslet's cell goes to the layer of its level,
+layer 0 the lowest. One cell is drawn and repeated by rows. On non-uniform sheets every cell is drawn and
+placed once, in levels that are the same for all. Lengths in the file are micrometres on a grid of a
+nanometre. The calibration file gives the height of each layer. Read back in
+`clacad.formats.maps.gds_reading`.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from clacad.storage.errors import NotPossible
 PER_CELL = 64
 """Pixels across a cell."""
 MOST_LEVELS = 256
-"""Layers that every GDSII reader takes."""
+"""Layers that every GDSII reader accepts."""
 LENSLET = "lenslet"
-"""Name of the cell that is repeated; with a number that of one that stands once."""
+"""Name of the cell that is repeated; with a number appended, of a cell that is placed once."""
 SIZED = 8
-"""Cells by which the size of a file of differing ones is told."""
+"""Cells from which the size of a file of a non-uniform sheet is estimated."""
 GRID = 1e-3
 """Database unit, micrometres."""
 _DATE = datetime(2000, 1, 1)
@@ -50,7 +51,8 @@ class GreyCell:
         Number of layers.
     pixel : (width, height), micrometres
     level : (rows, columns) int
-        Layer of each pixel, row 0 the lowest y; −1 outside the cell and in holes. Of the first cell where they differ.
+        Layer of each pixel, row 0 the lowest y; −1 outside the cell and in holes. Of the first cell on a
+        non-uniform sheet.
     """
 
     map: HeightMap
@@ -65,15 +67,17 @@ class GreyCell:
 
     @property
     def own(self) -> bool:
-        """Whether the cells of the face differ, so that each is drawn by itself."""
+        """Whether the cells of the face differ, so that each is drawn separately."""
         return own_cells(self.map.body)
 
     def of_cell(self, index: Ints) -> GreyCell:
-        """The cell at `index` (2,); of a face of equal cells they are all this one."""
+        """The cell at `index` (2,); on a uniform sheet every cell is this one."""
         return replace(self, level=_levels_in(self.map, self.levels, index)) if self.own else self
 
     def each(self) -> Iterator[tuple[str, tuple[float, float], GreyCell]]:
-        """Name, middle (micrometres per millimetre of the design's unit) and levels of every kept cell, row by row."""
+        """Name, middle (micrometres per millimetre of the design's unit) and levels of every kept cell, row
+        by row.
+        """
         window, face = self.map.window, self.map.face
         assert face.array is not None
         cells = window.lattice.cells()
@@ -83,7 +87,10 @@ class GreyCell:
             yield f"{LENSLET}_{n}", (place[0], place[1]), self.of_cell(index)
 
     def calibration(self, scale: float) -> dict[str, object]:
-        """What a machine needs to use the layers; `scale` = millimetres per design unit. Pixels: of a cell, or of all that differ."""
+        """Data that a machine needs to use the layers; `scale` = millimetres per design unit.
+
+        Pixels of the one cell, or of all cells that differ.
+        """
         counts: Counter[int] = Counter()
         for _, _, one in self.each() if self.own else (("", (0.0, 0.0), self),):
             counts.update(one.level[one.level >= 0].ravel().tolist())
@@ -113,7 +120,7 @@ def _on_grid(value: Floats) -> Floats:
 
 
 def require_gdstk() -> None:
-    """Say which extra is missing.
+    """Raise an error that names the missing extra.
 
     Raises
     ------
@@ -124,7 +131,7 @@ def require_gdstk() -> None:
 
 
 def own_cells(body: Body) -> bool:
-    """Whether the lenses of a body stand differently from cell to cell."""
+    """Whether the lenses of a body vary from cell to cell."""
     return body.front.change is not None or body.back.change is not None
 
 
@@ -166,7 +173,9 @@ def grey_cell(window: Window, body: Body, face: Face, label: str, levels: int, s
 
 
 def _pixels(map_: HeightMap) -> tuple[Floats, Floats, tuple[float, float]]:
-    """Middles x, y (rows, columns) of the pixels of a cell, from its centre, and their width and height, lengths."""
+    """Middles x, y (rows, columns) of the pixels of a cell, from its centre, and their width and height,
+    lengths.
+    """
     assert map_.face.array is not None
     lattice = map_.window.lattice_of(map_.face.array)
     tile = lattice.tile()
@@ -180,8 +189,10 @@ def _pixels(map_: HeightMap) -> tuple[Floats, Floats, tuple[float, float]]:
 
 
 def _range_of_cells(map_: HeightMap) -> tuple[float, float]:
-    """Range of heights of a face whose cells differ: at the corners and along the sides of every cell, and as near as it
-    comes to its lens's apex, where a lens is highest or lowest.
+    """Range of heights of a face on a non-uniform sheet.
+
+    Heights are taken at the corners and along the sides of every cell, and at its point nearest to its lens's
+    apex, where a lens is highest or lowest.
     """
     window, face = map_.window, map_.face
     assert face.array is not None
@@ -208,7 +219,7 @@ def _outward(map_: HeightMap, points: Floats, index: Ints) -> Floats:
 
 
 def _levels_in(map_: HeightMap, levels: int, cell: Ints) -> Ints:
-    """Levels (rows, columns) of the kept cell (2,) of a face whose cells differ."""
+    """Levels (rows, columns) of the kept cell (2,) of a face on a non-uniform sheet."""
     assert map_.face.array is not None
     x, y, _ = _pixels(map_)
     points = np.column_stack([x.ravel(), y.ravel()])
@@ -234,7 +245,8 @@ def _cut(map_: HeightMap, levels: int, found: Floats, inside: Bools) -> Ints:
 
 
 def write_gds(cell: GreyCell, path: Path, scale: float) -> int:
-    """Write the cell once and a reference a row of cells, or each cell that differs; the number of cells placed.
+    """Write the cell once and a reference a row of cells, or each cell that differs; return the number of
+    cells placed.
 
     Raises
     ------
@@ -260,7 +272,9 @@ def write_gds(cell: GreyCell, path: Path, scale: float) -> int:
 
 
 def _write_each(cell: GreyCell, path: Path, scale: float, name: str) -> int:
-    """Write cells that differ one after another, in the memory of one, and then the sheet of references to them."""
+    """Write cells that vary one after another, in the memory of one, and then the sheet of references to
+    them.
+    """
     import gdstk
 
     writer = gdstk.GdsWriter(str(path), "clacad", unit=1e-6, precision=GRID * 1e-6, timestamp=_DATE)
@@ -276,7 +290,7 @@ def _write_each(cell: GreyCell, path: Path, scale: float, name: str) -> int:
 
 
 def _draw(cell: GreyCell, lenslet: Any) -> None:
-    """Boxes of a cell's levels into a cell of the file."""
+    """Draw the boxes of a cell's levels into a cell of the file."""
     import gdstk
 
     for layer, x0, y0, x1, y1 in cell.boxes():
@@ -284,12 +298,12 @@ def _draw(cell: GreyCell, lenslet: Any) -> None:
 
 
 def sheet_name(cell: GreyCell) -> str:
-    """Name of the cell of a file that holds all others."""
+    """Name of the cell of a file that contains all others."""
     return cell.map.label.replace("-", "_")
 
 
 def _runs(window: Window, face: Face, um: float) -> Iterator[tuple[tuple[float, float], int, float]]:
-    """Neighbouring cells of a row: place of the first, how many, pitch, micrometres."""
+    """Runs of neighbouring cells of a row: position of the first, number, pitch, micrometres."""
     lattice = window.lattice
     assert face.array is not None
     for j in range(lattice.count[1]):
@@ -315,7 +329,7 @@ def gds_bytes(window: Window, levels: int, scale: float) -> int:
 
 
 def _own_bytes(cell: GreyCell) -> int:
-    """Size of cells that differ, from the runs of a few of them."""
+    """Size of cells that vary, from the runs of a few of them."""
     window = cell.map.window
     tried = sampled_cells(window, SIZED)
     boxes = sum(1 for index in tried for _ in cell.of_cell(index).boxes())

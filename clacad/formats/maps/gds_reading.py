@@ -1,4 +1,4 @@
-"""GDSII files of grey levels read back: by gdstk and by their bare records, held against the lens formula."""
+"""GDSII files of grey levels read back: by gdstk and by their bare records, compared with the lens formula."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LAYER, _BOUNDARY, _ENDLIB = 0x0D02, 0x0800, 0x0400
 
 
 def check_gds(cell: GreyCell, path: Path, placed: int) -> None:
-    """Read a file back, by gdstk and by its bare records, and hold its levels against the lens formula.
+    """Read a file back, by gdstk and by its bare records, and compare its levels with the lens formula.
 
     Raises
     ------
@@ -70,7 +70,8 @@ def _drawn(lenslet: Any, cell: GreyCell) -> Ints:
 
 
 def gds_misfit(cell: GreyCell, path: Path, scale: float) -> tuple[float, int]:
-    """Greatest distance of any cell from its place, millimetres, and the number of cells; inf for other cells.
+    """Largest distance of any cell from its expected position, millimetres, and the number of cells; inf for
+    other cells.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def layer_counts(path: Path) -> Counter[int]:
     Raises
     ------
     UnreadableFile
-        The file is cut short or is no GDSII stream.
+        The file is truncated or is no GDSII stream.
     OverBudget
         More bytes or records than are read.
     """

@@ -1,6 +1,6 @@
-"""Aperture masks: where light shall pass a face, as SVG and DXF. What is outside is land and may be painted.
+"""Aperture masks: where light must pass a face, as SVG and DXF. The area outside is land and may be painted.
 
-One outline of the optical zone, repeated on the cells: a `<use>` in SVG, a block reference in DXF, so a
+One outline of the optical zone is repeated on the cells: a `<use>` in SVG, a block reference in DXF, so a
 sheet of any size stays small.
 """
 
@@ -31,13 +31,13 @@ DIRECTIONS = 720
 def aperture(window: Window, body: Body, face: Face) -> Floats:
     """Outline of the lens of one cell, cell frame, counter-clockwise, (n, 2), design units.
 
-    The optical zone's polygon where the lens fills it, else the rim traced in 720 directions from the
-    highest point of the lens. Empty where no lens stands proud of its land.
+    The optical zone's polygon where the lens fills it, else the rim traced in 720 directions from the highest
+    point of the lens. Empty where no lens protrudes beyond its land.
 
     Raises
     ------
     CellsDiffer
-        Cells differ, and there are rims: each would have an outline of its own.
+        The sheet is non-uniform, and there are rims: each would have an outline of its own.
     """
     assert face.array is not None
     zone = optical_tile(window, face.array)
@@ -64,7 +64,7 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
 
 
 def _refuse_rims(window: Window, body: Body, face: Face, zone: Floats) -> None:
-    """Refuse cells that differ, of which one does not fill its optical zone at its corners, sides or middle."""
+    """Reject a non-uniform sheet where a cell does not fill its optical zone at its corners, sides or middle."""
     at = (1.0 - 1e-9) * np.concatenate([zone, 0.5 * (zone + np.roll(zone, 1, axis=0)), [[0.0, 0.0]]])
     cells = window.lattice.cells()
     index = np.repeat(cells, len(at), axis=0)
@@ -86,7 +86,7 @@ def _refuse_rims(window: Window, body: Body, face: Face, zone: Floats) -> None:
 
 
 def _proud(window: Window, body: Body, face: Face, points: Floats) -> NDArray[np.bool_]:
-    """Tell whether the lens, not land or a hole, is the face over cell-frame points."""
+    """Whether the lens, not land or a hole, is the face over cell-frame points."""
     x, y = points.T
     lens = lens_height(face, x, y)
     with np.errstate(invalid="ignore"):
@@ -101,7 +101,7 @@ def _proud(window: Window, body: Body, face: Face, points: Floats) -> NDArray[np
 
 
 def _inside_point(window: Window, body: Body, face: Face, zone: Floats) -> Floats | None:
-    """Point of the zone that lies deepest inside the lens: the apex, or the proud grid point nearest to it."""
+    """Point of the zone that lies deepest inside the lens: the apex, or the nearest grid point on the lens."""
     u = np.linspace(zone[:, 0].min(), zone[:, 0].max(), 65)
     v = np.linspace(zone[:, 1].min(), zone[:, 1].max(), 65)
     x, y = np.meshgrid(u, v)
@@ -135,8 +135,8 @@ def _to_border(polygon: Floats, start: Floats, ray: Floats) -> Floats:
 def write_svg(window: Window, body: Body, face: Face, label: str, path: Path, scale: float) -> None:
     """Write the mask of a face as SVG in millimetres: black is land, white is lens.
 
-    The picture shows the sheet as seen by light (from −z, +x to the left) if the face is a front face, and
-    seen from +z otherwise; the title says so.
+    The picture shows the sheet as seen by light (from −z, +x to the left) if the face is a front face, and as
+    seen from +z otherwise; the title states which.
     """
     assert face.array is not None
     x0, x1, y0, y1 = (v * scale for v in whole_extent(window))
@@ -269,7 +269,8 @@ def check_mask(window: Window, face: Face, svg: Path, dxf: Path, scale: float) -
 
 
 def mask_misfit(window: Window, body: Body, face: Face, path: Path, scale: float) -> tuple[float, int]:
-    """Greatest distance of outline and places of an SVG or DXF mask from the face's, millimetres; the number of lenses.
+    """Largest deviation of outline and positions of an SVG or DXF mask from the face's, millimetres; the
+    number of lenses.
 
     Infinite where there are other lenses, or an outline of other corners.
 

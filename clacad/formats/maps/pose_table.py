@@ -1,4 +1,4 @@
-"""Surface equation and pose table: what a tool-path programmer needs to cut the faces without CAD."""
+"""Surface equation and pose table: the data that a tool-path programmer needs to cut the faces without CAD."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ COLUMNS = ("face", "i", "j", "apex_x_mm", "apex_y_mm", "apex_z_mm", "phi_deg", "
 
 
 def columns(window: Window) -> tuple[str, ...]:
-    """Head of the pose table; of lenses of many sizes with each one's size and apex radius, below 0 where concave."""
+    """Head of the pose table; for lenses of several sizes with size and apex radius of each, negative where
+    concave.
+    """
     return (*COLUMNS, "size", "apex_radius_mm") if window.many_sizes else COLUMNS
 
 
@@ -74,7 +76,9 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
 
 
 def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
-    """What a face has besides where cells differ: the pitch of its array, and that the pose table has its apexes."""
+    """Additional entries of a face on a non-uniform sheet: the pitch of its array, and that the pose table
+    has its apexes.
+    """
     found: dict[str, Any] = {}
     place = None if face.array is None else window.placements[face.array]
     if place is not None and place.pitch is not None:
@@ -96,7 +100,7 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
 
 
 def _of_polynomials(window: Window) -> dict[str, str]:
-    """The equation of even polynomials, as far as their terms go."""
+    """The equation of even polynomials, to the highest order present."""
     surfaces = [face.surface for face in window.faces if isinstance(face.surface, EvenPolynomial)]
     if not any(any(surface.a6) or any(surface.a8) for surface in surfaces):
         return POLYNOMIAL if surfaces else {}
@@ -189,7 +193,7 @@ def euler_degrees(face: Face) -> tuple[float, float, float]:
 
 
 def check_table(window: Window, json_path: Path, csv_path: Path, scale: float, count: int) -> None:
-    """Rebuild heights from the two files alone and compare them with the design.
+    """Reconstruct heights from the two files alone and compare them with the design.
 
     The equation is solved here from the written coefficients, by bisection, not with the package's surfaces.
 
@@ -216,7 +220,7 @@ def check_table(window: Window, json_path: Path, csv_path: Path, scale: float, c
 
 def _check_pose(window: Window, face: Face, entry: dict[str, Any], row: dict[str, str], scale: float, name: str,
                 body: str) -> None:  # fmt: skip
-    """Refuse a row whose lens, put where it says, is not the one of the design there."""
+    """Reject a row whose lens, at the pose it states, differs from the design's lens there."""
     assert face.array is not None
     apex = np.array([float(row[f"apex_{axis}_mm"]) for axis in "xyz"])
     index = np.array([int(row["i"]), int(row["j"])])
@@ -235,7 +239,7 @@ def _check_pose(window: Window, face: Face, entry: dict[str, Any], row: dict[str
 
 
 def _equation(entry: dict[str, Any], p: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Height by which lens-frame points miss the written equation, to first order."""
+    """Height error of lens-frame points against the written equation, to first order."""
     cx, cy, side = entry["curvature_x_per_mm"], entry["curvature_y_per_mm"], entry["side"]
     x, y, z = p.T
     q = cx * x * x + cy * y * y

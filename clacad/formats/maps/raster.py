@@ -1,7 +1,7 @@
-"""Pictures of numbers: TIFF with 16-bit or float pixels and PNG with 16-bit pixels, row by row.
+"""Numeric images: TIFF with 16-bit or float pixels and PNG with 16-bit pixels, row by row.
 
-Only what height maps need is written: one plane, uncompressed TIFF in one strip, PNG without filters.
-Rows come from an iterator, so a map of any size needs the memory of a few rows.
+Only the features that height maps need are written: one plane, uncompressed TIFF in one strip, PNG without
+filters. Rows come from an iterator, so a map of any size needs the memory of a few rows.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SHORT, _LONG, _RATIONAL, _ASCII = 3, 4, 5, 2
 
 
 def tiff_bytes(width: int, height: int, bits: int, description: str) -> int:
-    """Size of the file `write_tiff` makes, exactly."""
+    """Exact size of the file that `write_tiff` makes."""
     return len(_tiff_head(width, height, bits, 1.0, description)) + width * height * bits // 8
 
 
@@ -41,13 +41,13 @@ def write_tiff(rows: Iterable[Pixels], path: Path, width: int, height: int, bits
     pixels_per_cm : float
         Resolution tag.
     description : str
-        ASCII; the calibration travels in it.
+        ASCII; contains the calibration.
 
     Raises
     ------
     OSError
     FileDisagrees
-        More than 4 GiB, or another number of rows than promised.
+        More than 4 GiB, or another number of rows than `height`.
     """
     head = _tiff_head(width, height, bits, pixels_per_cm, description)
     if len(head) + width * height * bits // 8 > LARGEST_TIFF:
@@ -64,7 +64,7 @@ def write_tiff(rows: Iterable[Pixels], path: Path, width: int, height: int, bits
 
 
 def _tiff_head(width: int, height: int, bits: int, pixels_per_cm: float, description: str) -> bytes:
-    """Byte order, one directory, and what does not fit its twelve-byte entries."""
+    """Byte order, one directory, and the values that do not fit its twelve-byte entries."""
     text = description.encode("ascii", "replace") + b"\0"
     text += b"\0" * (len(text) % 2)
     entries = 14
@@ -86,7 +86,7 @@ def _tiff_head(width: int, height: int, bits: int, pixels_per_cm: float, descrip
 
 
 def read_tiff(path: Path) -> Pixels:
-    """Map a TIFF of the kind `write_tiff` writes: (height, width), uint16 or float32.
+    """Map a TIFF of the kind that `write_tiff` writes: (height, width), uint16 or float32.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def write_png(
     ------
     OSError
     FileDisagrees
-        Another number of rows than promised.
+        Another number of rows than `height`.
     """
     packer = zlib.compressobj(6)
     dots = min(round(pixels_per_metre), (1 << 31) - 1)
@@ -159,7 +159,7 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def read_png(path: Path) -> NDArray[np.uint16]:
-    """Read a PNG of the kind `write_png` writes: (height, width) uint16.
+    """Read a PNG of the kind that `write_png` writes: (height, width) uint16.
 
     Raises
     ------

@@ -68,7 +68,7 @@ class HeightMap:
         return (self.high - self.low) / 65534.0 or 1.0
 
     def calibration(self, scale: float) -> dict[str, object]:
-        """What a machine needs to use the map, in millimetres (`scale` = millimetres per design unit)."""
+        """Data that a machine needs to use the map, in millimetres (`scale` = millimetres per design unit)."""
         return {
             "face": self.label, "pixel_mm": self.pixel * scale, "width": self.width, "height": self.height,
             "left_mm": self.origin[0] * scale, "bottom_mm": self.origin[1] * scale,
@@ -119,7 +119,7 @@ def structured_faces(window: Window) -> list[tuple[Body, Face, str]]:
 
 
 def samples_per_cell(window: Window, asked: int | None, most: int = MOST_SAMPLES) -> int:
-    """Pixels per pitch: as asked, else as many as keep a map under `most`, between 4 and 64."""
+    """Pixels per pitch: as requested, else the number that keeps a map under `most`, between 4 and 64."""
     if asked is not None:
         return asked
     return int(min(64, max(4, sqrt(most / max(1, window.lattice.cell_count)))))
@@ -140,7 +140,7 @@ def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int
 
 
 def plain_map(window: Window, body: Body, face: Face, label: str, per_cell: int) -> HeightMap:
-    """Lay out the map of a face, its range of heights not yet known (0 to 0)."""
+    """Lay out the map of a face, with its range of heights still unknown (0 to 0)."""
     assert face.array is not None
     dx, dy = window.shifts[face.array]
     x0, x1, y0, y1 = replace(window.placements[face.array], shift=(0.0, 0.0)).extent(window.lattice)
@@ -177,7 +177,7 @@ def range_of_cell(window: Window, body: Body, face: Face, per_cell: int) -> tupl
 
 
 def _range_of_pixels(map_: HeightMap) -> tuple[float, float]:
-    """Range of heights over all pixels of a map whose cells differ."""
+    """Range of heights over all pixels of a map of a non-uniform sheet."""
     low, high = np.inf, -np.inf
     for block in map_.blocks():
         low, high = (
@@ -232,7 +232,7 @@ def map_levels(map_: HeightMap, heights: Floats) -> NDArray[np.uint16]:
 
 
 def check_map(map_: HeightMap, path: Path, kind: str, scale: float) -> None:
-    """Read a map back and compare every 17th pixel or so with the lens formula of its cell.
+    """Read a map back and compare about every 17th pixel with the lens formula of its cell.
 
     Raises
     ------
@@ -281,7 +281,7 @@ def write_points(window: Window, body: Body, face: Face, per_cell: int, path: Pa
 def point_lines(
     window: Window, face: Face, per_cell: int, cells: NDArray[np.int64], scale: float
 ) -> Iterator[str]:
-    """Lines of some cells (k, 2) of a face."""
+    """Lines of the given cells (k, 2) of a face."""
     assert face.array is not None
     if len(cells):
         local, z, normal = _cell_points(window, face, per_cell)
@@ -301,7 +301,7 @@ def _cell_points(
     """Points (n, 2) of a grid inside a cell, about its centre; heights (n,) there; outward unit normals (n, 3).
 
     index : (2,) or None
-        The cell, where they differ.
+        The cell, on a non-uniform sheet.
     """
     face = face if index is None else window.in_cell(face, index)
     assert face.array is not None
@@ -324,7 +324,7 @@ def _cell_points(
 
 
 def check_points(window: Window, face: Face, path: Path, scale: float, count: int) -> None:
-    """Read a point file back and hold 2,000 of its points against the lens formula of their cells.
+    """Read a point file back and compare 2,000 of its points with the lens formula of their cells.
 
     Raises
     ------
@@ -428,7 +428,7 @@ def read_grid_sag(face: Face, path: Path, scale: float) -> tuple[Floats, Floats]
     Parameters
     ----------
     face : Face
-        Whose apex plane sag is counted from.
+        Face whose apex plane sag is counted from.
     path : Path
     scale : float
         Millimetres per design unit.
@@ -438,7 +438,7 @@ def read_grid_sag(face: Face, path: Path, scale: float) -> tuple[Floats, Floats]
     points : (n, 3) lengths
         Nodes in the cell frame, z in the sheet frame; NaN where the surface has no point.
     step : (2,) lengths
-        Distance of nodes.
+        Spacing of nodes.
 
     Raises
     ------
@@ -456,7 +456,7 @@ def read_grid_sag(face: Face, path: Path, scale: float) -> tuple[Floats, Floats]
 
 
 def _grid_numbers(path: Path) -> tuple[int, int, float, float, Floats]:
-    """Nodes and steps along x and y as the head of a grid sag file says, and its lines (k, 5)."""
+    """Nodes and steps along x and y from the head of a grid sag file, and its lines (k, 5)."""
     spent = Spending("grid-sag", path)
     numbers: array[float] = array("d")
     with path.open("rb") as stream:

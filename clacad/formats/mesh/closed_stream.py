@@ -1,9 +1,9 @@
-"""Is a stream of triangles closed? Told in one pass and a few bytes of memory.
+"""Whether a stream of triangles is closed, decided in one pass and a few bytes of memory.
 
-Every facet has three directed edges. A surface is closed and consistently wound when each edge is
-walked as often forwards as backwards. Two independent 64-bit hashes of the undirected edge are added
-for one sense and subtracted for the other: the sums vanish for a closed surface, and for anything
-else only by a chance of 2^-128. A facet left out, turned over or moved by one bit shows.
+Every facet has three directed edges. A surface is closed and consistently wound when each edge is traversed
+as often forwards as backwards. Two independent 64-bit hashes of the undirected edge are added for one sense
+and subtracted for the other. The sums vanish for a closed surface, and for anything else only with
+probability 2^-128. A facet left out, turned over or moved by one bit is detected.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from clacad.base.types import Floats, Ints, Words
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """What one pass over a mesh tells.
+    """Results of one pass over a mesh.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Measure:
 
     @property
     def closed(self) -> bool:
-        """Whether every edge is walked as often forwards as backwards."""
+        """Whether every edge is traversed as often forwards as backwards."""
         return self.facets > 0 and self.imbalance == (0, 0)
 
 
@@ -54,12 +54,12 @@ def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
     ----------
     chunks : iterable of (k, 3, 3) arrays
     origin : (3,) array or None
-        Point the volume's cones start from; near the mesh keeps digits. Default: its first corner.
+        Point the volume's cones start from; a point near the mesh keeps digits. Default: its first corner.
 
     Notes
     -----
     Corners are one vertex when all bits of their float64 coordinates agree (−0 is 0). The volume is the
-    divergence sum of det(a, b, c)/6; what rounding takes from that sum and from the area's is kept beside them.
+    divergence sum of det(a, b, c)/6. The rounding errors of that sum and of the area's are kept in addition.
     """
     from clacad.formats.mesh.compiled_measure import AREA, VOLUME, add_facets
 
@@ -74,7 +74,7 @@ def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
         facets += len(corners)
         whole = np.ascontiguousarray(corners)
         add_facets(whole, whole.view(np.uint64), np.asarray(origin, dtype=np.float64), sums, totals, box)
-    if np.isnan(totals[VOLUME]):  # a corner that is no number has no place
+    if np.isnan(totals[VOLUME]):  # a corner that is no number has no position
         box[:] = np.nan
     volume, area = (float(totals[k] + totals[k + 1]) for k in (VOLUME, AREA))
     bottom, top = ((float(corner[0]), float(corner[1]), float(corner[2])) for corner in box)
@@ -82,15 +82,15 @@ def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
 
 
 def crowded_edges(times: Ints) -> int:
-    """Count undirected edges walked by other than two facets, from what `edge_times` says of all.
+    """Count undirected edges traversed by other than two facets, from the result of `edge_times`.
 
-    `measure` lets an edge pass that four facets share (a saddle that touches itself); strict slicers do not.
+    `measure` accepts an edge that four facets share (a saddle that touches itself); strict slicers do not.
     """
     return int(np.count_nonzero(times != 2))
 
 
 def edge_times(facets: Ints) -> Ints:
-    """How many of the facets (t, 3), numbers of vertices, walk each undirected edge, (e,)."""
+    """Number of the facets (t, 3), given by numbers of vertices, that traverse each undirected edge, (e,)."""
     if not len(facets):
         return np.zeros(0, dtype=np.int64)
     start, end = facets.ravel(), facets[:, [1, 2, 0]].ravel()
@@ -110,18 +110,20 @@ def vertex_hashes(corners: Floats) -> Words:
 
 
 def welded(corners: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Corners (t, 3, 3) that agree in all bits made one: vertices (v, 3), and facets (t, 3) of their numbers."""
+    """Merge corners (t, 3, 3) that agree in all bits: vertices (v, 3), and facets (t, 3) of their numbers."""
     vertices, index = welded_points(corners.reshape(-1, 3))
     return vertices, index.reshape(-1, 3)
 
 
 def welded_points(points: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Points (n, 3) that agree in all bits made one: vertices (v, 3), and the number of each point's, (n,)."""
+    """Merge points (n, 3) that agree in all bits: vertices (v, 3), and the vertex number of each point, (n,)."""
     flat = points + 0.0
     threes = np.concatenate([flat, np.zeros((-len(flat) % 3, 3))]).reshape(-1, 3, 3)  # as corners of facets
     hashes = vertex_hashes(threes).ravel()[: len(flat)]
     _, first, index = np.unique(hashes, return_index=True, return_inverse=True)
-    if not np.array_equal(flat[first][index], flat):  # two places of one hash: by the coordinates themselves
+    if not np.array_equal(
+        flat[first][index], flat
+    ):  # two points with one hash: by the coordinates themselves
         words = np.ascontiguousarray(flat).view([("", np.uint64, 3)]).ravel()
         _, first, index = np.unique(words, return_index=True, return_inverse=True)
     return flat[first], index.astype(np.int64)

@@ -1,4 +1,4 @@
-"""Facets as a binary STL file holds them, compiled: see `clacad.formats.mesh.stl`."""
+"""Facets in the form of a binary STL file, compiled: see `clacad.formats.mesh.stl`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from clacad.base.types import Floats, Singles
 
 @entry
 def facet_numbers(corners: Floats, scale: float, numbers: Singles) -> bool:
-    """Write normal and corners of facets (k, 3, 3) into (k, 4, 3) float32; whether all of them are finite.
+    """Write normal and corners of facets (k, 3, 3) into (k, 4, 3) float32; return whether all of them are
+    finite.
 
     scale : float
         File units per unit of the corners.

@@ -16,7 +16,7 @@ LOW, MIDDLE, HIGH = np.uint64(27), np.uint64(30), np.uint64(31)
 MINUS_ZERO, ZERO = np.uint64(1 << 63), np.uint64(0)
 
 VOLUME, AREA = 0, 2
-"""Where the totals hold six times the volume and twice the area, each in two parts."""
+"""Indices of six times the volume and twice the area in the totals, each in two parts."""
 
 
 @inlined
@@ -41,7 +41,9 @@ def point_hash(words: Words, facet: int, corner: int, seed: np.uint64) -> np.uin
 
 @inlined
 def edge_hash(start: np.uint64, end: np.uint64, seed: np.uint64) -> np.uint64:
-    """Hash of a directed edge: the undirected one's, negative where it is walked backwards, 0 from a point to itself."""
+    """Hash of a directed edge: the undirected one's, negative if traversed backwards, 0 from a point to
+    itself.
+    """
     if start == end:
         return ZERO
     low, high = (start, end) if start < end else (end, start)
@@ -53,7 +55,7 @@ def edge_hash(start: np.uint64, end: np.uint64, seed: np.uint64) -> np.uint64:
 def add_facets(
     corners: Floats, words: Words, origin: Floats, sums: Words, totals: Floats, box: Floats
 ) -> None:
-    """Add facets (k, 3, 3) to what is known of a stream.
+    """Add facets (k, 3, 3) to the sums over a stream.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ def add_facets(
     sums : (2,)
         Of the hashes of directed edges.
     totals : (4,)
-        See VOLUME and AREA; each is a rounded sum and what rounding took away.
+        See VOLUME and AREA; each is a rounded sum and its rounding error.
     box : (2, 3)
         Lowest and highest corner.
     """

@@ -1,4 +1,4 @@
-"""A mesh as a file holds it: nothing is known but triangles, perhaps a unit, names and normals."""
+"""A mesh as a file contains it: triangles, possibly a unit, names and normals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOST_EXPANDED = 100_000_000
 """Facets up to which a file that repeats its parts may be walked as if each of them were written out."""
 
 SURVEYED = 200_000
-"""Facets of a file too large to walk by which its place is found."""
+"""Facets by which a file too large to walk is located."""
 
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
@@ -30,12 +30,12 @@ ONE_PLACE = np.concatenate([np.eye(3), np.zeros((1, 3))])[None]
 
 
 def put(places: Floats) -> Placements:
-    """Places (m, 4, 3) in row-vector form as placements."""
+    """Placements from affine maps (m, 4, 3) in row-vector form."""
     return Placements(np.swapaxes(places, 1, 2))
 
 
 class Soup(Protocol):
-    """Triangles that are read when they are asked for."""
+    """Triangles that are read on demand."""
 
     def __len__(self) -> int:
         """Number of triangles."""
@@ -46,21 +46,21 @@ class Soup(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One mesh of a file and the places it is put at.
+    """One mesh of a file and its placements.
 
     Parameters
     ----------
     name : str
-        As written in the file, "" when it has none.
+        As written in the file, "" where there is none.
     vertices : (v, 3) array or None, file unit
     triangles : (t, 3) int array or None
         Rows of `vertices`, counter-clockwise seen from outside.
-    soup : (t, 3, 3) float32 array, or what slices like one, or None
+    soup : (t, 3, 3) float32 array, or an object that slices like one, or None
         Corners of each triangle instead of the two above (STL); usually read from the file when sliced.
     normals : (v, 3) array or None
-        Unit vertex normals, where the format holds them.
+        Unit vertex normals, where the format has them.
     places : Placements
-        Where it is put.
+        Placements of the mesh in the file.
     """
 
     name: str
@@ -72,17 +72,17 @@ class Part:
 
     @cached_property
     def placements(self) -> Floats:
-        """All places (m, 4, 3) as affine maps in row-vector form: x' = x @ place[:3] + place[3].
+        """All placements (m, 4, 3) as affine maps in row-vector form: x' = x @ place[:3] + place[3].
 
         Raises
         ------
         UnreadableFile
-            They are too many to be written out.
+            There are too many to be written out.
         """
         return np.ascontiguousarray(np.swapaxes(self.places.all(), 1, 2))
 
     def placed_at(self, numbers: Ints) -> Floats:
-        """Some of them, (k, 4, 3)."""
+        """Selected placements, (k, 4, 3)."""
         return np.ascontiguousarray(np.swapaxes(self.places.at(numbers), 1, 2))
 
     @property
@@ -95,7 +95,7 @@ class Part:
 
     @property
     def repeated(self) -> bool:
-        """Whether it stands at more than one place."""
+        """Whether it has more than one placement."""
         return len(self.places) > 1
 
     def corners(self, start: int, stop: int) -> Floats:
@@ -127,7 +127,9 @@ class Part:
         return found
 
     def welded(self) -> tuple[Floats, Ints]:
-        """Vertices (v, 3) of its facets before placing, those that agree in all bits once, and facets (t, 3) of their numbers."""
+        """Vertices (v, 3) of its facets before placing, equal ones merged, and facets (t, 3) of their
+        numbers.
+        """
         if self.soup is not None:
             return welded(self.corners(0, self.facet_count))
         assert self.vertices is not None
@@ -157,7 +159,7 @@ class Part:
         return low, high
 
     def pairs(self, size: int = CHUNK) -> Iterator[tuple[Floats, Floats | None]]:
-        """The same chunks as `chunks`, with the unit normals (k, 3, 3) stored for their corners, or None."""
+        """Chunks as of `chunks`, with the unit normals (k, 3, 3) stored for their corners, or None."""
         if self.normals is None:
             yield from ((corners, None) for corners in self.chunks(size))
             return
@@ -165,7 +167,7 @@ class Part:
             yield from self.pairs_at(place, size)
 
     def pairs_at(self, place: Floats, size: int = CHUNK) -> Iterator[tuple[Floats, Floats | None]]:
-        """Corners and stored normals, both (k, 3, 3), of the facets at one place (4, 3)."""
+        """Corners and stored normals, both (k, 3, 3), of the facets at one placement (4, 3)."""
         for start in range(0, self.facet_count, size):
             stop = min(start + size, self.facet_count)
             normals = self.corner_normals(start, stop)
@@ -176,7 +178,7 @@ class Part:
     def chunks(self, size: int = CHUNK) -> Iterator[Floats]:
         """Corners of all facets of all placements, (k ≤ size, 3, 3) at a time, file unit.
 
-        Small meshes placed many times are expanded many at a time, never all at once.
+        Small meshes with many placements are expanded many at a time, never all at once.
         """
         count = self.facet_count
         if count == 0:
@@ -204,9 +206,9 @@ class FileMesh:
         "stl-binary", "stl-ascii", "3mf", "ply", "glb", "obj".
     parts : tuple of Part
     unit : float or None
-        Metres per file unit; None when the format does not say.
+        Metres per file unit; None when the format does not define it.
     name : str
-        What the file calls itself (STL header text, 3MF title), "" if nothing.
+        Name in the file (STL header text, 3MF title), "" if there is none.
     """
 
     format: str
@@ -226,7 +228,9 @@ class FileMesh:
 
     @property
     def expandable(self) -> bool:
-        """Whether its facets are few enough to walk all of them at every place; a file without repeats always is."""
+        """Whether its facets are few enough to visit all of them at every placement; always true without
+        repeats.
+        """
         return self.facet_count <= max(MOST_EXPANDED, self.stored_count)
 
     def chunks(self, size: int = CHUNK) -> Iterator[Floats]:
@@ -235,7 +239,7 @@ class FileMesh:
         Raises
         ------
         UnreadableFile
-            Its repeated parts stand for more facets than MOST_EXPANDED: look at each part once, or at `thinned`.
+            Its repeated parts represent more facets than MOST_EXPANDED: examine each part once, or `thinned`.
         """
         if not self.expandable:
             raise UnreadableFile(f"its parts stand for {self.facet_count} facets, more than {MOST_EXPANDED}")
@@ -250,9 +254,10 @@ class FileMesh:
             yield from part.pairs(size)
 
     def thinned(self, count: int) -> Floats:
-        """Corners of about `count` facets spread evenly over parts, places and facets, (k, 3, 3), file unit.
+        """Corners of about `count` facets spread evenly over parts, placements and facets, (k, 3, 3), file
+        unit.
 
-        Nothing is expanded; a mesh of fewer facets comes whole. The same file gives the same facets.
+        Nothing is expanded; a mesh of fewer facets is returned whole. The selection is deterministic.
         """
         total = self.facet_count
         if total <= count:
@@ -262,7 +267,7 @@ class FileMesh:
             every = part.facet_count * len(part.places)
             many = min(every, int(np.ceil(count * every / total)))
             k = np.arange(many)
-            # places in order, facets by the golden ratio: no stride of one falls in step with the other
+            # placements in order, facets by the golden ratio: the two sequences have no common stride
             place = (k * len(part.places)) // max(1, many)
             share = (k * GOLDEN) % 1.0 if part.repeated else (k + 0.5) / max(1, many)
             corners = part.picked((share * part.facet_count).astype(np.int64))
@@ -271,9 +276,11 @@ class FileMesh:
         return np.concatenate(found)
 
     def survey(self, count: int = SURVEYED) -> Iterator[Floats]:
-        """Chunks to find out with how a part lies: all facets, or of a file that stands for too many an even part.
+        """Chunks from which the pose of a part is found: all facets, or an even selection of a file with too
+        many.
 
-        Those are `thinned`, and the facets at its very ends in many directions, so that its box and its hull are whole.
+        The selection is `thinned`, with the facets at its extremes in many directions, so that its box and
+        hull are complete.
         """
         if self.expandable:
             yield from self.chunks()
@@ -283,7 +290,7 @@ class FileMesh:
             yield found[start : start + CHUNK]
 
     def _ends(self) -> Floats:
-        """Facets (k, 3, 3) that hold the farthest corner along each of many directions."""
+        """Facets (k, 3, 3) that contain the farthest corner along each of many directions."""
         k = np.arange(256)
         z, turn = 1.0 - (2 * k + 1) / len(k), 2.0 * np.pi * GOLDEN * k
         around = np.sqrt(1.0 - z * z)
@@ -323,7 +330,9 @@ class FileMesh:
 
 
 def kinds(part: Part) -> list[tuple[Floats, Ints]]:
-    """Placements of a part by how they turn and scale it: linear map (3, 3) and row numbers, the commonest first."""
+    """Group placements of a part by rotation and scale: linear map (3, 3) and row numbers, the commonest
+    first.
+    """
     linear = part.placements[:, :3].reshape(-1, 9)
     if (linear == linear[0]).all():
         return [(linear[0].reshape(3, 3), np.arange(len(linear)))]
@@ -338,7 +347,9 @@ def kinds(part: Part) -> list[tuple[Floats, Ints]]:
 
 
 def kinds_and_ends(part: Part) -> list[tuple[Floats, int, Floats, Floats]]:
-    """The same with how many they are, and the least and greatest moves (3,) of them; rows are not written out."""
+    """Groups as of `kinds` with their counts, and the least and greatest moves (3,) of each; rows are not
+    written out.
+    """
     if part.places.in_rows:
         return [(np.eye(3), len(part.places), low, high) for _, low, high in part.places.ends()]
     moves = [(linear, part.placements[rows, 3]) for linear, rows in kinds(part)]
@@ -346,7 +357,9 @@ def kinds_and_ends(part: Part) -> list[tuple[Floats, int, Floats, Floats]]:
 
 
 def turned_normals(normals: Floats, place: Floats) -> Floats:
-    """Normals (k, 3, 3) of a part after placing; a unit normal stays one where the map turns, mirrors and scales."""
+    """Normals (k, 3, 3) of a part after placing; unit normals stay unit where the map rotates, mirrors and
+    scales.
+    """
     linear = place[:3]
     size = abs(float(np.linalg.det(linear)))
     if size == 0.0:

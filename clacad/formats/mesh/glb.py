@@ -1,7 +1,7 @@
 """GLB: glTF 2.0 in one binary file, for viewers. One mesh a body, one node a cell or a body, exact normals.
 
-Coordinates are millimetres about each cell's own centre; a root node scales them to the metres that
-glTF is in. Glass is said by KHR_materials_transmission and KHR_materials_ior.
+Coordinates are millimetres about each cell's own centre; a root node scales them to the metres of glTF. Glass
+is described by KHR_materials_transmission and KHR_materials_ior.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MOST_NODES = 2_000_000
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _PLACED = 5
-"""A place takes about so many times the memory of a vertex."""
+"""Memory of a placement, in vertices."""
 INSTANCING = "EXT_mesh_gpu_instancing"
 
 
@@ -48,8 +48,8 @@ def write_glb(
         Millimetres per design unit.
     name : str
     gpu_instancing : bool
-        One node for all cells of a body, their places in an array (EXT_mesh_gpu_instancing, float32): far smaller,
-        for viewers that know the extension; others refuse the file.
+        One node for all cells of a body, their positions in an array (EXT_mesh_gpu_instancing, float32). Such
+        files are far smaller; viewers without the extension reject them.
 
     Raises
     ------
@@ -71,19 +71,19 @@ def write_glb(
 
 
 def write_glb_stack(placed: Sequence[PlacedPieces], path: Path, name: str) -> None:
-    """Write several sheets as one GLB file, each a node of its own that stands where it is put.
+    """Write several sheets as one GLB file, each a separate node at its position.
 
     Parameters
     ----------
     placed : sequence of PlacedPieces
-        The meshes of a sheet that stands twice are written once.
+        The meshes of a sheet that occurs twice are written once.
     path : Path
     name : str
 
     Raises
     ------
     OSError, FileDisagrees
-        As of `write_glb`.
+        As in `write_glb`.
     """
     binary = bytearray()
     document = _begun(name)
@@ -114,7 +114,7 @@ class PlacedPieces:
     scale : float
         Millimetres per unit of the sheet.
     z : float, mm
-        Where the sheet's own z = 0 stands.
+        Position of the sheet's own z = 0.
     """
 
     name: str
@@ -197,7 +197,7 @@ def _add_accessor(document: dict[str, Any], binary: bytearray, array: np.ndarray
 def _add_instances(
     document: dict[str, Any], binary: bytearray, piece: Piece, mesh: int, scale: float
 ) -> None:
-    """Append one node whose mesh stands at every place of the piece (EXT_mesh_gpu_instancing)."""
+    """Append one node whose mesh is placed at every position of the piece (EXT_mesh_gpu_instancing)."""
     assert piece.places is not None
     place = np.asarray(piece.places.centres() * scale, dtype="<f4") + np.float32(0.0)
     view = {"buffer": 0, "byteOffset": len(binary), "byteLength": place.nbytes}
@@ -245,7 +245,7 @@ def read_glb(path: Path) -> FileMesh:
     Raises
     ------
     UnreadableFile
-        Cut short, inconsistent, needs another file or an extension that changes the geometry.
+        Truncated, inconsistent, needs another file or an extension that changes the geometry.
     OverBudget
         More bytes, vertices, places or seconds than are read.
     """
@@ -271,7 +271,7 @@ def read_glb(path: Path) -> FileMesh:
 
 @dataclass(frozen=True, eq=False)
 class _Buffers:
-    """A GLB file: its JSON, its binary chunk, and what reading it has taken."""
+    """A GLB file: its JSON, its binary chunk, and the resources spent on reading it."""
 
     document: dict[str, Any]
     binary: np.ndarray[Any, Any]
@@ -300,7 +300,7 @@ def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any,
 
 
 def _scene(file: _Buffers) -> FileMesh:
-    """Meshes of the shown scene, each with every place it stands at."""
+    """Meshes of the shown scene, each with all of its placements."""
     document = file.document
     if set(document.get("extensionsRequired", ())) - {INSTANCING}:
         raise UnreadableFile(f"needs the extensions {document['extensionsRequired']}, which are not read")
@@ -321,7 +321,7 @@ def _scene(file: _Buffers) -> FileMesh:
 
 
 def _places(file: _Buffers, roots: list[int]) -> dict[int, list[Floats]]:
-    """Number of a mesh → blocks of places (k, 4, 3) at which it stands, the last first; row-vector matrices."""
+    """Number of a mesh → blocks of its placements (k, 4, 3), the last first; row-vector matrices."""
     nodes = file.document["nodes"]
     places: dict[int, list[Floats]] = {}
     seen: set[int] = set()
@@ -352,11 +352,11 @@ def _places(file: _Buffers, roots: list[int]) -> dict[int, list[Floats]]:
 
 
 _LEAF = {"mesh", "name", "translation"}
-"""All that a node holds which is nothing but a mesh put somewhere."""
+"""Keys of a node that only places a mesh."""
 
 
 def _leaves(nodes: list[dict[str, Any]]) -> list[tuple[int, Floats]]:
-    """Meshes that plain nodes put somewhere, and their row-vector matrices (k, 4, 4)."""
+    """Meshes that plain nodes place, and their row-vector matrices (k, 4, 4)."""
     found: dict[int, list[Any]] = {}
     for node in nodes:
         if "mesh" in node:
@@ -386,12 +386,12 @@ def _instances(file: _Buffers, node: dict[str, Any]) -> Floats:
 
 
 def _together(places: Floats, above: Floats) -> Floats:
-    """Places (…, 4, 4) below another one, as row-vector matrices.
+    """Placements (…, 4, 4) below another one, as row-vector matrices.
 
     Raises
     ------
     UnreadableFile
-        Scales of one above the other multiply to what is no number.
+        The product of nested scales is not a number.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = np.asarray(places @ above)
@@ -421,7 +421,7 @@ def _local(node: dict[str, Any]) -> Floats:
 
 
 def _parts(file: _Buffers, number: int, places: Placements) -> list[Part]:
-    """Parts of one mesh, one a primitive, all at the same places."""
+    """Parts of one mesh, one a primitive, all with the same placements."""
     mesh = file.document["meshes"][number]
     found = []
     for primitive in mesh["primitives"]:
@@ -452,7 +452,9 @@ def _parts(file: _Buffers, number: int, places: Placements) -> list[Part]:
 
 
 def _accessed(file: _Buffers, number: int, width: int) -> np.ndarray[Any, Any]:
-    """The array (count, width) that an accessor describes; each use of one counts, for each makes an array."""
+    """The array (count, width) that an accessor describes; each use of an accessor counts, because each makes
+    an array.
+    """
     document, binary = file.document, file.binary
     accessor = document["accessors"][int(number)]
     view = document["bufferViews"][int(accessor["bufferView"])]

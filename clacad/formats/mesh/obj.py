@@ -1,4 +1,4 @@
-"""OBJ: read only, because machine shops send it back. Triangles and polygons that fan from a corner."""
+"""OBJ: read only, because machine shops return it. Triangles and polygons that fan from a corner."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from clacad.storage.errors import UnreadableFile
 from clacad.storage.spending import Spending
 
 _GROUP = 10
-"""A group takes about the memory of so many vertices."""
+"""Memory of a group, in vertices."""
 _IGNORED = {b"vt", b"vp", b"g", b"s", b"usemtl", b"mtllib", b"l", b"p"}
 Corner = tuple[int, int]
 
 
 @dataclass
 class _Found:
-    """What was read so far: x, y, z of vertices and normals; names of groups and six numbers a triangle."""
+    """Data read so far: x, y, z of vertices and normals; names of groups and six numbers a triangle."""
 
     vertices: array[float] = field(default_factory=lambda: array("d"))
     normals: array[float] = field(default_factory=lambda: array("d"))
@@ -53,7 +53,7 @@ def read_obj(path: Path) -> FileMesh:
 
 
 def _take(spent: Spending, found: _Found, words: list[bytes]) -> None:
-    """Keep what one statement says; ValueError or IndexError where it says nothing that is read."""
+    """Store one statement; ValueError or IndexError where its content is malformed."""
     if words[0] in (b"v", b"vn"):
         spent.count(1)
         kept = found.vertices if words[0] == b"v" else found.normals
@@ -76,7 +76,10 @@ def _take(spent: Spending, found: _Found, words: list[bytes]) -> None:
 
 
 def _corner(word: bytes, vertices: int, normals: int) -> Corner:
-    """Zero-based (vertex, normal) of one corner; normal −1 where there is none. Negative numbers count back."""
+    """Zero-based (vertex, normal) of one corner; normal −1 where there is none.
+
+    Negative numbers count back.
+    """
     fields = word.split(b"/")
     v = int(fields[0])
     n = int(fields[2]) if len(fields) == 3 and fields[2] else 0
@@ -98,7 +101,7 @@ def _checked(path: Path, found: _Found) -> FileMesh:
 
 
 def _part(name: str, faces: Ints, position: Floats, direction: Floats) -> Part:
-    """Give each pair (vertex, normal) a row of its own, so that a sharp edge keeps two normals."""
+    """Give each pair (vertex, normal) a separate row, so that a sharp edge keeps two normals."""
     pairs, index = np.unique(faces.reshape(-1, 2), axis=0, return_inverse=True)
     kept = direction[pairs[:, 1]] if len(direction) and (pairs[:, 1] >= 0).all() else None
     return Part(name, position[pairs[:, 0]], index.reshape(-1, 3), normals=kept)

@@ -89,11 +89,12 @@ class _Element:
     count: int
     scalars: list[tuple[str, str]]
     lists: list[tuple[str, str, str]]
-    before: int = 0  # plain numbers that stand before the list in each row
+    before: int = 0  # plain numbers before the list in each row
 
 
 def read_ply(path: Path) -> FileMesh:
-    """Read a PLY file of triangles: ASCII or binary, with or without normals; other numbers of a face are skipped.
+    """Read a PLY file of triangles: ASCII or binary, with or without normals; other numbers of a face are
+    skipped.
 
     Raises
     ------
@@ -127,7 +128,7 @@ def read_ply(path: Path) -> FileMesh:
 
 
 def _columns(path: Path, vertex: _Element) -> list[str]:
-    """Names of the numbers of a vertex that are kept: its place, and its normal if it has one."""
+    """Names of the kept numbers of a vertex: its position, and its normal if it has one."""
     names = {name for name, _ in vertex.scalars}
     if not {"x", "y", "z"} <= names:
         raise UnreadableFile(f"{path.name}: vertices have no x, y, z")
@@ -135,7 +136,7 @@ def _columns(path: Path, vertex: _Element) -> list[str]:
 
 
 def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], str]:
-    """Form of the data, elements in their order, and the comments."""
+    """Format of the data, elements in order, and the comments."""
     form, comments = "", ""
     elements: list[_Element] = []
     for line in lines[1:]:
@@ -193,7 +194,7 @@ def _binary_body(
 def _ascii_body(
     spent: Spending, body: NDArray[np.uint8], vertex: _Element, face: _Element
 ) -> tuple[Floats, Ints]:
-    """All numbers of the vertices (v, k) and corners of facets (t, 3) of a file of words."""
+    """All numbers of the vertices (v, k) and corners of facets (t, 3) of an ASCII file."""
     width, row = len(vertex.scalars), 4 + len(face.scalars)
     promised = width * vertex.count + row * face.count
     spent.count(promised)
@@ -209,7 +210,7 @@ def _ascii_body(
 
 
 def _words(spent: Spending, body: NDArray[np.uint8], most: int) -> Iterator[Floats]:
-    """Numbers of a text, a block at a time, until there are more than `most`; a word may be cut by a block's end."""
+    """Numbers of a text, a block at a time, until there are more than `most`; a block's end may cut a word."""
     found, rest = 0, b""
     for start in range(0, len(body), _BLOCK):
         spent.look(f"at byte {start:,} of its data")

@@ -1,4 +1,4 @@
-"""Read a mesh file of any format that is known, by what is in it and not by its name."""
+"""Reader of mesh files of any known format, identified by content and not by name."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ def read_mesh(path: str | os.PathLike[str], heard: Overheard | None = None) -> F
     Parameters
     ----------
     path : path
-    heard : Overheard or None
-        Told of the bytes of a format that is read as a stream, where its hash is wanted too.
+    heard : `Overheard` or None
+        Receives the bytes of a format that is read as a stream, where the caller also needs its hash.
 
     Returns
     -------
     FileMesh
-        Coordinates in the file's unit; its `chunks` yield corners without holding them all. Those of a binary STL file
-        are read, and may turn out to be UnreadableFile, only then.
+        Coordinates in the file's unit; its `chunks` yield corners without holding them all. Those of a binary
+        STL file are read, and may raise UnreadableFile, only then.
 
     Raises
     ------
     UnreadableFile
-        Not one of these, damaged, or built to harm its reader. Nothing else is raised for any content.
+        Not one of these, damaged, or built to harm its reader. No other error is raised for any content.
     OverBudget
-        An UnreadableFile, too: more bytes, items or seconds than its reader takes, or more memory than is free.
+        A kind of UnreadableFile: more bytes, items or seconds than its reader accepts, or more memory than is
+        free.
     FileNotFoundError
     """
     path = Path(path)
@@ -48,7 +49,7 @@ def read_mesh(path: str | os.PathLike[str], heard: Overheard | None = None) -> F
 
 
 def _reader(head: bytes, suffix: str, heard: Overheard | None) -> Callable[[Path], FileMesh]:
-    """Choose by the first bytes; STL has no mark, so its suffix or its arithmetic decides last."""
+    """Choose by the first bytes; STL has no signature, so its suffix or its arithmetic decides last."""
     if head.startswith(b"PK\x03\x04"):
         from clacad.formats.mesh.threemf import read_threemf
 

@@ -1,4 +1,4 @@
-"""What instanced formats write: one small mesh, and the places on the lattice where it stands."""
+"""Content of instanced formats: one small mesh, and its positions on the lattice."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from clacad.sheet.lattice import Lattice
 from clacad.storage.errors import FileDisagrees
 
 FLAT_LIMIT = 50_000
-"""Up to this many places components of 3MF are written in one level, which every reader tried understands."""
+"""Number of positions up to which components of 3MF are written in one level, which every tested reader
+understands.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A closed mesh and where it stands.
+    """A closed mesh and its positions.
 
     Parameters
     ----------
@@ -29,7 +31,7 @@ class Piece:
     normals : (v, 3) array or None
         Exact unit normals at the vertices, for formats that keep them.
     places : Places or None
-        None: the piece stands once, where its coordinates say.
+        None: the piece occurs once, at its coordinates.
     index : float
         Refractive index, for formats that draw glass.
     """
@@ -43,7 +45,7 @@ class Piece:
 
     @property
     def count(self) -> int:
-        """How many times the piece stands."""
+        """Number of instances of the piece."""
         return 1 if self.places is None else self.places.count
 
     def sound(self, scale: float, centre: Floats | None = None) -> tuple[Floats, Floats]:
@@ -65,7 +67,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the cells of an array are, row by row.
+    """Positions of the cells of an array, row by row.
 
     Parameters
     ----------
@@ -94,8 +96,8 @@ class Places:
         -------
         kinds : list of (k,) arrays
             x of the cells of a row, from its first cell.
-        standing : list of (kind, (x, y))
-            Every row: which kind, and where its first cell is.
+        `standing` : list of (kind, (x, y))
+            For every row: its kind, and the position of its first cell.
         """
         kinds: dict[tuple[int, ...], int] = {}
         offsets: list[Floats] = []

@@ -1,4 +1,4 @@
-"""A mesh file as an object of a scene: y up, standing on the origin, as high as asked."""
+"""A mesh file as an object of a scene: y up, on the origin, scaled to the specified height."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def standing_corners(scene: Scene, thing: SceneObject) -> Floats:
     UnreadableFile
         It is no mesh, or damaged.
     """
-    assert thing.file is not None  # the scene's rules ask for it
+    assert thing.file is not None  # the scene's rules require it
     corners = np.concatenate([np.zeros((0, 3, 3)), *read_mesh(scene.file(thing.file)).chunks()])
     if thing.up == "z":  # x stays, the file's y points away from the viewer
         corners = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], axis=-1)

@@ -1,7 +1,7 @@
 """STL: binary triangles, written and read as a stream.
 
-80 bytes of header, a count, then 50 bytes a facet: normal, three corners (float32), two zero bytes.
-The format knows no unit; the header says "unit=mm" and every coordinate is in millimetres.
+80 bytes of header, a count, then 50 bytes a facet: normal, three corners (float32), two zero bytes. The
+format has no unit; the header contains "unit=mm" and every coordinate is in millimetres.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ from clacad.storage.spending import Spending
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 HEADER = 80
 PIECE = 1 << 12
-"""Facets that are checked together: what is made of them stays in the second-level cache, and in memory that is there already."""
+"""Facets that are checked together: their temporaries stay in the second-level cache, and in memory already
+allocated.
+"""
 
 
 class FacetStream(Protocol):
-    """What a body must offer to be written: its name, its facet count and its facets."""
+    """Properties of a body that can be written: its name, its facet count and its facets."""
 
     @property
     def name(self) -> str:
@@ -37,14 +39,14 @@ class FacetStream(Protocol):
 
     @property
     def facet_count(self) -> int:
-        """Number of facets `rows` yields in all, known beforehand."""
+        """Total number of facets that `rows` yields, known beforehand."""
 
     def rows(self) -> Iterator[Floats]:
         """Corners of facets, (k, 3, 3) at a time, design units."""
 
 
 def stl_bytes(facet_count: int) -> int:
-    """Size of a binary STL file, exactly."""
+    """Exact size of a binary STL file."""
     return HEADER + 4 + FACET.itemsize * facet_count
 
 
@@ -58,19 +60,19 @@ def write_stl(bodies: Iterable[FacetStream], path: Path, scale: float, name: str
     scale : float
         Millimetres per design unit.
     name : str
-        Goes into the header with the unit; no time, so equal designs give equal bytes.
+        Written to the header with the unit; no time, so equal designs give equal bytes.
 
     Raises
     ------
     OSError
-        The disk is full, or the like.
+        The disk is full, or a similar error.
     FileDisagrees
-        A body yielded another number of facets than it had promised, or a corner that is no number.
+        A body yielded another number of facets than `facet_count`, or a corner that is no number.
     """
     bodies = list(bodies)
     counted = all(
         not getattr(body, "own", False) for body in bodies
-    )  # cells that differ are counted as they are made
+    )  # cells that vary are counted as they are made
     count = sum(body.facet_count for body in bodies) if counted else 0
     _refuse_many(count)
     with path.open("wb") as stream:
@@ -103,7 +105,7 @@ def _write_rows(stream: IO[bytes], rows: Floats, scale: float) -> int:
 
 
 def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
-    """Bytes (k, 50) of facets (k, 3, 3) as they are written; −0 and 0 are one place and one bit pattern.
+    """Bytes (k, 50) of facets (k, 3, 3) as they are written; −0 and 0 are one position and one bit pattern.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
     from clacad.formats.mesh.compiled_facets import facet_numbers
 
     numbers = np.empty((len(corners), 4, 3), dtype="<f4")
-    with np.errstate(invalid="ignore"):  # a NaN that a flipped bit made is about to be told
+    with np.errstate(invalid="ignore"):  # a NaN from a flipped bit is reported below
         whole = np.ascontiguousarray(corners, dtype=np.float64)
     if not facet_numbers(whole, scale, numbers):
         raise FileDisagrees("the mesh holds a corner that is not a finite float32 number")
@@ -125,20 +127,20 @@ def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
 def read_stl(path: Path, heard: Overheard | None = None, checked: bool = False) -> FileMesh:
     """Read an STL file, binary (streamed) or ASCII.
 
-    heard : Overheard or None
-        Told of the bytes as the triangles of a binary file are read.
+    heard : `Overheard` or None
+        Receives the bytes as the triangles of a binary file are read.
     checked : bool
         Each facet that is read must be as this package writes it, see `check_facets`.
 
     Raises
     ------
     UnreadableFile
-        Cut short, too long, holds a corner that is no number, or is not STL. Of a binary file a corner is looked at when it
-        is read, as a slice of its triangles.
+        Truncated, too long, contains a corner that is no number, or is not STL. Corners of a binary file are
+        checked when they are read, as a slice of its triangles.
     OverBudget
         More bytes, facets or seconds than are read.
     FileDisagrees
-        When they are read, if `checked`.
+        On reading facets, if `checked`.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -169,9 +171,9 @@ def _read_binary(path: Path, head: bytes, count: int, heard: Overheard | None, c
 
 @dataclass(frozen=True, slots=True)
 class BinaryStl:
-    """The triangles of a binary STL file, read from it each time they are asked for; memory is one chunk.
+    """The triangles of a binary STL file, read from it on each access; memory is one chunk.
 
-    A mapped file would count as memory of this process, all gigabytes of it.
+    A mapped file would count in full as memory of this process.
     """
 
     path: Path
@@ -190,11 +192,11 @@ class BinaryStl:
         Raises
         ------
         UnreadableFile
-            One of them is not a number, or the file has become shorter.
+            One of them is not a number, or the file was truncated since.
         OverBudget
-            What was read of the file until now took more seconds than that is given.
+            Reading the file has so far taken more seconds than allowed.
         FileDisagrees
-            One is not as this package writes it, and they are `checked`.
+            One is not as this package writes it, and `checked` is set.
         """
         start, stop, step = which.indices(self.count)
         with self.spent.working(f"at facet {start:,}"):
@@ -210,14 +212,14 @@ class BinaryStl:
             check_facets(records, f"{self.path.name}: a facet near number {start}")
         corners = np.asarray(records["corners"][::step])
         with np.errstate(invalid="ignore"):
-            total = corners.sum(dtype=np.float64)  # of so many float32 it is infinite only if one of them is
+            total = corners.sum(dtype=np.float64)  # such a sum of float32 is infinite only if one of them is
         if not np.isfinite(total):
             raise UnreadableFile(f"{self.path.name}: a corner near facet {start} is not a number")
         return corners
 
 
 def read_facets(path: Path, start: int, stop: int, heard: Overheard | None = None) -> NDArray[np.void]:
-    """Facets start … stop − 1 of a binary STL file as records of FACET; `heard` is told of their bytes."""
+    """Facets start … stop − 1 of a binary STL file as records of FACET; `heard` receives their bytes."""
     first = HEADER + 4 + start * FACET.itemsize
     with path.open("rb") as stream:
         stream.seek(first)
@@ -261,12 +263,13 @@ def _read_ascii(path: Path) -> FileMesh:
 
 
 def check_facets(records: NDArray[np.void], which: str) -> None:
-    """Compare stored normals and attributes of records of FACET with what their corners say; a flipped bit shows here.
+    """Compare stored normals and attributes of records of FACET with those of their corners; detects a
+    flipped bit.
 
     Raises
     ------
     FileDisagrees
-        `which`, as the message begins, disagrees.
+        The facets disagree; `which` begins the message.
     """
     for start in range(0, len(records), PIECE):
         piece = records[start : start + PIECE]

@@ -1,8 +1,8 @@
-"""3MF: a zip of XML that states its unit and lets one cell stand many times.
+"""3MF: a zip of XML that states its unit and can repeat one cell many times.
 
-Written without a library, so that equal designs give equal bytes: fixed dates, no identifiers drawn
-at random, numbers in the shortest form that reads back exactly. Read with an expander of our own,
-because readers in the field lose instances that are shared through two levels.
+Written without a library, so that equal designs give equal bytes: fixed dates, no random identifiers, numbers
+in the shortest form that reads back exactly. Read with clacad's own expander, because common readers lose
+instances that are shared through two levels.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
 from clacad.storage.spending import Spending
 
 MOST_PLACES = 4_000_000
-"""Places at which the parts of one file may stand."""
+"""Largest number of placements of the parts of one file."""
 
 _PLACED = 14
-"""A component, item or object takes about so many times the memory of a vertex."""
+"""Memory of a component, item or object, in vertices."""
 
 TOGETHER = 4096
 """Lines that are made and packed at a time."""
@@ -62,7 +62,7 @@ UNITS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254,
 
 
 def write_threemf(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> None:
-    """Write pieces, each standing once or on a lattice, as one 3MF file.
+    """Write pieces, each occurring once or on a lattice, as one 3MF file.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def _blocks(lines: Iterator[str]) -> Iterator[bytes]:
 
 
 def _model(pieces: Sequence[Piece], scale: float, name: str) -> Iterator[str]:
-    """The lines of the model part: materials, meshes, components and what is built."""
+    """Lines of the model part: materials, meshes, components and build items."""
     yield '<?xml version="1.0" encoding="UTF-8"?>\n'
     yield f'<model unit="millimeter" xml:lang="en-US" xmlns="{NAMESPACE}">\n'
     yield f'<metadata name="Title">{escape(name, quote=False)}</metadata>\n<metadata name="Application">clacad</metadata>\n'
@@ -149,7 +149,7 @@ def mesh_lines(piece: Piece, number: int, scale: float) -> Iterator[str]:
 
 
 def _together(rows: NDArray[Any]) -> Iterator[Iterator[tuple[Any, ...]]]:
-    """Rows of plain numbers, TOGETHER at a time; by columns, since a list a row is what takes time."""
+    """Rows of plain numbers, TOGETHER at a time; by columns, because building a list for each row is slow."""
     for first in range(0, len(rows), TOGETHER):
         yield zip(*rows[first : first + TOGETHER].T.tolist(), strict=True)
 
@@ -177,7 +177,7 @@ def _hierarchical(
 
 
 def component_text(number: int, x: float, y: float) -> str:
-    """Line that puts object `number` at (x, y)."""
+    """Line that places object `number` at (x, y)."""
     return f'<component objectid="{number}" transform="1 0 0 0 1 0 0 0 1 {x + 0.0!r} {y + 0.0!r} 0"/>\n'
 
 
@@ -194,7 +194,7 @@ class _Object:
 
 @dataclass
 class _Model:
-    """What the parser has gathered so far."""
+    """Data that the parser has gathered so far."""
 
     spent: Spending
     unit: float = 1e-3
@@ -214,7 +214,7 @@ def read_threemf(path: Path) -> FileMesh:
     Raises
     ------
     UnreadableFile
-        Not 3MF, damaged, hostile, or needs an extension that is not read.
+        Not 3MF, damaged, hostile, or needs an unsupported extension.
     OverBudget
         More bytes, parts or seconds than are read.
     """
@@ -253,7 +253,7 @@ def _model_name(spent: Spending, archive: zipfile.ZipFile) -> str:
 
 
 def _parsed(spent: Spending, stream: IO[bytes]) -> _Model:
-    """Objects and places of one model part, as they stand in its XML."""
+    """Objects and placements of one model part, as written in its XML."""
     model = _Model(spent)
 
     def start(tag: str, attributes: Attributes) -> None:
@@ -288,7 +288,9 @@ _BETWEEN_WHOLE = bytes.maketrans(b'<>/="triangleve\r\n\t', b" " * 18)
 
 
 def _runs(model: _Model) -> dict[str, ElementRun]:
-    """Elements that come by the million, as most programs write them: `_on_vertex` and its like, many at once."""
+    """Readers of elements that occur by the million, in their most common form: `_on_vertex` and similar,
+    many at once.
+    """
 
     def vertices(text: bytes) -> None:
         numbers = text.replace(b"vertex", b"").translate(_BETWEEN)
@@ -382,8 +384,10 @@ _HANDLERS = {
 
 def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Placements]], above: tuple[str, ...],
             budget: list[int]) -> None:  # fmt: skip
-    """Collect where each mesh stands. Leaf components are placed as one array, rows of such that follow one another as
-    rows: a sheet costs as much as its rows and one of them.
+    """Collect the placements of each mesh.
+
+    Leaf components are placed as one array, rows of such in sequence as rows: a sheet costs as much as its
+    rows and one of them.
     """
     if number in above or len(above) > 16:
         raise model.fail(f"object {number} contains itself, or components nest deeper than 16")
@@ -392,7 +396,7 @@ def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Pl
         raise model.fail(f"object {number} is used and not defined")
     if found.triangles:
         places.setdefault(number, []).append(put(place[None]))
-    _spend(model, max(500, len(found.components)), budget)  # a level of its own is dearer than a leaf
+    _spend(model, max(500, len(found.components)), budget)  # a level of its own costs more than a leaf
     leaves: dict[str, list[Floats]] = {}
     for child, run in groupby(found.components, key=itemgetter(0)):
         inside = model.objects.get(child)
@@ -413,20 +417,20 @@ def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Pl
 
 
 def _spend(model: _Model, count: int, budget: list[int]) -> None:
-    """Take so many places out of the budget."""
+    """Subtract a number of placements from the budget."""
     budget[0] -= count
     if budget[0] < 0:
         raise OverBudget(f"{model.spent.name}: more than {MOST_PLACES:,} places of its parts")
 
 
 def _holds_leaves(model: _Model, found: _Object) -> bool:
-    """Whether all that an object holds are meshes."""
+    """Whether an object contains only meshes."""
     inside = (model.objects.get(child) for child in {child for child, _ in found.components})
     return all(one is not None and one.triangles and not one.components for one in inside)
 
 
 def _by_object(found: _Object) -> dict[str, list[Floats]]:
-    """Where components of an object stand in it, by what stands there."""
+    """Placements of the components of an object, by the number of the component's object."""
     places: dict[str, list[Floats]] = {}
     for child, place in found.components:
         places.setdefault(child, []).append(place)
@@ -434,7 +438,7 @@ def _by_object(found: _Object) -> dict[str, list[Floats]]:
 
 
 def _composed(inner: Floats, outer: Floats) -> Floats:
-    """Place `inner` maps (m, 4, 3) inside the map `outer` (4, 3)."""
+    """Apply placements `inner` (m, 4, 3) inside the map `outer` (4, 3)."""
     result = np.matmul(inner, outer[:3])
     result[:, 3] += outer[3]
     return np.asarray(result, dtype=np.float64)

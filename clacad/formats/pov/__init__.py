@@ -1,4 +1,4 @@
-"""The sheet and the scene as POV-Ray reads them, for a second opinion.
+"""The sheet and the scene in the language of POV-Ray, as an independent check.
 
-Own pictures are made in `rendering`.
+clacad's own pictures are made in `rendering`.
 """

@@ -1,13 +1,13 @@
-"""Cells as POV-Ray reads them: the prism of one, and loops that put a solid into every cell of an array.
+"""Cells in the language of POV-Ray: the prism of one, and loops that put a solid into every cell of an array.
 
-Where the lenses of an array stand alike, a solid is declared once and copied. Where they differ it is a macro, made
-anew in every cell: the lens moves by the affine part of its place, worked out in the loop from the cell's centre, and
-by a table of all cells where there is one. POV-Ray copies every object that stands in a union either way, so its
-memory and its time for a ray stay what they are; what is lost is the size of the file, and that for tables alone.
+On a uniform sheet a solid is declared once and copied. On a non-uniform sheet it is a macro, evaluated in
+every cell. The lens moves by the affine part of its position, computed in the loop from the cell's centre,
+and by a table of all cells where there is one. POV-Ray copies every object of a union either way, so its
+memory and its time for a ray do not change; only the file grows, and only for tables.
 
-Lenses that stand alike keep a hair off their borders, so that no two share a wall. Those that differ stand a hair over
-them, each with an interior of its own: steps make their cells deep, and light that crosses a border in the glass would
-be thrown back by the air of a gap.
+Lenses of a uniform sheet keep a small gap to the borders of their cells (`hair`), so that no two share a
+wall. Lenses of a non-uniform sheet overlap their borders slightly, each with an interior of its own. Steps
+make their cells deep, and light that crosses a border in the glass would be reflected by the air of a gap.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from clacad.sheet.window import Face, Window
 
 @dataclass(frozen=True, slots=True)
 class HeightRange:
-    """Heights between which something stands, window units."""
+    """Lower and upper height of an object, window units."""
 
     low: float
     high: float
@@ -34,7 +34,7 @@ class HeightRange:
 
 @dataclass(frozen=True, slots=True)
 class Substance:
-    """What a solid is made of: its surface, and what is in it ("" for nothing that light goes through)."""
+    """Material of a solid: its surface, and its interior ("" where no light enters)."""
 
     texture: str
     interior: str = ""
@@ -44,12 +44,14 @@ class Substance:
 
 
 def hair(window: Window) -> float:
-    """What a solid keeps off the border of its cell (length)."""
+    """Gap between a solid and the border of its cell (length)."""
     return GAP * min(window.lattice.pitch)
 
 
 def keeps_off(window: Window, array: int) -> float:
-    """How far the lenses of an array keep off the borders of their cells (length); negative where they stand over them."""
+    """Gap between the lenses of an array and the borders of their cells (length); negative where they overlap
+    them.
+    """
     own = any(face.change is not None for face in window.faces if face.array == array)
     return -2.0 * hair(window) if own else hair(window)
 
@@ -65,7 +67,9 @@ def prism(
     zone: bool = False,
     spare: float | None = None,
 ) -> str:
-    """A cell of an array, or its optical zone, between two heights, less `spare` (a hair, `keeps_off`) at each border."""
+    """A cell of an array, or its optical zone, between two heights, less `spare` (a gap, `keeps_off`) at each
+    border.
+    """
     lattice = window.lattice_of(array)
     loss, spare = (
         0.5 * window.land.seam if zone else 0.0,
@@ -100,11 +104,13 @@ def _bounded(lattice: Lattice, units: float, span: HeightRange, room: float = 0.
 
 
 MOVE = "translate Move"
-"""How a part asks for the place of its cell's lens; the number of the way in which lenses move follows."""
+"""Placeholder of a part for the position of its cell's lens; the number of the way in which lenses move
+follows.
+"""
 
 
 def changes(window: Window) -> list[VertexChange]:
-    """The ways in which lenses stand differently from cell to cell, each once, in the order of the faces."""
+    """The ways in which lenses vary from cell to cell, each once, in the order of the faces."""
     found: list[VertexChange] = []
     for face in window.faces:
         if face.change is not None and _number_of(face.change, found) is None:
@@ -113,7 +119,7 @@ def changes(window: Window) -> list[VertexChange]:
 
 
 def _number_of(change: VertexChange, known: Sequence[VertexChange]) -> int | None:
-    """Which of the known ways is this one."""
+    """Index of a change among the known ones."""
 
     def same(other: VertexChange) -> bool:
         if change.table is None or other.table is None:
@@ -124,7 +130,7 @@ def _number_of(change: VertexChange, known: Sequence[VertexChange]) -> int | Non
 
 
 def moved(window: Window, face: Face) -> str:
-    """What moves the lens of a face to its place in the cell that a loop has come to; "" where all stand alike."""
+    """Translation of the lens of a face to its position in the loop's present cell; "" on a uniform sheet."""
     if face.change is None:
         return ""
     return f" {MOVE}{_number_of(face.change, changes(window))}"
@@ -147,7 +153,9 @@ def tables(window: Window) -> Iterator[str]:
 
 
 def _moves(window: Window, units: float) -> Iterator[str]:
-    """Lines within a loop that work out how the lenses of its cell have moved, from the cell's place in the lattice."""
+    """Lines within a loop that compute the moves of the lenses of its cell, from the cell's position in the
+    lattice.
+    """
     for k, change in enumerate(changes(window)):
         (xx, xy), (yx, yy) = change.gradient
         yield f"      #declare C = <{_place(window.lattice, (0.0, 0.0), units)}>;"
@@ -176,7 +184,7 @@ def rows_of_cells(window: Window) -> Iterator[str]:
 
 
 def _stretches(lattice: Lattice) -> list[tuple[int, int, int]]:
-    """Row, first kept cell and one past the last of each stretch of cells, in the order in which loops come to them."""
+    """Row, first kept cell and one past the last of each stretch of cells, in the order of the loops."""
     rows = [(j, row[:, 0]) for j in range(lattice.count[1]) if len(row := lattice.row(j))]
     return [(j, int(first), int(end)) for j, row in rows for first, end in runs(row)]
 
@@ -192,7 +200,7 @@ def _place(lattice: Lattice, shift: tuple[float, float], units: float) -> str:
 
 
 CALLED = "()"
-"""What the name of a macro ends with where it is called."""
+"""Suffix of the name of a macro where it is called."""
 
 
 def in_every_cell(
@@ -204,7 +212,9 @@ def in_every_cell(
     span: HeightRange,
     look: Substance,
 ) -> Iterator[str]:
-    """Declare a solid of parts and put it into every cell of an array; a macro where a part asks for its cell (`moved`)."""
+    """Declare a solid of parts and put it into every cell of an array; a macro where a part needs its cell
+    (`moved`).
+    """
     kind = "merge" if len(parts) > 1 else "intersection"
     inside = "\n  ".join(parts)
     moving = any(MOVE in part for part in parts)
@@ -219,9 +229,10 @@ def in_every_cell(
 
 
 def all_rows(window: Window, array: int, units: float, span: HeightRange) -> Iterator[str]:
-    """Footprint of the cells of rectangles that an outline keeps between two heights: a box for each stretch of a row.
+    """Footprint of the cells of rectangles that an outline keeps between two heights: a box for each stretch
+    of a row.
 
-    What is taken away from a solid is gone through piece by piece for every ray, so that boxes of cells would cost too much.
+    POV-Ray tests every piece of a subtracted solid for every ray, so boxes of single cells would be too slow.
     """
     lattice, shift = window.lattice_of(array), window.shifts[array]
     (x0, y0), (px, py) = (np.add(lattice.first_centre, shift) * units).tolist(), lattice.pitch
@@ -251,8 +262,8 @@ def all_cells(
 ) -> Iterator[str]:
     """One flat union of a declared solid in every cell of an array (nested unions trace far slower).
 
-    name : of the solid; called as a macro, it is made anew in every cell
-    beyond : rows and columns of cells beside the kept ones
+    name : of the solid; called as a macro, it is evaluated in every cell
+    beyond : rows and columns of cells around the kept ones
     """
     lattice = window.lattice
     if beyond and not lattice.hexagonal:
@@ -267,7 +278,7 @@ def all_cells(
     rows = beyond if not lattice.hexagonal else 0
     of_runs = isinstance(lattice.outline, Plate) and first == "FIRST[J]"
     counter, start, end_of_rows = "J", -rows, f"{lattice.count[1] + rows}"
-    if of_runs:  # a row of a plate may fall into several runs of cells
+    if of_runs:  # a row of a plate may consist of several runs of cells
         counter, start, end_of_rows, first, end = "R", 0, "dimension_size(ROW, 1)", "FIRST[R]", "END[R]"
     moving = name.endswith(CALLED)
     if moving:

@@ -1,9 +1,9 @@
-"""The same sheet and scene for POV-Ray 3.7, for a second opinion by a renderer that shares nothing with this one.
+"""The same sheet and scene for POV-Ray 3.7, an independent check by a renderer without shared code.
 
-Lengths are multiplied by 1000: POV-Ray drops hits nearer than about 1e-4 units. Every rotation is written as
-its nine matrix elements and the camera by its own vectors, so no reading of angles and no handedness enters:
-the numbers are those of the scene. Lenslets stand in one flat union filled by two loops (nested unions trace
-tens of times slower), each cut to its cell less a hair, so that no two share a wall.
+Lengths are multiplied by 1000, because POV-Ray drops hits nearer than about 1e-4 units. Every rotation is
+written as its nine matrix elements and the camera by its own vectors. No convention of angles or handedness
+is involved: the numbers are those of the scene. Lenslets are in one flat union filled by two loops (nested
+unions trace tens of times slower), each cut to its cell less a small gap, so that no two share a wall.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SCALE = 1000.0
 """POV-Ray units in one scene (or design) length."""
 
 FAR = 1e7
-"""Length that stands for infinity, POV-Ray units."""
+"""Length that represents infinity, POV-Ray units."""
 
 
 def write_pov(window: Window, path: Path, scene: Scene | None = None) -> None:
@@ -113,7 +113,7 @@ def _camera(camera: Camera) -> str:
     if camera.frame is not None:
         across = camera.frame
     else:
-        assert camera.fov is not None  # the scene's rules ask for one of the two
+        assert camera.fov is not None  # the scene's rules require one of the two
         across = 2.0 * float(np.linalg.norm(look)) * math.tan(0.5 * camera.fov)
     width, height = camera.pixels
     sign = -1.0 if camera.mirror else 1.0
@@ -202,18 +202,20 @@ def _screen(scene: Scene, thing: SceneObject) -> Shapes:
         bands = f"[0 {colour(first)}] [0.5 {colour(first)}] [0.5 {colour(second)}] [1 {colour(second)}]"
         return [(sheet, f"gradient x color_map {{ {bands} }} scale {number(period)}")]
     if thing.pattern == "image":
-        assert thing.file is not None  # the scene's rules ask for it
+        assert thing.file is not None  # the scene's rules require it
         kind = {".jpg": "jpeg", ".jpeg": "jpeg", ".tif": "tiff", ".tiff": "tiff"}.get(
             Path(thing.file).suffix.lower(), "png"
         )
         image = f'image_map {{ {kind} "{scene.file(thing.file)}" interpolate 2 once }}'
-        # a picture's right edge stands at -x, where a viewer before the screen sees it right
+        # a picture's right edge is at -x, where a viewer before the screen sees it right
         return [(sheet, f"{image} translate <-0.5, -0.5, 0> scale <{number(-w)}, {number(h)}, 1>")]
     return [(sheet, colour(thing.colour))]
 
 
 def _coordinates(w: float, h: float) -> str:
-    """Red and green rise from 0 to 1 across the screen, blue is 1: an average of three maps, each three times as strong."""
+    """Red and green rise from 0 to 1 across the screen, blue is 1: an average of three maps, each three times
+    as strong.
+    """
     across = f"gradient x color_map {{ [0 rgb 0] [1 rgb <3, 0, 0>] }} scale {number(w)} translate <{number(-0.5 * w)}, 0, 0>"
     up = f"gradient y color_map {{ [0 rgb 0] [1 rgb <0, 3, 0>] }} scale {number(h)} translate <0, {number(-0.5 * h)}, 0>"
     return f"average pigment_map {{ [1 {across}] [1 {up}] [1 color rgb <0, 0, 3>] }}"
@@ -228,7 +230,9 @@ def _mesh(scene: Scene, thing: SceneObject) -> Shapes:
 
 
 def _floor(thing: SceneObject) -> str:
-    """Unit cubes of the checker pattern: their middle plane is laid on the floor, so that no edge falls on it."""
+    """Unit cubes of the checker pattern: their middle plane is laid on the floor, so that no edge falls on
+    it.
+    """
     odd, even = thing.colours
     side, y = SCALE * thing.tile, SCALE * thing.height
     # POV-Ray's first colour fills the cube at the origin, where floor(x) + floor(z) is even

@@ -1,9 +1,9 @@
 """The sheet as solids of POV-Ray: cells in flat unions, the glass between two arrays as one block.
 
-A biconvex array is a union of its lenslets, each cut to its cell less a hair, with its share of the web. A
-slab or a plano sheet is cut in layers along z, a hair apart: the cells of each structured face down to below
-their deepest point, and a plain block between. Land beside the cells is the outline less the cells. Walls of
-a baffle are black.
+A biconvex array is a union of its lenslets, each cut to its cell less a small gap, with its share of the web.
+A slab or a plano sheet is cut in layers along z with small gaps: the cells of each structured face down to
+below their deepest point, and a plain block between. Land around the cells is the outline less the cells.
+Walls of a baffle are black.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ BLACK = Substance("texture { pigment { rgb 0 } finish { ambient 0 diffuse 0 emis
 
 
 def quadric_of(face: Face) -> Quadric | None:
-    """The quadric of a face's points, None where they lie on none."""
+    """Quadric that contains a face's points, None where there is none."""
     if not isinstance(face.surface, Biconic):
         return face.surface if isinstance(face.surface, Quadric) else None
     try:
@@ -53,13 +53,13 @@ def quadric_of(face: Face) -> Quadric | None:
 
 
 def refuse(window: Window) -> None:
-    """Refuse what exact solids cannot hold.
+    """Reject what exact solids cannot represent.
 
     Raises
     ------
     NotForPov
-        A face that is no quadric, as most biconic ones; opaque land of a web, which lies inside the glass; an array that is
-        turned, or lenses at heights of their own or of many sizes.
+        A face that is no quadric, as most biconic ones; opaque land of a web, which lies inside the glass; an
+        array that is rotated, or lenses at individual heights or of many sizes.
     """
     why = ""
     if any(quadric_of(face) is None for face in window.faces):
@@ -137,7 +137,7 @@ def _layer(
     parts = [_meeting([_half_space(window, face, units), prism(window, face.array, units, depth, zone=True)])]
     land = None if face.land is None or isnan(face.land) else HeightRange(*sorted((face.land, inner)))
     if land is not None:
-        # a hair inside the lens's own prism: where two solids share a face a merge may lose both
+        # slightly inside the lens's own prism: where two solids share a face a merge may lose both
         under = HeightRange(
             *sorted((land.low if face.land == land.low else land.high, inner - side * 25.0 * gap))
         )
@@ -156,7 +156,10 @@ def _layer(
 
 
 def _heights(window: Window, face: Face) -> HeightRange:
-    """Heights between which a face lies, lens and land; sampled over cells and their borders where lenses stand farthest out and nearest, with room."""
+    """Lower and upper height of a face, lens and land, with room.
+
+    Sampled over cells and their borders where lens offsets are largest and smallest.
+    """
     if face.array is None:
         return HeightRange(face.vertex[2], face.vertex[2])
     tile = window.lattice_of(face.array).tile()
@@ -175,7 +178,7 @@ def _heights(window: Window, face: Face) -> HeightRange:
 
 
 def _nearest(window: Window, face: Face) -> Face:
-    """The face as it stands in the cell where its lens is nearest to the middle: as far as it rises."""
+    """The face in the cell where its lens is nearest to the middle, where it rises highest."""
     cells = window.lattice.cells()
     apart = np.hypot(*window.vertices(face, cells)[:, :2].T)
     return window.in_cell(face, cells[int(np.argmin(apart))])
@@ -186,7 +189,7 @@ def _glass(body: Body) -> Substance:
 
 
 def _depth(window: Window, body: Body) -> HeightRange:
-    """Heights between which a bundle lies, with room to spare: the mid plane between the arrays is never passed."""
+    """Lower and upper height of a bundle, with room to spare, limited by the mid plane between the arrays."""
     z0, z1 = window.z_range
     room = 0.05 * (z1 - z0)
     faces = (body.front, body.back)
@@ -197,9 +200,9 @@ def _depth(window: Window, body: Body) -> HeightRange:
 
 
 def _half_space(window: Window, face: Face, units: float) -> str:
-    """The side of a lens on which its glass is, as a quadric turned and moved into its cell."""
+    """The side of a lens on which its glass is, as a quadric rotated and moved into its cell."""
     s = quadric_of(face)
-    assert s is not None  # `refuse` has seen to it
+    assert s is not None  # `refuse` has checked this
     a, b, c = (number(v / units) for v in (s.curvature_x, s.curvature_y, s.kappa))
     quadric = f"quadric {{ <{a}, {b}, {c}>, <0, 0, 0>, <0, 0, {number(-2.0 * s.side)}>, 0"
     return f"{quadric} {matrix(face.rotation, np.array(face.vertex) * units)}{moved(window, face)} }}"
@@ -237,7 +240,7 @@ def _outline(window: Window, body: Body, units: float, span: HeightRange) -> str
 
 
 ROUND = 720
-"""Sides that a whole turn of a plate's round edges becomes."""
+"""Sides that approximate a full turn of a plate's round edges."""
 
 
 def _plate(plate: Plate, units: float, low: str, high: str) -> str:
@@ -246,7 +249,7 @@ def _plate(plate: Plate, units: float, low: str, high: str) -> str:
     points = ", ".join(
         f"<{number(units * x)}, {number(units * y)}>" for x, y in [*corners.tolist(), corners[0].tolist()]
     )
-    # a prism is swept along y over points of the plane x, z: y and z change places
+    # a prism is swept along y over points of the plane x, z: y and z are exchanged
     body = (
         f"prism {{ linear_sweep linear_spline {low}, {high}, {len(corners) + 1}, {points} "
         "matrix <1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0> }"

@@ -1,4 +1,4 @@
-"""Numbers, vectors and placements as POV-Ray reads them."""
+"""Numbers, vectors and placements in the language of POV-Ray."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from clacad.base.types import Floats
 from clacad.storage.errors import ExportError
 
 GAP = 2e-4
-"""Part of a pitch by which a lens keeps off each border of its cell."""
+"""Gap between a lens and each border of its cell, as part of a pitch."""
 
 
 class NotForPov(ExportError):
-    """A sheet that this form of scene cannot hold; exit status 3."""
+    """A sheet that a POV-Ray scene cannot represent; exit status 3."""
 
     exit_status = 3
 
 
 def number(value: Any) -> str:
-    """A number in as many digits as it has."""
+    """A number with all of its digits."""
     return repr(float(value) + 0.0)
 
 

@@ -1,4 +1,6 @@
-"""One telescopelet as a sequential prescription, for a second opinion by a lens-design program: ZMX text, optiland JSON.
+"""One telescopelet as a sequential prescription, for checks by a lens-design program: ZMX text, optiland
+JSON.
 
-What such a file cannot hold is told by `stations.left_out`, in the file and where the export is told.
+`stations.left_out` lists what such a file cannot represent; the list is printed in the file and by the
+export.
 """

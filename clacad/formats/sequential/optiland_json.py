@@ -1,14 +1,16 @@
-"""A telescopelet as a lens of optiland, in its JSON. Reading it back takes the extra `optiland`; writing takes nothing.
+"""A telescopelet as a lens of optiland, in its JSON. Reading back needs the extra `optiland`; writing needs
+none.
 
-Optiland's own biconic is z_x(x) + z_y(y), another surface than one with a single root, and its toroid is no ellipsoid. So
-a face of two radii is written as `PolynomialGeometry`: a paraboloid of the mean curvature and the series
+Optiland's own biconic is z_x(x) + z_y(y), another surface than one with a single root, and its toroid is no
+ellipsoid. A face of two radii is therefore written as `PolynomialGeometry`: a paraboloid of the mean
+curvature and the series
 
     z = (cx x² + cy y²) Σ a_m (ax x² + ay y²)^m,  a = (1 + K) c²,  a_0 = 1/2, a_m = a_{m−1} (2m − 1)/(2m + 2),
 
-of z = q (1 − √(1 − w))/w, taken so far that its slope over the cell is that of the face within `SLOPE`: not the same surface,
-but the same to the last digits, and the file says within how much. A surface of revolution (`StandardGeometry`), a plane and
-a cylinder (`BiconicGeometry`, where one of the two profiles is flat) are exact. A face so steep that the series would need
-more than `MOST_TERMS` terms is refused.
+of z = q (1 − √(1 − w))/w. Enough terms are written that its slope over the cell is that of the face within
+`SLOPE`: not the same surface, but equal to the last digits, and the file states the error. A surface of
+revolution (`StandardGeometry`), a plane and a cylinder (`BiconicGeometry`, where one of the two profiles is
+flat) are exact. A face so steep that the series would need more than `MOST_TERMS` terms is rejected.
 """
 
 from __future__ import annotations
@@ -42,14 +44,17 @@ SLOPE = 1e-13
 """Slope by which a series may differ from the face over its cell."""
 
 MOST_TERMS = 40
-"""Powers of w that are written: a polynomial of degree 80; enough where w, the bend of the root, stays below about 0.6."""
+"""Largest number of powers of w: a polynomial of degree 80.
+
+It suffices where w, the bend of the root, stays below about 0.6.
+"""
 
 NEWTON = 1e-12
-"""How closely optiland shall meet a face, in reaches of a cell."""
+"""Accuracy with which optiland must intersect a face, in reaches of a cell."""
 
 
 def require_optiland() -> None:
-    """Say which extra is missing.
+    """Raise an error that names the missing extra.
 
     Raises
     ------
@@ -62,12 +67,13 @@ def require_optiland() -> None:
 
 
 def optiland_document(window: Window) -> dict[str, Any]:
-    """Content of the file: what `optiland.optic.Optic.from_dict` reads, and a key of our own with what it lacks.
+    """Content of the file: the input of `optiland.optic.Optic.from_dict`, and an additional key for what that
+    lacks.
 
     Raises
     ------
     NotPossible
-        A face that none of optiland's surfaces comes near enough.
+        No surface of optiland is close enough to a face.
     """
     faces = stations(window)
     low = min(float(one.vertex[2]) for one in faces) - pupil(window)
@@ -103,7 +109,7 @@ def optiland_document(window: Window) -> dict[str, Any]:
 
 
 def told_of_faces(worst: float) -> str:
-    """What is said of how the faces are held; `worst`: greatest slope error of any series, radians."""
+    """Text on the accuracy of the faces; `worst`: largest slope error of any series, radians."""
     if not worst:
         return "every face is held exactly"
     return (
@@ -129,7 +135,7 @@ def _material(index: float) -> dict[str, Any]:
 
 
 def _frame(place: Floats, turn: Floats) -> dict[str, Any]:
-    """Pose as optiland holds it: R = Rz Ry Rx of three angles, radians."""
+    """Pose in the form of optiland: R = Rz Ry Rx of three angles, radians."""
     tilt = hypot(turn[0, 0], turn[1, 0])
     angles = {
         "rx": atan2(turn[2, 1], turn[2, 2]), "ry": atan2(-turn[2, 0], tilt), "rz": atan2(turn[1, 0], turn[0, 0]),
@@ -139,7 +145,7 @@ def _frame(place: Floats, turn: Floats) -> dict[str, Any]:
 
 
 def _geometry(one: Station) -> tuple[dict[str, Any], float]:
-    """Geometry of a face, and how far its slope is from the face's (radians).
+    """Geometry of a face, and the deviation of its slope from the face's (radians).
 
     Raises
     ------
@@ -164,7 +170,7 @@ def _geometry(one: Station) -> tuple[dict[str, Any], float]:
 
 
 def terms_needed(one: Station) -> tuple[int, float]:
-    """Fewest powers of w that hold a face within `SLOPE` over its cell, and the slope error they leave.
+    """Fewest powers of w that represent a face within `SLOPE` over its cell, and the remaining slope error.
 
     Raises
     ------
@@ -212,7 +218,7 @@ def series(one: Station, terms: int) -> list[list[float]]:
 
 
 def write_optiland(window: Window, path: Path) -> dict[str, Any]:
-    """Write the file; the infinities stand in it as optiland itself writes and reads them. Returns its content.
+    """Write the file, with infinities as optiland itself writes and reads them. Returns its content.
 
     Raises
     ------
@@ -230,7 +236,8 @@ def write_optiland(window: Window, path: Path) -> dict[str, Any]:
 def optiland_directions(
     path: str, start: list[list[float]], direction: list[list[float]]
 ) -> list[list[float]]:
-    """Directions (n, 3) that optiland gives rays (mm) through a file; NaN as null. For a process of its own.
+    """Directions (n, 3) that optiland computes for rays (mm) through a file; NaN as null. Run it in a
+    separate process.
 
     Raises
     ------
@@ -258,7 +265,7 @@ def optiland_directions(
 
 
 def check_optiland(window: Window, name: str, found: Floats) -> None:
-    """Hold the directions (n, 3) that optiland gave the rays of `rays_for` against the design's own.
+    """Compare the directions (n, 3) that optiland computed for the rays of `rays_for` with the design's own.
 
     Raises
     ------

@@ -1,8 +1,10 @@
-"""The faces of one telescopelet in the numbers of a lens designer: apex curvatures, conic constants, pose, index beyond.
+"""The faces of one telescopelet in the numbers of a lens designer: apex curvatures, conic constants, pose,
+index beyond.
 
-A quadric cx x² + cy y² + κ z² − 2 s z = 0 is the biconic with 1 + K = κ/c in each meridian, so that one kind of surface,
-with terms of order 4 to 8 where they were given, holds every face exactly. Lengths are millimetres, the frame is the sheet's with the centre of the telescopelet's own
-cell at x = y = 0, curvatures are positive where the face bends towards +z.
+A quadric cx x² + cy y² + κ z² − 2 s z = 0 is the biconic with 1 + K = κ/c in each meridian. One kind of
+surface, with terms of order 4 to 8 where they were given, therefore represents every face exactly. Lengths
+are millimetres, the frame is the sheet's with the centre of the telescopelet's own cell at x = y = 0.
+Curvatures are positive where the face bends towards +z.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from clacad.sheet.window import Face, Window
 from clacad.storage.errors import FileDisagrees
 
 RAYS = 256
-"""Rays by which a file that was read back is held against the design."""
+"""Rays by which a file that was read back is compared with the design."""
 
 FIELD = 0.02
 """Half angle of their cone, radians."""
@@ -39,7 +41,7 @@ DEFAULT_WAVELENGTH = 550e-9
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """One face in its place.
+    """One face at its position.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ class Station:
     index : float
         Refractive index beyond the face.
     reach : (x, y), mm
-        How far from the apex light of the cell meets the face, at most, along the face's own axes.
+        Largest distance from the apex at which light of the cell meets the face, along the face's own axes.
     terms : (3,), 1/mm³, (4,), 1/mm⁵, and (5,), 1/mm⁷
         Coefficients of orders 4, 6 and 8 on top of it, positive towards +z.
     """
@@ -132,7 +134,9 @@ def _terms(surface: Surface, scale: float) -> tuple[A4, A6, A8]:
 
 
 def _reach(window: Window, face: Face, scale: float) -> tuple[float, float]:
-    """Half extents (mm) of a cell about a face's apex along its axes, a tenth more; tilt carries heights into them."""
+    """Half extents (mm) of a cell about a face's apex along its axes, a tenth more; tilt carries heights into
+    them.
+    """
     if face.array is None:
         return inf, inf
     turn = face.rotation
@@ -160,7 +164,7 @@ def pupil(window: Window) -> float:
 
 
 def left_out(window: Window) -> list[str]:
-    """What a sequential prescription cannot hold of this sheet, each with what it means."""
+    """List what a sequential prescription cannot represent of this sheet, with the meaning of each."""
     n1, n2 = window.lattice.count
     nanometres = f"{1e3 * wavelength_um(window):.6g} nm"
     found = [
@@ -188,7 +192,7 @@ def left_out(window: Window) -> list[str]:
 
 
 def probe(window: Window) -> Bundle:
-    """Rays over the central cell by which a file is held against the design, design units."""
+    """Rays over the central cell by which a file is compared with the design, design units."""
     return bundle(window, RAYS, FIELD)
 
 
@@ -200,7 +204,9 @@ def from_own_cell(window: Window, rays: Bundle) -> tuple[Floats, Floats]:
 
 
 def through_design(window: Window, start: Floats, direction: Floats) -> tuple[Floats, Bools]:
-    """Directions (n, 3) that the design's own faces give rays (mm), and which meet every face within its reach, (n,)."""
+    """Directions (n, 3) by the design's own faces for rays (mm), and which rays meet every face within its
+    reach, (n,).
+    """
     scale = millimetres(window.unit)
     found = trace_sequence(interfaces(window), Rays(start / scale, direction), record=True)
     assert found.hits is not None
@@ -212,7 +218,7 @@ def through_design(window: Window, start: Floats, direction: Floats) -> tuple[Fl
 
 
 def refuse_other_light(name: str, wanted: Floats, found: Floats, inside: Bools) -> None:
-    """Refuse a file through which light goes elsewhere.
+    """Reject a file through which light leaves in other directions.
 
     wanted, found : (n, 3) unit directions; inside : (n,) bool, those that count
 
@@ -229,7 +235,7 @@ def refuse_other_light(name: str, wanted: Floats, found: Floats, inside: Bools) 
 
 
 def traced(read: list[Station], start: Floats, direction: Floats) -> Floats:
-    """Directions (n, 3) that faces as read from a file give rays (mm)."""
+    """Directions (n, 3) of rays (mm) after the faces read from a file."""
     before = [1.0, *(one.index for one in read[:-1])]
     sequence = [
         Interface(one.surface, one.vertex, index, one.index, one.rotation)

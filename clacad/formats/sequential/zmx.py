@@ -1,9 +1,12 @@
 """A telescopelet as a sequential ZMX prescription: text that lens-design programs read.
 
-Every face is a STANDARD or, with two radii, a BICONICX surface: z = (cx x² + cy y²)/(1 + √(1 − (1+Kx) cx² x² − (1+Ky) cy² y²)),
-which holds ellipsoids and biconics alike exactly (CURV and CONI are the y meridian's, PARM 1 the x radius, PARM 2 its conic).
-Between two frames stand COORDBRK surfaces, each with one turn at most (decentre and turn about z, turn about x, turn about
-z: the lens axes' Euler angles), so that no reading of the order of tilts enters; angles turn y towards z and x towards y.
+Every face is a STANDARD or, with two radii, a BICONICX surface:
+z = (cx x² + cy y²)/(1 + √(1 − (1+Kx) cx² x² − (1+Ky) cy² y²)),
+which represents ellipsoids and biconics alike exactly (CURV and CONI are the y meridian's, PARM 1 the x
+radius, PARM 2 its conic).
+Between two frames are COORDBRK surfaces, each with at most one rotation (decentre and rotation about z,
+rotation about x, rotation about z: the lens axes' Euler angles), so the order of tilts does not matter.
+Angles turn y towards z and x towards y.
 A glass is a model glass of Abbe number 0: its index at the stated wavelength, and no dispersion.
 """
 
@@ -37,10 +40,10 @@ from clacad.storage.errors import NotPossible, UnreadableFile
 from clacad.storage.spending import Spending
 
 NO_WAY = "DISZ 0.0"
-"""Thickness of a surface that stands where the next one does; the only line that is filled in later."""
+"""Thickness of a surface at the position of the next one; the only line that is filled in later."""
 
 ROUNDING = 1e-15
-"""Share of a place below which a decentre is the rounding of turned numbers."""
+"""Share of a position below which a decentre is the rounding error of rotated numbers."""
 
 
 def write_zmx(window: Window, path: Path) -> None:
@@ -98,14 +101,14 @@ def _surfaces(window: Window) -> Iterator[str]:
 
 
 def _breaks(x: float, y: float, turn: Floats) -> list[list[str]]:
-    """COORDBRK blocks that decentre by x and y (mm), then turn from the sheet's axes by R (3, 3): z, x, z."""
+    """COORDBRK blocks that decentre by x and y (mm), then rotate from the sheet's axes by R (3, 3): z, x, z."""
     phi, theta, psi = (degrees(angle) for angle in euler_angles(turn))
     found = [_break((x, y), 5, psi)] if x or y or psi else []
     return found + [_break((0.0, 0.0), about, angle) for about, angle in ((3, theta), (5, phi)) if angle]
 
 
 def _back(turn: Floats) -> list[list[str]]:
-    """COORDBRK blocks that turn back to the sheet's axes: the same turns, the other way and in the other order."""
+    """COORDBRK blocks that rotate back to the sheet's axes: inverse rotations in reverse order."""
     phi, theta, psi = (degrees(angle) for angle in euler_angles(turn))
     return [_break((0.0, 0.0), about, -angle) for about, angle in ((5, phi), (3, theta), (5, psi)) if angle]
 
@@ -158,7 +161,8 @@ def read_zmx(path: Path) -> list[Station]:
     Raises
     ------
     UnreadableFile
-        No text of surfaces, one of a kind that is not written here, or tilts of more than one axis in a break.
+        No text of surfaces, one of a kind that is not written here, or tilts about more than one axis in a
+        break.
     OverBudget
     """
     spent = Spending("prescription", path)
@@ -181,7 +185,7 @@ def read_zmx(path: Path) -> list[Station]:
 
 
 def _placed(blocks: list[dict[str, list[str]]]) -> Iterator[Station]:
-    """Faces with their poses, breaks and thicknesses gone through in their order."""
+    """Faces with their poses; breaks and thicknesses are processed in order."""
     if len(blocks) < 3:
         raise ValueError(f"{len(blocks)} surfaces")
     place, turn = np.zeros(3), np.eye(3)

@@ -1,4 +1,4 @@
-"""STEP: written as text, read back by OCC, its own text judged.
+"""STEP files: written as text, read back by OCC, their own text checked.
 
 The exact faces come from `solid`.
 """

@@ -1,7 +1,9 @@
-"""The assembly in the text of a STEP file: units, placements of every level, and the solids that stand where.
+"""The assembly in the text of a STEP file: units, placements of every level, and the solids with their
+placements.
 
-Placements come from next assembly usage occurrences with their transformations, from mapped items, and from bare
-relationships between representations. Lengths are turned into mm by the unit of each representation's own context.
+Placements come from next assembly usage occurrences with their transformations, from mapped items, and from
+bare relationships between representations. Lengths are converted to mm by the unit of each representation's
+own context.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ PREFIXES = {
     "DECA": 1e1, "DECI": 1e-1, "CENTI": 1e-2, "MILLI": 1e-3, "MICRO": 1e-6, "NANO": 1e-9, "PICO": 1e-12,
 }  # fmt: skip
 MILLIMETRES = 1e3
-"""In a metre."""
+"""Millimetres in a metre."""
 
 SHELLS = ("CLOSED_SHELL", "OPEN_SHELL")
 SOLIDS = ("MANIFOLD_SOLID_BREP", "BREP_WITH_VOIDS", "FACETED_BREP", "SHELL_BASED_SURFACE_MODEL")
@@ -38,7 +40,7 @@ SOLIDS = ("MANIFOLD_SOLID_BREP", "BREP_WITH_VOIDS", "FACETED_BREP", "SHELL_BASED
 
 @dataclass(frozen=True, eq=False)
 class PlacedPart:
-    """One part of a file and where it stands.
+    """One part of a file and its placements.
 
     name : str
     solid : bool
@@ -64,14 +66,14 @@ class Vectors:
     values: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, number: int, text: str) -> None:
-        """Keep one if it is a triple."""
+        """Store an entity if it is a triple."""
         found = [float(value) for value in NUMBER.findall(text[text.rfind("(") :])]
         if len(found) == 3:
             self.ids.append(number)
             self.values.extend(found)
 
     def lookup(self) -> Lookup:
-        """To be asked for them."""
+        """Return them as a `Lookup`."""
         ids = np.frombuffer(self.ids, dtype=np.int64) if len(self.ids) else np.empty(0, dtype=np.int64)
         values = np.frombuffer(self.values, dtype=np.float64) if len(self.values) else np.empty(0)
         order = np.argsort(ids, kind="stable")
@@ -91,7 +93,7 @@ class Lookup:
         Raises
         ------
         LookupError
-            One is not there.
+            One does not exist.
         """
         at = np.searchsorted(self.ids, wanted)
         if np.any(at >= len(self.ids)) or not np.array_equal(self.ids[at], wanted):
@@ -104,7 +106,7 @@ class Lookup:
         Raises
         ------
         LookupError
-            It is not there.
+            It does not exist.
         """
         at = bisect_left(self.ids, number)
         if at == len(self.ids) or self.ids[at] != number:
@@ -113,7 +115,7 @@ class Lookup:
 
 
 class Units:
-    """Collects what a file says of its units of length, representation by representation."""
+    """Collector of a file's units of length, representation by representation."""
 
     def __init__(self) -> None:
         self.context_of: dict[int, int] = {}
@@ -123,7 +125,7 @@ class Units:
         self._contexts: dict[int, list[int]] = {}
 
     def collect(self, number: int, statement: str, references: list[int]) -> bool:
-        """Take one entity, as `Assembly.collect` does; whether it is one of a unit."""
+        """Process one entity, as `Assembly.collect` does; return whether it belongs to a unit."""
         if "LENGTH_UNIT" in statement:
             if (si := _PREFIXED.search(statement)) is not None:
                 self._si[number] = PREFIXES[si.group(1)]
@@ -141,14 +143,14 @@ class Units:
         return True
 
     def of(self, representation: int) -> float:
-        """Millimetres per unit of length of a representation; 1 where nothing is said."""
+        """Millimetres per unit of length of a representation; 1 where none is given."""
         for unit in self._contexts.get(self.context_of.get(representation, 0), ()):
             if (metres := self._metres(unit)) is not None:
                 return metres * MILLIMETRES
         return 1.0
 
     def every(self) -> set[float]:
-        """Millimetres per unit, of all representations that say so."""
+        """Millimetres per unit, of all representations that state it."""
         return {self.of(r) for r, c in self.context_of.items() if c in self._contexts}
 
     def _metres(self, unit: int, depth: int = 0) -> float | None:
@@ -162,7 +164,7 @@ class Units:
 
 
 class Assembly:
-    """Collects the entities of the assembly structure while a file is scanned, and composes them."""
+    """Collector of the entities of the assembly structure while a file is scanned; composes them afterwards."""
 
     def __init__(self) -> None:
         self.directions = Vectors()
@@ -185,7 +187,7 @@ class Assembly:
     # -- collecting -----------------------------------------------------------------------------
 
     def collect(self, number: int, kind: str, statement: str, references: list[int], title: str) -> None:
-        """Take one entity; `kind` is the first of its type names, `statement` its text without strings."""
+        """Process one entity; `kind` is the first of its type names, `statement` its text without strings."""
         statement = "".join(statement.split())  # lines may break anywhere between words
         if kind == "AXIS2_PLACEMENT_3D":
             given = [int(a) if a else 0 for a, _ in _PLAIN.findall(statement)] + [0, 0]
@@ -221,7 +223,7 @@ class Assembly:
             self._relation(number, statement, references)
 
     def _relation(self, number: int, statement: str, references: list[int]) -> None:
-        """Take a relationship of two representations, with its transformation or 0 for none."""
+        """Process a relationship of two representations, with its transformation or 0 for none."""
         if "REPRESENTATION_RELATIONSHIP" not in statement or len(references) < 2:
             return
         moved = re.search(r"WITH_TRANSFORMATION\(\s*(?:'[^']*'\s*,[^#]*)?#(\d+)\s*\)", statement)
@@ -266,7 +268,7 @@ class Assembly:
         return own | {d for use in self._uses.values() for d in use}
 
     def _of(self, node: int) -> int:
-        """The node that stands for all representations of one part (union-find)."""
+        """The node that represents all representations of one part (union-find)."""
         while (above := self._root.get(node, node)) != node:
             self._root[node] = self._root.get(above, above)
             node = above
@@ -276,7 +278,9 @@ class Assembly:
         self._root[self._of(a)] = self._of(b)
 
     def _merge(self) -> None:
-        """Representations of one product definition, and those that are only said to be related, are one part."""
+        """Merge into one part the representations of one product definition, and those related without a
+        transformation.
+        """
         for shape, representation in self._represented:
             definition = self._shape_of.get(shape, 0)
             if definition and definition not in self._uses:
@@ -312,7 +316,7 @@ class Assembly:
                     yield self._of(representation), self._of(inner), product(there, back)
 
     def _bare(self, frames: _Frames) -> Iterator[tuple[int, int, Floats]]:
-        """Placed by a relationship of representations alone."""
+        """Edges from a relationship of representations alone."""
         used = {relation for relation, _ in self._dependents}
         for number, relation in self._relations.items():
             first, second, move = relation
@@ -320,7 +324,7 @@ class Assembly:
                 yield self._of(second), self._of(first), self._move(frames, relation, self._of(first))
 
     def _move(self, frames: _Frames, relation: tuple[int, int, int], child: int) -> Floats:
-        """Placement of the child that a relationship states, whichever of the two it names first."""
+        """Placement of the child that a relationship states, in either order of the two."""
         first, second, move = relation
         if not move:
             return UNPLACED
@@ -347,7 +351,7 @@ class _Frames:
         self._points, self._directions, self._operators = points, directions, operators
 
     def of(self, number: int, unit: float) -> Floats:
-        """One of them, with its lengths in `unit` mm."""
+        """One placement, with its lengths in `unit` mm."""
         if number in self._operators:
             (first, _, at, third), scale = self._operators[number]
             frame = self._frame(at, third, first, unit)

@@ -1,7 +1,8 @@
-"""How lens faces found in a file of solids lie on the design, each in some of its placements. Lengths in mm.
+"""Comparison of lens faces found in a file of solids with the design, each in some of its placements. Lengths
+in mm.
 
-Whoever read the file, from its text or with OCC, gives points of its lens faces in the frame of their part,
-and where the parts stand.
+Readers of the file, of its text or with OCC, provide points of its lens faces in the frame of their part, and
+the placements of the parts.
 """
 
 from __future__ import annotations
@@ -42,11 +43,11 @@ class LensPoints:
 
     @classmethod
     def joined(cls, several: Sequence[LensPoints]) -> LensPoints:
-        """Points of groups whose patches are numbered on."""
+        """Points of groups, with patches numbered consecutively."""
         return cls(*(np.concatenate([getattr(one, name) for one in several]) for name in ("place", "outward", "patch", "part")))  # fmt: skip
 
     def of_part(self, part: int) -> LensPoints:
-        """Those of one part, patches numbered from 0."""
+        """Points of one part, patches numbered from 0."""
         kept = np.flatnonzero(self.part == part)
         chosen = np.isin(self.patch, kept)
         return LensPoints(
@@ -56,7 +57,7 @@ class LensPoints:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Patches held against the design, each in s placements.
+    """Patches compared with the design, each in s placements.
 
     error, slope : (s, p)
         Largest distance (mm) and angle (rad) of a patch's points to the lens face it is nearest to.
@@ -73,7 +74,7 @@ class Measured:
 
 
 def on_lenses(window: Window, place: Floats, outward: Floats) -> tuple[Floats, Floats, Ints]:
-    """How far points lie from the lens faces of a window.
+    """Distances of points from the lens faces of a window.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def on_lenses(window: Window, place: Floats, outward: Floats) -> tuple[Floats, F
 
 
 def measured(window: Window, lenses: LensPoints, placements: Floats) -> Measured:
-    """Hold the patches of one part against the design, in the placements (s, 3, 4)."""
+    """Compare the patches of one part with the design, in the placements (s, 3, 4)."""
     many, patches = len(placements), len(lenses.part)
     place = applied(placements, lenses.place[None])
     outward = lenses.outward[None] @ np.swapaxes(placements[:, :, :3], 1, 2)

@@ -1,7 +1,8 @@
-"""Whether every cell of the design holds each of its lenses once, and how far the lenses of a file stand from their cells.
+"""Whether every cell of the design has each of its lenses once, and the deviation of a file's lenses from
+their cells.
 
-A part in rows is compared as rows: where its copies fill the lattice, each cell once, that is told by one of its rows and one
-copy of every row. Copies that do not are looked at one by one. Lengths in mm.
+A part in rows is compared as rows. Where its copies fill the lattice, each cell once, one of its rows and one
+copy of every row decide. Copies in other orders are checked one by one. Lengths in mm.
 """
 
 from __future__ import annotations
@@ -21,22 +22,26 @@ from clacad.formats.step.lens_placements import LensPoints, Measured, measured
 from clacad.sheet.window import Window
 
 SAMPLE = 20_000
-"""Patches, in their placements, whose points are held against the design; the place of every instance is checked."""
+"""Patches, in their placements, whose points are compared with the design; the position of every instance is
+checked.
+"""
 
 NEAR = 1e-5
-"""Pitches within which a lens stands on its cell as far as telling where the whole part lies goes."""
+"""Pitches within which a lens counts as on its cell when the pose of the whole part is found."""
 
 MOVED = 1e-7
-"""Pitches from its cell beyond which a lens is said to stand off the lattice."""
+"""Pitches from its cell beyond which a lens is reported as off the lattice."""
 
 LOST = 128.0 * 2.0**-52
-"""Relative to the farthest coordinates: more than what roundings can make of five places, each of them some eight."""
+"""Relative to the farthest coordinates: more than the rounding of five positions, each of about eight
+roundings.
+"""
 
 Cell = tuple[int, int]
 
 
 def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) -> dict[str, Any]:
-    """Hold every lens of a file against the design, in all placements of its part.
+    """Compare every lens of a file with the design, in all placements of its part.
 
     Parameters
     ----------
@@ -48,16 +53,17 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
     Returns
     -------
     dict
-        patches, patch_error (mm), patch_slope_error (rad); placement: instances, lattice_error (mm, largest distance of
-        an instance of a repeated part from its cell; of copies in rows those of the worst row and of the worst in a row
-        together, which no copy exceeds but by rounding), lattice_cell, lattice_body (where), moved (instances farther than
-        1e-7 of the pitch), missing and doubled ((cell, body) without a lens, and with several), missing_cell, doubled_cell,
-        standing (share of the lenses asked for that stand right to 1e-5 of the pitch).
+        patches, patch_error (mm), patch_slope_error (rad); placement: instances, lattice_error (mm, largest
+        distance of an instance of a repeated part from its cell; for copies in rows the worst row plus the
+        worst within a row, which no copy exceeds except by rounding), lattice_cell, lattice_body (where),
+        moved (instances farther than 1e-7 of the pitch), missing and doubled ((cell, body) without a lens,
+        and with several), missing_cell, doubled_cell, `standing` (share of the requested lenses that are
+        within 1e-5 of the pitch).
 
     Raises
     ------
     UnreadableFile
-        More copies than are looked at one by one do not fill the lattice.
+        There are too many copies to check one by one, and they do not fill the lattice.
     """
     board = _Board(window)
     patches, error, slope = 0, 0.0, 0.0
@@ -80,7 +86,7 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
 
 
 def _sampled(placements: Placements, patches: int) -> Ints:
-    """Which placements are held against the design point by point: all, or some and one of every turn."""
+    """Placements that are compared with the design point by point: all, or some and one of every rotation."""
     many = max(1, SAMPLE // patches)
     if len(placements) <= many:
         return np.arange(len(placements))
@@ -91,13 +97,13 @@ def _sampled(placements: Placements, patches: int) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class _Copies:
-    """One lens of a part in all the places that a part has.
+    """One lens of a part in all placements of the part.
 
     placements : Placements
     number : int
-        The place at which its cell was found.
+        Index of the placement at which its cell was found.
     array : int
-        Whose grid it stands on.
+        Array whose grid it lies on.
     cell : (i, j)
     """
 
@@ -108,7 +114,9 @@ class _Copies:
     cell: Cell
 
     def off(self, placements: Floats) -> tuple[Ints, Floats]:
-        """Cells (k, 2) that the lens stands on in placements (k, 3, 4), and from where it then should (k, 3), mm."""
+        """Cells (k, 2) of the lens in placements (k, 3, 4), and its deviation from their centres (k, 3),
+        design units.
+        """
         window, scale = self.window, millimetres(self.window.unit)
         moves = product(placements, inverse(self.placements.one(self.number)))
         at = np.append(window.centres(self.array, np.array(self.cell)), 0.0) * scale
@@ -118,22 +126,23 @@ class _Copies:
 
     @cached_property
     def each(self) -> tuple[Ints, Floats]:
-        """Cells (k, 2) that all of them stand on, and how far from their centres (k,), mm.
+        """Cells (k, 2) of all copies, and their distances from the centres (k,), mm.
 
         Raises
         ------
         UnreadableFile
-            They are too many.
+            There are too many.
         """
         index, off = self.off(self.placements.all())
         return index, _lengths(off) * millimetres(self.window.unit)
 
     @cached_property
     def filling(self) -> tuple[float, Cell] | None:
-        """Where they fill the lattice, each cell once and within `MOVED`: how far off they are at most, mm, and the cell
-        farthest off; None where that cannot be told by rows.
+        """Largest deviation, mm, and its cell, where the copies fill the lattice, each cell once and within
+        `MOVED`.
 
-        What a copy is off is what its row is off and what its place in a row is off, added.
+        None where rows do not decide. The deviation of a copy is that of its row plus that of its position in
+        the row.
         """
         lattice, outer, inner = self.window.lattice, self.placements.outer, self.placements.inner
         if not self.placements.in_rows or (len(inner), len(outer)) != lattice.count:
@@ -164,11 +173,11 @@ def _lengths(off: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """What the cells of the lattice hold of one lens: (cells,) each.
+    """Content of the cells of the lattice for one lens: (cells,) each.
 
-    times : how often
-    repeated : whether by a part that stands several times
-    right : whether one stands within `NEAR`
+    times : number of lenses
+    repeated : whether from a part with several placements
+    right : whether one lies within `NEAR`
     """
 
     times: Ints
@@ -177,7 +186,7 @@ class _Held:
 
 
 class _Board:
-    """Which cell holds which lens how often, and how far from it the farthest instance stands."""
+    """Count of each lens in each cell, and the distance of the farthest instance."""
 
     def __init__(self, window: Window) -> None:
         self._window = window
@@ -223,7 +232,7 @@ class _Board:
             array = self._window.faces[face].array
             assert array is not None
             found = _Copies(self._window, placements, int(chosen[best]), array, (i, j))
-            copies = stand.setdefault((array, i, j), found)  # both faces of a lens stand alike
+            copies = stand.setdefault((array, i, j), found)  # both faces of a lens are at the same position
             if copies.filling is not None:
                 self._filled.setdefault(face, []).append(error <= self._near)
                 self._farthest(face, *copies.filling)
@@ -231,7 +240,9 @@ class _Board:
                 self._instanced(face, error, *copies.each)
 
     def _instanced(self, face: int, error: float, index: Ints, away: Floats) -> None:
-        """One lens of a part, moved from where it fits best to all its places, cells (k, 2), `away` (k,) mm from them."""
+        """One lens of a part, moved from its best fit to all its placements, cells (k, 2), `away` (k,) mm
+        from them.
+        """
         self._count(face, index, np.maximum(away, error), repeated=True)
         self._moved += int((away > MOVED * min(self._window.lattice.pitch) * self._scale).sum())
         worst = int(np.argmax(away))
@@ -261,7 +272,9 @@ class _Board:
         )
 
     def _whole(self, face: int) -> _Held | None:
-        """What all cells hold of a lens; None where a part fills the lattice with it and nothing else does."""
+        """Content of all cells for a lens; None where one part fills the lattice with it and nothing else
+        does.
+        """
         filled, held = self._filled.get(face, []), self._held.get(face)
         if held is None and len(filled) == 1:
             return None
@@ -269,7 +282,7 @@ class _Board:
         return _Held(one.times + len(filled), one.repeated | bool(filled), one.right | any(filled))
 
     def facts(self) -> dict[str, Any]:
-        """What is said of the placement."""
+        """Report on the placement."""
         window, cells = self._window, self._window.lattice.cell_count
         names = [body.name for body in window.bodies for _ in range(2)]
         lens = [number for number, face in enumerate(window.faces) if face.array is not None]
@@ -304,13 +317,13 @@ class _Board:
 
 @dataclass(frozen=True)
 class _Tally:
-    """How many (cell, lens) there are of a kind, and the first: the body's name and the cell."""
+    """Number of (cell, lens) of a kind, and the first: the body's name and the cell."""
 
     count: int = 0
     first: list[Any] | None = None
 
     def with_those(self, body: str, where: NDArray[np.bool_], cells: Ints) -> _Tally:
-        """These, and those of the cells for which `where` (cells,) holds."""
+        """Extend by the cells for which `where` (cells,) holds."""
         found = np.flatnonzero(where)
         if not len(found):
             return self

@@ -1,4 +1,6 @@
-"""What the faces of OCC's shapes are: lenses and where they lie, round holes, letters in a border. mm."""
+"""Classification of the faces of OCC's shapes: lenses and their positions, round holes, letters in a border.
+mm.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ def engraved_in(several: list[ShapePart], window: Window) -> float:
     room = pockets(window)
     if not room:
         return 0.0
-    # letters stand in borders, of which there is one; a cell that is repeated has none
+    # letters are in borders, of which there is one; a repeated cell has none
     alone = [piece for piece in several if len(piece.placements) == 1]
     faces = [moved(face, piece.placements.one(0)) for piece in alone for face in piece.faces]
     corners = boxes_of(faces) / scale
@@ -63,7 +65,7 @@ def sampled_lenses(several: list[ShapePart], window: Window, lens_faces: int, po
 
 
 def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:
-    """Round holes: cylinders whose faces look at their axis, mm.
+    """Round holes: cylinders whose outward normals point to their axis, mm.
 
     Returns
     -------
@@ -90,7 +92,9 @@ def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:
 
 
 def _hole(face: Any) -> dict[str, Any] | None:
-    """Diameter, length, middle and axis of a round hole that a face is the wall of, mm; None for any other face."""
+    """Diameter, length, middle and axis of the round hole whose wall is this face, mm; None for any other
+    face.
+    """
     from OCP.BRepAdaptor import BRepAdaptor_Surface
     from OCP.GeomAbs import GeomAbs_Cylinder
     from OCP.gp import gp_Pnt, gp_Vec

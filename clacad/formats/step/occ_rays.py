@@ -1,8 +1,8 @@
 """Rays against the faces of a file of solids as OCC reads them.
 
 Nothing of the window's formulas is used: OCC finds the hits on its own trimmed faces and gives the tangents
-there; only Snell's law is ours. Solids that touch are one piece to the light: what leaves one and enters the next
-in the same place is not bent. Lengths in mm. Run it in a worker: OCC can crash.
+there; only Snell's law is clacad's. Solids that touch are one piece to the light: rays that leave one and
+enter the next at the same point are not refracted. Lengths in mm. Run it in a worker: OCC can crash.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from clacad.formats.step.ray_paths import RayPaths, media_of
 from clacad.optics.surface import refract
 
 NEAREST = 1e-6
-"""Hits nearer than this (mm) are the face just left."""
+"""Hits nearer than this (mm) are on the face just left."""
 TOUCH = 2e-6
-"""Faces met within this (mm) of one another are met at once."""
+"""Faces within this distance (mm) of one another are met at once."""
 GRAZING = 1e-6
 """A face whose unit normal has no larger z is a wall."""
 
@@ -41,8 +41,8 @@ def cast_rays(
 
     Returns
     -------
-    list of (3,) unit directions, or None for a ray that did not go in and out of every body through faces
-    that are no walls.
+    list of (3,) unit directions, or None for a ray that did not enter and leave every body through faces that
+    are no walls.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def follow_rays(
     path: str | os.PathLike[str], position: Any, direction: Any, indices: Sequence[float],
     low: Sequence[float], high: Sequence[float],
 ) -> dict[str, Any]:  # fmt: skip
-    """Trace rays through the faces of a file that reach into a column, and say where they went through.
+    """Trace rays through the faces of a file that reach into a column, and report where they crossed.
 
     Parameters
     ----------
@@ -69,9 +69,9 @@ def follow_rays(
     Returns
     -------
     dict of lists
-        position, direction : (n, 3) of the last crossing; end : (n,) index into `ENDS`; crossings : (n,); hits :
-        (n, 2 bodies, 3) where each ray crossed, zero beyond its last crossing; curved : (n, 2 bodies) whether the face
-        crossed there is curved both ways.
+        position, direction : (n, 3) of the last crossing; end : (n,) index into `ENDS`; crossings : (n,);
+        hits : (n, 2 bodies, 3) where each ray crossed, zero beyond its last crossing; curved : (n, 2 bodies)
+        whether the face crossed there is curved both ways.
 
     Raises
     ------
@@ -99,7 +99,10 @@ _COLUMNS: dict[tuple[Any, ...], Any] = {}
 
 
 def _column(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]) -> Any:
-    """Intersector of the faces that reach into a column; kept for the next call. None where there is no face."""
+    """Intersector of the faces that reach into a column; kept for the next call.
+
+    None where there is no face.
+    """
     from OCP.BRep import BRep_Builder
     from OCP.IntCurvesFace import IntCurvesFace_ShapeIntersector
     from OCP.TopoDS import TopoDS_Compound
@@ -135,7 +138,7 @@ class _Ray:
         self._inside = 0
 
     def follow(self, media: Sequence[float]) -> int:
-        """Go through all media; how it ended, an index into `ENDS`."""
+        """Trace through all media; return the ending, an index into `ENDS`."""
         for before, after in zip(media[:-1], media[1:], strict=True):
             met = self._next_border()
             if met is None:
@@ -156,13 +159,15 @@ class _Ray:
         return 0
 
     def _next_border(self) -> tuple[Floats, Floats, bool] | None:
-        """Where light next goes into material or out of it, the unit normal there, and whether the face is curved."""
+        """Next point where light enters or leaves material, the unit normal there, and whether the face is
+        curved.
+        """
         for together in self._groups():
             distance, normal, curved, way = together[0]
             net = sum(one[3] for one in together)
             was, self._inside = self._inside, self._inside + net
             if (was > 0) != (self._inside > 0):
-                for one in together:  # of faces met at once, the one that goes the way the light does
+                for one in together:  # of faces met at once, the one that agrees with the light's direction
                     if one[3] * net > 0:
                         distance, normal, curved, way = one
                         break
@@ -170,7 +175,7 @@ class _Ray:
         return None
 
     def _groups(self) -> Iterator[list[tuple[float, Floats, bool, int]]]:
-        """Hits ahead, nearest first, those at one place together."""
+        """Hits ahead, nearest first, grouped by position."""
         from OCP.gp import gp_Dir, gp_Lin, gp_Pnt
 
         found = self._intersector
@@ -188,7 +193,7 @@ class _Ray:
             yield group
 
     def _met(self, distance: float, number: int) -> tuple[float, Floats, bool, int]:
-        """Distance, outward unit normal, whether the face is curved, and +1 for a way in, −1 for a way out."""
+        """Distance, outward unit normal, whether the face is curved, and +1 on entry, −1 on exit."""
         from OCP.BRepAdaptor import BRepAdaptor_Surface
         from OCP.GeomAbs import GeomAbs_Cone, GeomAbs_Cylinder, GeomAbs_Plane, GeomAbs_SurfaceOfExtrusion
         from OCP.gp import gp_Pnt, gp_Vec

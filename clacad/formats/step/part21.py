@@ -1,6 +1,6 @@
 """The stream of a Part 21 (STEP) file: header, units, products, assemblies, colours.
 
-No clock, host or user enters the file: the same entities give the same bytes. Lengths in mm.
+No clock, host or user name is written: equal entities give equal bytes. Lengths in mm.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SCHEMAS = {
 }
 
 EPOCH = "1970-01-01T00:00:00"
-"""Time stamp of every file: the format demands one, equal designs shall give equal bytes."""
+"""Time stamp of every file: the format requires one, equal designs must give equal bytes."""
 
 _FLUSH = 1 << 20
 
@@ -56,7 +56,7 @@ def real(value: float) -> str:
 
 
 def weight(value: float) -> str:
-    """Write a weight; its 13 places move no point of a patch further than the rounding of its poles does."""
+    """Write a weight; its 13 digits move no point of a patch farther than the rounding of its poles does."""
     return f"{value:.13f}".rstrip("0")
 
 
@@ -70,7 +70,7 @@ class StepColour:
 
 
 class Part21:
-    """The stream of entities of one file, with the units and contexts every STEP file needs."""
+    """Stream of entities of one file, with the units and contexts that every STEP file needs."""
 
     def __init__(self, stream: IO[str], schema: str, name: str, program: str, pitch: float) -> None:
         if schema not in SCHEMAS:
@@ -113,13 +113,13 @@ class Part21:
         self.origin = self.placement(np.zeros(3))
 
     def add(self, entity: str) -> int:
-        """Write an entity; its number."""
+        """Write an entity; return its number."""
         number = self.reserve()
         self.put(number, entity)
         return number
 
     def reserve(self) -> int:
-        """A number for an entity that is written later."""
+        """Reserve a number for an entity that is written later."""
         self._next += 1
         return self._next - 1
 
@@ -128,7 +128,7 @@ class Part21:
         self._raw(f"#{number}={entity};\n")
 
     def _raw(self, text: str, last: bool = False) -> None:
-        """Take text; a megabyte of it, or the last, is handed to the stream."""
+        """Buffer text; a megabyte of it, or the last, is passed to the stream."""
         self._lines.append(text)
         self._pending += len(text)
         if last or self._pending > _FLUSH:
@@ -150,7 +150,7 @@ class Part21:
         return f"({','.join([self.coordinate(value) for value in point])})"
 
     def placement(self, point: Floats) -> int:
-        """An unturned placement at a point."""
+        """An unrotated placement at a point."""
         at = self.add(f"CARTESIAN_POINT('',{self.coordinates(point.tolist())})")
         return self.add(f"AXIS2_PLACEMENT_3D('',#{at},#{self.up},#{self.across})")
 

@@ -1,7 +1,7 @@
 """Rays against the lens patches of a STEP file's text, for files too large for a CAD kernel. Lengths in mm.
 
-Newton's method on rational Bézier patches. What the text says of the patches is used as it stands; where they are
-trimmed it does not say here, so who asks must tell from where a hit lies.
+Newton's method on rational Bézier patches. The patches are used as written in the text. Their trims are not
+read here, so callers must decide from the position of a hit.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from clacad.sheet.window import Face, Window
 
 ROUNDS = 30
 CLOSE = 1e-11
-"""Step of Newton's method, in parameters, at which a hit is found."""
+"""Step of Newton's method, in parameters, below which a hit is found."""
 EDGE = 1e-9
 """Parameters by which a hit may lie outside the patch."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedPatch:
-    """One lens patch where it stands.
+    """One lens patch at its placement.
 
     control : (m, n, 4) homogeneous, mm
     sense : −1 if it faces against du × dv
     middle : (2,) mm
-        x and y in the middle of its parameters; it belongs to the cell that holds this.
+        x and y in the middle of its parameters; the patch belongs to the cell that contains this point.
     """
 
     control: Floats
@@ -46,7 +46,7 @@ class PlacedPatch:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Which cell of an array a point lies over: a patch may reach past the cell whose lens it is.
+    """Cell of an array that a point lies over: a patch may extend beyond the cell of its lens.
 
     window : Window
     array : 0 or 1
@@ -89,8 +89,9 @@ def column_patches(scan: Scan, low: Floats, high: Floats) -> list[PlacedPatch]:
 def first_hits(
     patches: Sequence[PlacedPatch], cells: Cells, position: Floats, direction: Floats, entering: bool
 ) -> tuple[Floats, Floats]:
-    """Distance (n,) to the first patch that faces against the light (entering) or along it, NaN for none; unit normals
-    (n, 3) turned the way the light goes. A patch counts only over its own cell.
+    """Distances (n,) to the first patch that faces against the light (entering) or along it, NaN for none.
+
+    Returned with unit normals (n, 3) in the direction of the light. A patch counts only over its own cell.
     """
     best, normal = np.full(len(position), np.inf), np.zeros_like(position)
     for patch in patches:
@@ -107,7 +108,9 @@ def first_hits(
 
 
 def plane_hits(face: Face, scale: float, position: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """The same for a plane face, which is no lens: it is taken from the design."""
+    """Distances and normals as of `first_hits` for a plane face, which is no lens: it is taken from the
+    design.
+    """
     away = (face.vertex[2] * scale - position[:, 2]) / direction[:, 2]
     return np.where(away > 0.0, away, np.nan), np.broadcast_to([0.0, 0.0, 1.0], direction.shape)
 
@@ -168,13 +171,13 @@ def follow_patches(
     Parameters
     ----------
     path, position, direction, indices, low, high
-        As for `clacad.formats.step.occ_rays.follow_rays`.
+        As in `clacad.formats.step.occ_rays.follow_rays`.
     window, faces
-        Which faces (numbers) of a window the light meets, one after another.
+        Faces (numbers) of a window in the order in which light meets them.
 
     Returns
     -------
-    dict of lists : as of `clacad.formats.step.occ_rays.follow_rays`; `curved` is everywhere true
+    dict of lists : as of `clacad.formats.step.occ_rays.follow_rays`; `curved` is true everywhere
     """
     patches = _kept(path, tuple(low), tuple(high))
     paths, media = RayPaths.begun(position, direction, len(faces)), media_of(indices)

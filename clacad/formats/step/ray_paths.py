@@ -1,4 +1,4 @@
-"""What is written down of rays on their way through the faces of a file, whoever finds the faces. Lengths in mm."""
+"""Record of rays on their way through the faces of a file, for any search of the faces. Lengths in mm."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints
 
 ENDS = ("through", "nothing met", "wall", "total reflection")
-"""How a ray ended."""
+"""Endings of a ray."""
 
 
 @dataclass(frozen=True, eq=False)
 class RayPaths:
-    """Where rays are, and where they crossed faces; the arrays are filled in as the rays go.
+    """Positions of rays, and where they crossed faces; the arrays are filled in as the rays advance.
 
     position, direction : (n, 3)
         Of the last crossing; unit directions behind it.
@@ -35,7 +35,7 @@ class RayPaths:
 
     @staticmethod
     def begun(position: Any, direction: Any, steps: int) -> RayPaths:
-        """Rays (n, 3) before their first of so many crossings."""
+        """Rays (n, 3) before their first of `steps` crossings."""
         place, way = np.array(position, dtype=np.float64), np.array(direction, dtype=np.float64)
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         many = len(place)
@@ -44,7 +44,7 @@ class RayPaths:
         )
 
     def to_lists(self, curved: Bools) -> dict[str, Any]:
-        """As JSON holds it, with whether each face crossed is curved both ways (n, steps)."""
+        """As JSON lists, with whether each face crossed is curved both ways (n, steps)."""
         return {
             "position": self.position.tolist(), "direction": self.direction.tolist(), "end": self.end.tolist(),
             "crossings": self.crossings.tolist(), "hits": self.hits.tolist(), "curved": curved.tolist(),
@@ -52,5 +52,5 @@ class RayPaths:
 
 
 def media_of(indices: Sequence[float]) -> list[float]:
-    """Refractive indices that light goes through, air first and last, from those of the bodies it meets."""
+    """Refractive indices along the light, air first and last, from those of the bodies it meets."""
     return [1.0, *(one for index in indices for one in (index, 1.0))]

@@ -1,6 +1,6 @@
-"""Read a STEP file back: what OCC finds in it, and how far its lens faces lie from the design.
+"""Reading back of a STEP file: what OCC finds in it, and the distances of its lens faces from the design.
 
-Nothing here knows how the file was written. Lengths in mm.
+The module does not know how the file was written. Lengths in mm.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 
 OCC_BYTES = BUDGETS["step"].bytes
-"""Files larger than this are scanned only: OCC would take minutes and gigabytes."""
+"""Files larger than this are only scanned: OCC would take minutes and gigabytes."""
 
 FEW_FACES = 2000
-"""Faces up to which each is looked at in three places; in its middle, where there are more."""
+"""Faces up to which each is examined at three points; at its middle, where there are more."""
 
 
 def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel: bool | None = None,
               lens_faces: int = 200, points: int = 24, place: SheetPlace | None = None) -> dict[str, Any]:  # fmt: skip
-    """Read a STEP file and say what is in it.
+    """Read a STEP file and report its content.
 
     Parameters
     ----------
@@ -37,22 +37,24 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
     kernel : bool or None
         Whether OCC reads the file too; None: up to 24 MB.
     lens_faces, points : int
-        OCC's lens faces are sampled: at most so many of them, so many points on each.
+        OCC's lens faces are sampled: the largest number of faces, and the number of points on each.
     place : SheetPlace or None
-        The window is that of one sheet of several in the file; what OCC finds, and lens faces, are of that sheet alone.
+        The window is one sheet of several in the file; what OCC finds, and lens faces, are of that sheet
+        alone.
 
     Returns
     -------
     dict
-        Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling, open_edges, entities.
-        With a window: patch_error, patches (every lens patch, from the text). By OCC: kernel = True, valid,
-        kernel_solids, kernel_faces, volume, area, box (low, high), tolerance (largest distance at which it took a vertex or
-        edge for lying on its face, mm), and with a window lens_error, lens_points, engraved (volume of letters, mm³).
+        Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling, open_edges,
+        entities. With a window: patch_error, patches (every lens patch, from the text). By OCC: kernel =
+        True, valid, kernel_solids, kernel_faces, volume, area, box (low, high), tolerance (largest distance
+        within which it accepted a vertex or edge as on its face, mm), and with a window lens_error,
+        lens_points, engraved (volume of letters, mm³).
 
     Raises
     ------
     UnreadableFile
-        The file is no STEP file, is cut short, or holds no face.
+        The file is no STEP file, is truncated, or contains no face.
     OSError
         The file cannot be read.
     """
@@ -63,7 +65,7 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
     if facts["kernel"]:
         holds = facts["holds"]
         facts |= _occ_facts(path, window, lens_faces, points, place)
-        if holds["solids"] == facts["kernel_solids"]:  # the text knows the names as well
+        if holds["solids"] == facts["kernel_solids"]:  # the text has the names as well
             facts["holds"] = holds
         if window is not None and (not facts["patches"] or scan.uneven):
             facts |= {"placement": _occ_placement(path, window, place)}
@@ -73,7 +75,7 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
 def _occ_placement(
     path: str | os.PathLike[str], window: Window, place: SheetPlace | None = None
 ) -> dict[str, Any] | None:
-    """Where the lenses stand, as OCC finds them."""
+    """Placement of the lenses, as OCC finds it."""
     several = loaded(path).pieces if place is None else place.of_pieces(loaded(path).pieces)
     many = sum(len(piece.faces) for piece in several)
     lenses = occ_lenses(several, 3 if many < FEW_FACES else 1)
@@ -84,7 +86,7 @@ def _occ_placement(
 
 def read_brep(path: str | os.PathLike[str], window: Window | None = None, lens_faces: int = 200, points: int = 24
               ) -> dict[str, Any]:  # fmt: skip
-    """Read a BREP file of OCC, mm: what `read_step` says by OCC; there is no text to scan.
+    """Read a BREP file of OCC, mm: the OCC results of `read_step`; there is no text to scan.
 
     Raises
     ------
@@ -106,7 +108,9 @@ def read_brep(path: str | os.PathLike[str], window: Window | None = None, lens_f
 
 
 def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = None) -> dict[str, Any]:
-    """What the text says; with a window every lens patch of it, in all its placements, against that."""
+    """Facts of the text; with a window also every lens patch of it, in all its placements, compared with
+    that.
+    """
     facts: dict[str, Any] = {
         "schema": scan.schema, "name": scan.name, "names": scan.names, "colours": scan.colours,
         "millimetres": scan.millimetres, "solids": scan.solids, "faces": scan.faces, "dangling": scan.dangling,
@@ -129,7 +133,7 @@ def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = No
 def _held(
     solids: int, shells: int, faces: int, pieces: Sequence[tuple[str, bool, int, int]]
 ) -> dict[str, Any]:
-    """What a workshop will find in a file; pieces: (name, whether it is a solid, faces, instances)."""
+    """Content that a workshop will find in a file; pieces: (name, whether it is a solid, faces, instances)."""
     rows = [
         {"name": name, "solid": solid, "faces": each, "instances": many} for name, solid, each, many in pieces
     ]
@@ -143,7 +147,10 @@ def _occ_facts(
     path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int,
     place: SheetPlace | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """What OCC finds in a file; with a window its sampled lens faces against that. Lengths in mm."""
+    """Facts that OCC finds in a file; with a window also its sampled lens faces compared with that.
+
+    Lengths in mm.
+    """
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
 
     from clacad.solid.occ_writer import engraved_volume, is_valid, surface_area, volume
@@ -188,7 +195,7 @@ class Loaded:
 
 
 def scanned(path: str | os.PathLike[str]) -> Scan:
-    """What the text of a file says; the last one is kept for the next call in this process.
+    """Scan of the text of a file; the last one is kept for the next call in this process.
 
     Raises
     ------
@@ -212,7 +219,7 @@ _KEPT: dict[tuple[str, int, int], Loaded] = {}
 
 
 def loaded(path: str | os.PathLike[str]) -> Loaded:
-    """What OCC reads from a file; kept for the next call in this process.
+    """Shape of a file as OCC reads it; kept for the next call in this process.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""What a shape of OCC is made of: each part once, and all its placements. Lengths in mm.
+"""Parts of an OCC shape: each part once, with all its placements. Lengths in mm.
 
-An assembly of 80,000 cells is a few shapes and a tree of placements; nothing here visits a part twice.
+An assembly of 80,000 cells is a few shapes and a tree of placements; no function here visits a part twice.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
 @dataclass(frozen=True, eq=False)
 class ShapePart:
-    """A solid, or a shell or face that belongs to none, and where it stands.
+    """A solid, or a shell or face outside of solids, with its placements.
 
     shape : kernel shape, unplaced
     solid : bool
@@ -41,7 +41,7 @@ def pieces(shape: Any) -> list[ShapePart]:
     Raises
     ------
     UnreadableFile
-        A part holds itself, or stands too often.
+        A part contains itself, or occurs too often.
     """
     from OCP.TopAbs import TopAbs_FACE, TopAbs_SHELL, TopAbs_SOLID
 
@@ -72,7 +72,9 @@ def _under(top: Floats, placements: Placements) -> Placements:
 
 
 def _parts_held(shape: Any) -> tuple[dict[Any, Any], dict[Any, list[tuple[Any, Floats]]]]:
-    """Every part of a shape by its own key, unplaced, in the order met; what each holds, with placements (k, 3, 4)."""
+    """Every part of a shape by its own key, unplaced, in the order met; children of each, with placements (k,
+    3, 4).
+    """
     from OCP.TopAbs import TopAbs_SOLID
     from OCP.TopoDS import TopoDS_Iterator
 
@@ -111,7 +113,7 @@ def placement_of(location: Any) -> Floats:
 
 
 def moved(shape: Any, placement: Floats) -> Any:
-    """A shape where a placement (3, 4) takes it."""
+    """A shape moved by a placement (3, 4)."""
     from OCP.gp import gp_Trsf
     from OCP.TopLoc import TopLoc_Location
 

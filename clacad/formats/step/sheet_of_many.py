@@ -1,7 +1,7 @@
-"""One sheet of several in a file: which parts of an assembly are its own, told in its own frame. Lengths in mm.
+"""One sheet of several in a file: which parts of an assembly belong to it, in its own frame. Lengths in mm.
 
-A file of sheets behind one another is cut at planes between them. A part belongs to the sheet between whose planes the
-middle of its height lies, so that every part belongs to one.
+A file of sheets behind one another is cut at planes between them. A part belongs to the sheet between whose
+planes the middle of its height lies, so every part belongs to exactly one sheet.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from clacad.formats.step.shape_parts import ShapePart, box, moved
 
 @dataclass(frozen=True, slots=True)
 class SheetPlace:
-    """Where in a file a sheet stands.
+    """Position of a sheet in a file.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class SheetPlace:
         return np.asarray(placements - np.array([[0.0] * 4, [0.0] * 4, [0.0, 0.0, 0.0, self.z]]))
 
     def of_pieces(self, several: Sequence[ShapePart]) -> list[ShapePart]:
-        """The pieces of a file that are the sheet's, each in those of its placements that are."""
+        """The pieces of a file that belong to the sheet, each with the placements that do."""
         found = []
         for piece in several:
             own = self._of_piece(piece)
@@ -51,7 +51,7 @@ class SheetPlace:
         return found
 
     def _of_piece(self, piece: ShapePart) -> Placements:
-        """Those placements of a piece that are the sheet's, in its frame."""
+        """Placements of a piece that belong to the sheet, in its frame."""
         placements = piece.placements
         if _rows_level(placements):
             return self._of_rows(placements, float(np.array(box(piece.shape))[:, 2].mean()))
@@ -65,7 +65,7 @@ class SheetPlace:
         return Placements(self.own(np.concatenate(kept)))
 
     def of_parts(self, lenses: LensPoints, parts: Sequence[Placements]) -> list[Placements]:
-        """Of the placements of each part those that are the sheet's, told by the part's lenses."""
+        """Placements of each part that belong to the sheet, decided by the part's lenses."""
         found = []
         for number, placements in enumerate(parts):
             place = lenses.of_part(number).place
@@ -80,7 +80,9 @@ class SheetPlace:
         return found
 
     def _of_rows(self, placements: Placements, middle: float) -> Placements:
-        """Those of a part in rows that are the sheet's, its middle at that height (mm) in its own frame."""
+        """Placements of a part in rows that belong to the sheet, its middle at that height (mm) in its own
+        frame.
+        """
         inside = self.holds(middle + placements.outer[:, 2, 3])
         return replace(placements, outer=self.own(placements.outer[inside]))
 

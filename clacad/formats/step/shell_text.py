@@ -1,8 +1,8 @@
 """Write shells as ISO 10303-21 (STEP) text: a `Writer` that needs no CAD kernel.
 
-The text is a stream: an edge is written when its second face has used it, so memory grows only with the numbers
-of vertices and faces. Parameter curves are the same for all instances of a class and are written once; edges on
-one line and walls in one plane share its entity. Lengths in mm.
+The text is a stream: an edge is written when its second face has used it, so memory grows only with the
+numbers of vertices and faces. Parameter curves are the same for all instances of a class and are written
+once. Edges on one line and walls in one plane share its entity. Lengths in mm.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ _KEPT = 200_000
 
 
 class Recent:
-    """Numbers of entities written not long ago, by their text: memory stays bounded, equal ones are written once."""
+    """Numbers of recently written entities, by their text: memory stays bounded, recent duplicates are
+    written once.
+    """
 
     __slots__ = ("_now", "_before")
 
@@ -30,11 +32,11 @@ class Recent:
         self._before: dict[str, int] = {}
 
     def find(self, text: str) -> int | None:
-        """The number under which the text was kept, None if it was not or long ago."""
+        """The number under which the text was kept, None if it was not kept or is too old."""
         return self._now.get(text) or self._before.get(text)
 
     def keep(self, text: str, number: int) -> int:
-        """Remember a number; give it back."""
+        """Store a number; return it."""
         self._now[text] = number
         if len(self._now) > _KEPT:
             self._before, self._now = self._now, {}
@@ -57,7 +59,7 @@ class SharedGeometry:
         self._vectors: dict[tuple[float, ...], int] = {}
 
     def line(self, first: int, arc: Arc, offset: Floats) -> int:
-        """A line through the point `first`; edges one behind the other share it, for a line has no ends in STEP."""
+        """A line through the point `first`; collinear edges share it, because a line has no ends in STEP."""
         start = arc.poles[0] + offset
         way = arc.poles[-1] - arc.poles[0]
         way = way / np.linalg.norm(way)
@@ -78,12 +80,12 @@ class SharedGeometry:
         return self.part.add(f"{before}{','.join([f'#{p}' for p in points])}{after}")
 
     def _bound(self) -> None:
-        """Forget what instances of a class share where each has a class of its own: it is then written again."""
+        """Discard shared data of instances where each has a class of its own: it is then written again."""
         if len(self._kept) > _KEPT // 4:
             self._kept.clear()
 
     def _template(self, arc: Arc) -> tuple[str, str]:
-        """Everything but the poles of a curve, the same for all instances of its class."""
+        """All of a curve but its poles, the same for all instances of its class."""
         self._bound()
         found = self._kept.get(id(arc))
         if found is None:
@@ -109,7 +111,7 @@ class SharedGeometry:
         return number_found
 
     def plane(self, plane: Plane, offset: Floats) -> int:
-        """A plane; faces in one plane share it, for a plane has no ends in STEP."""
+        """A plane; faces in one plane share it, because a plane has no ends in STEP."""
         part = self.part
         origin = plane.origin + offset
         normal, across = (self._direction(tuple(way.tolist())) for way in (plane.normal, plane.across))
@@ -122,7 +124,7 @@ class SharedGeometry:
         return self._planes.keep(text, part.add(f"PLANE('',#{place})"))
 
     def cylinder(self, cylinder: Cylinder, offset: Floats) -> int:
-        """An upright cylinder: what programs know a round hole by."""
+        """An upright cylinder, by which programs recognise a round hole."""
         part = self.part
         at = self.point(part.coordinates((np.append(cylinder.centre, 0.0) + offset).tolist()))
         up, across = (self._direction(way) for way in ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
@@ -149,7 +151,7 @@ class SharedGeometry:
         return self._directions[way]
 
     def point(self, text: str) -> int:
-        """A point; equal points written not long ago are written once."""
+        """A point; recent equal points are written once."""
         return self._places.find(text) or self._places.keep(
             text, self.part.add(f"CARTESIAN_POINT('',{text})")
         )
@@ -183,7 +185,7 @@ class TextWriter:
         return len(self._open)
 
     def vertex(self, point: Floats, tolerance: float) -> int:
-        """Write a vertex (text carries no tolerance: readers find it from the geometry)."""
+        """Write a vertex (text has no tolerance: readers find it from the geometry)."""
         at = self._geometry.point(self.part.coordinates(point.tolist()))
         self._points.append(at)
         self._vertices.append(self.part.add(f"VERTEX_POINT('',#{at})"))
@@ -233,7 +235,7 @@ class TextWriter:
         return len(self.faces) - 1
 
     def solid(self, faces: Sequence[int], name: str) -> int:
-        """Close faces to a solid; its entity number."""
+        """Close faces to a solid; return its entity number."""
         listed = ",".join([f"#{self.faces[face]}" for face in faces])
         shell = self.part.add(f"CLOSED_SHELL('',({listed}))")
         return self.part.add(f"MANIFOLD_SOLID_BREP({quoted(name)},#{shell})")

@@ -1,6 +1,6 @@
 """STEP files: exact solids as AP242 or AP214, fused or instanced, and their re-reading. Lengths in mm.
 
-`write_step` needs no CAD kernel; `read_step` asks OCC what it finds in a file, without knowing how it was
+`write_step` needs no CAD kernel; `read_step` reports what OCC finds in a file, without knowing how it was
 made. Both return plain facts (JSON-able).
 """
 
@@ -41,7 +41,7 @@ PROGRAM = "clacad"
 
 BODY_COLOURS = (StepColour(0.62, 0.78, 0.90), StepColour(0.90, 0.80, 0.62))
 LAND_COLOUR = StepColour(0.25, 0.25, 0.28)
-"""Land has its own colour so that it can be found and painted black."""
+"""Colour of land, separate so that it can be found and painted black."""
 
 
 def write_step(window: Window, path: str | os.PathLike[str], mode: Mode = "auto", schema: Schema = "AP242",
@@ -60,7 +60,7 @@ def write_step(window: Window, path: str | os.PathLike[str], mode: Mode = "auto"
     pcurves : bool
         Write the exact parameter curves (fused). Without them files shrink and readers recompute them.
     merge : float, mm
-        Heights closer than this are one (see `describe_body`).
+        Heights closer than this are merged (see `describe_body`).
 
     Returns
     -------
@@ -97,7 +97,7 @@ class _Counted(io.StringIO):
 
 
 def step_text_length(window: Window, mode: Literal["fused", "instanced"], pcurves: bool = True) -> int:
-    """Bytes of the STEP file of a window, by drawing up its text and throwing it away.
+    """Bytes of the STEP file of a window, from its text, which is generated and discarded.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def _write(
 def write_step_stack(placed: Sequence[tuple[str, Window, float]], name: str, path: str | os.PathLike[str],
                      mode: Mode = "auto", schema: Schema = "AP242", pcurves: bool = True, merge: float = MERGE
                      ) -> dict[str, Any]:  # fmt: skip
-    """Write several windows as one assembly, each moved along z; a window that stands twice is written once.
+    """Write several windows as one assembly, each moved along z; a window that occurs twice is written once.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def write_step_stack(placed: Sequence[tuple[str, Window, float]], name: str, pat
     name : str
         Of the assembly.
     path, mode, schema, pcurves, merge
-        As of `write_step`; "auto" decides for each window.
+        As in `write_step`; "auto" decides for each window.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def write_step_stack(placed: Sequence[tuple[str, Window, float]], name: str, pat
     Raises
     ------
     ValueError, OSError
-        As of `write_step`.
+        As in `write_step`.
     """
     pitch = min(min(window.lattice.pitch) * millimetres(window.unit) for _, window, _ in placed)
     made: dict[int, tuple[_Sheet, str]] = {}
@@ -177,7 +177,7 @@ def write_step_stack(placed: Sequence[tuple[str, Window, float]], name: str, pat
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """One window in a file: the part it is, what each of its bodies holds, and its colours."""
+    """One window in a file: its part, the content of each of its bodies, and its colours."""
 
     product: Part
     bodies: list[StepBodyFacts]
@@ -186,7 +186,7 @@ class _Sheet:
 
 @dataclass(frozen=True, slots=True)
 class StepBodyFacts:
-    """What was written of one body; solids and faces counted as placed."""
+    """Facts written of one body; solids and faces counted as placed."""
 
     name: str
     solids: int
@@ -286,10 +286,10 @@ _SHEET: dict[str, Callable[[Window, Part21, bool, float], _Sheet]] = {
 
 def _instanced_body(window: Window, body: Body, part: Part21, pcurves: bool, merge: float, colour: StepColour
                     ) -> tuple[StepBodyFacts, Part, list[int]]:  # fmt: skip
-    """One body as an assembly: rows of cells, and the land round them as a part of its own.
+    """One body as an assembly: rows of cells, and the surrounding land as a separate part.
 
-    A slab whose arrays are displaced has no common cell: it is cut at a plane half way into cells of the front
-    array and cells of the back array, which touch there and together are exactly the slab.
+    A slab whose arrays are displaced has no common cell. It is cut at a plane half way into cells of the
+    front array and cells of the back array, which touch there and together are exactly the slab.
     """
     scale = millimetres(window.unit)
     parts = layers(window, body, middle_plane(body, window))

@@ -1,4 +1,6 @@
-"""Whether a STEP file holds every lenslet, fused, or one and where it stands: known before anything that writes is loaded."""
+"""Whether a STEP file contains every lenslet, fused, or one and its placements: known before any writer is
+loaded.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,12 @@ FUSED_CELLS = 2500
 
 
 def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
-    """Resolve mode "auto"; a sheet whose cells differ has no cell to repeat.
+    """Resolve mode "auto"; a non-uniform sheet has no cell to repeat.
 
     Raises
     ------
     CellsDiffer
-        An assembly is asked of such a sheet.
+        An assembly is requested for such a sheet.
     """
     if mode not in ("auto", "fused", "instanced"):
         raise ValueError(f"STEP mode must be auto, fused or instanced, not {mode!r}")

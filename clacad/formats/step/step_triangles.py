@@ -1,4 +1,6 @@
-"""A STEP file as triangles, for those who must first find out how the part lies in it; and set down as it was found."""
+"""A STEP file as triangles, from which the pose of the part is found; and rewriting of its shape in that
+pose.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,7 @@ def facets(path: str, target: str, deflection: float) -> int:
 
 
 def set_down(path: str, target: str, turn: Sequence[Sequence[float]], move: Sequence[float]) -> int:
-    """Write the shape of a STEP file turned and moved, as BREP in millimetres; runs in a worker.
+    """Write the shape of a STEP file rotated and moved, as BREP in millimetres; runs in a worker.
 
     Parameters
     ----------

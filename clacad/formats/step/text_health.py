@@ -1,7 +1,8 @@
-"""Scan a STEP file's own text: is it whole, are its shells closed, do its lens patches lie on the design?
+"""Scan of a STEP file's own text: whether it is complete, its shells are closed, and its lens patches lie on
+the design.
 
-No CAD kernel and none of the writer's code: a second opinion that also reads files far too large for OCC.
-Lengths in mm, whatever unit the file is in; every part in all its placements.
+No CAD kernel and none of the writer's code is used: an independent check that also reads files far too large
+for OCC. Lengths in mm for a file in any unit; every part in all its placements.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from clacad.formats.step.lens_placements import LensPoints
 from clacad.storage.errors import OverBudget, UnreadableFile
 from clacad.storage.spending import Spending
 
-# a doubled quote inside a string reads as the end of one and the beginning of the next; nothing is tried twice
+# a doubled quote inside a string is read as the end of one and the start of the next; the pattern never
+# backtracks
 _STATEMENT = re.compile(r"((?:'[^']*+'|[^';]++)*+);")
 _ENTITY = re.compile(r"\s*#(\d+)\s*=\s*\(?\s*([A-Z0-9_]+)")
 _REFERENCE = re.compile(r"#(\d+)")
@@ -33,16 +35,16 @@ GEOMETRY = frozenset((
     "DEFINITIONAL_REPRESENTATION", "SEAM_CURVE", "CIRCLE", "AXIS2_PLACEMENT_2D", "BOUNDED_SURFACE",
     "B_SPLINE_SURFACE_WITH_KNOTS", "STYLED_ITEM", "OVER_RIDING_STYLED_ITEM", "COLOUR_RGB", "CLOSED_SHELL", "OPEN_SHELL",
 ))  # fmt: skip
-"""Entities that no assembly is made of; there are many of them."""
+"""Frequent entities that no assembly consists of."""
 PATCHES = ("BOUNDED_SURFACE", "B_SPLINE_SURFACE_WITH_KNOTS", "B_SPLINE_SURFACE", "RATIONAL_B_SPLINE_SURFACE")
 _CHUNK = 1 << 22
 LONGEST = 1 << 28
-"""Characters of one statement; a shell of ten million faces has fewer."""
+"""Longest statement, characters; a shell of ten million faces is shorter."""
 
 
 @dataclass
 class Scan:
-    """What the text of a STEP file says.
+    """Content of the text of a STEP file.
 
     Attributes
     ----------
@@ -50,21 +52,21 @@ class Scan:
     millimetres : bool
         Whether all lengths of the file are written in millimetres.
     units : tuple of float
-        Millimetres per unit of length, of every representation that says so.
+        Millimetres per unit of length, of every representation that states it.
     entities : number of entities of every type
     names : names of products and solids
     colours : (red, green, blue) of every colour, sRGB
     solids, faces, shells : counted once per instance in the assembly
-    dangling : number of references to entities that are not there
+    dangling : number of references to entities that do not exist
     open_edges : number of edges not used once in each direction
     parts : list of PlacedPart
         Every solid and bare shell, with its placements.
     points : Vectors
         All 3-D points, in the file's unit.
     patches : (pole numbers, (m, n), weights (m, n)) of every surface curved both ways that is one Bézier patch
-    uneven : number of surfaces curved both ways that are more than one span; they are not evaluated here
+    uneven : number of surfaces curved both ways that have more than one span; they are not evaluated here
     face_ids, face_surfaces : number of every face, and of its surface
-    reversed_faces : faces that look against their surface's own normal
+    reversed_faces : faces oriented against their surface's own normal
     shell_faces : faces of every shell
     """
 
@@ -103,7 +105,8 @@ def statements(path: str | os.PathLike[str]) -> Iterator[str]:
     rest, first = "", True
     spent = Spending("step-text", path)
     with open(path, encoding="latin-1") as stream:
-        # as much again as is left over: a statement of many blocks is begun anew a few times, not with each of them
+        # the block doubles with the remainder: a statement of many blocks is restarted a few times, not with
+        # each block
         while block := stream.read(max(_CHUNK, len(rest))):
             spent.look(f"at statement {spent.items:,}")
             if first and not block.lstrip().startswith("ISO-10303-21;"):
@@ -125,7 +128,7 @@ def statements(path: str | os.PathLike[str]) -> Iterator[str]:
 
 
 class _Edges:
-    """How often every edge is used, and which way."""
+    """Number of uses of every edge, and their directions."""
 
     def __init__(self) -> None:
         self.uses: dict[int, int] = {}
@@ -155,7 +158,7 @@ def scan_step(path: str | os.PathLike[str]) -> Scan:
 
 
 def _scanned(path: str | os.PathLike[str]) -> Scan:
-    """Go through the text of a file once."""
+    """Scan the text of a file once."""
     scan, edges, assembly = Scan(), _Edges(), Assembly()
     defined, referred = array("q"), array("q")
     last = ""
@@ -181,7 +184,7 @@ def _scanned(path: str | os.PathLike[str]) -> Scan:
         raise UnreadableFile(f"{os.fspath(path)}: holds no face")
     if edges.turned:
         _count_turned(path, edges)
-    # not a table of all numbers: a stranger's file may name one of 10^18
+    # not a table of all numbers: an untrusted file may name one of 10^18
     known = np.unique(np.frombuffer(defined, dtype=np.int64))
     scan.dangling = int(np.count_nonzero(~np.isin(np.frombuffer(referred, dtype=np.int64), known)))
     scan.open_edges = sum(uses != 3 for uses in edges.uses.values())
@@ -216,7 +219,7 @@ def _header(scan: Scan, statement: str) -> None:
 
 
 def _collect(scan: Scan, edges: _Edges, number: int, kind: str, body: str, references: list[int]) -> None:
-    """Take what one entity says of points, edges, faces and shells."""
+    """Process what one entity contains of points, edges, faces and shells."""
     if kind == "CARTESIAN_POINT":
         scan.points.add(number, body)
     elif kind == "ORIENTED_EDGE":
@@ -243,9 +246,9 @@ def _use(edges: _Edges, edge: int, forward: bool) -> None:
 
 
 def _count_turned(path: str | os.PathLike[str], edges: _Edges) -> None:
-    """Count the uses of edges again, those of loops that their face takes the other way round the other way.
+    """Recount the uses of edges, reversing those of loops that their face uses reversed.
 
-    Loops may stand before or after their edges and bounds, so the text is read twice more; few writers need it.
+    Loops may precede or follow their edges and bounds, so the text is read twice more; few writers need it.
     """
     turned: set[int] = set()
     for number, kind, body in _entities(path):
@@ -265,7 +268,7 @@ def _entities(path: str | os.PathLike[str]) -> Iterator[tuple[int, str, str]]:
 
 
 def _surface(scan: Scan, number: int, body: str, references: list[int]) -> None:
-    """Keep a patch of second order or more, its poles and weights; others are walls."""
+    """Store a patch of second order or more, its poles and weights; others are walls."""
     body = "".join(body.split())
     degrees = re.search(r"B_SPLINE_SURFACE(?:_WITH_KNOTS)?\(\s*(?:''\s*,)?\s*(\d+)\s*,\s*(\d+)", body)
     if degrees is None:
@@ -287,12 +290,12 @@ def _surface(scan: Scan, number: int, body: str, references: list[int]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Bézier patches of one degree, of faces that stand somewhere.
+    """Bézier patches of one degree, of faces that have placements.
 
     poles : (k, m, n, 3), mm, in the frame of their part
     weights : (k, m, n)
     sense : (k,)
-        −1 where the face looks against du × dv.
+        −1 where the face is oriented against du × dv.
     part : (k,)
         Their part, an index into `Scan.parts`.
     """
@@ -304,7 +307,7 @@ class Patches:
 
 
 def patches_of(scan: Scan) -> list[Patches]:
-    """Every lens patch of every part that stands somewhere, grouped by degree."""
+    """Every lens patch of every part that has placements, grouped by degree."""
     ids = np.frombuffer(scan.face_ids, dtype=np.int64)
     surfaces = np.frombuffer(scan.face_surfaces, dtype=np.int64)
     order = np.argsort(ids, kind="stable")

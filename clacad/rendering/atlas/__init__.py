@@ -1,1 +1,1 @@
-"""The paper's figures and movies, drawn anew and measured."""
+"""The paper's figures and movies, reproduced and measured."""

@@ -1,9 +1,10 @@
-"""Sheets whose cells differ, beyond the paper's: aimed at an eye, imaging, magnifying, shaping a beam.
+"""Figures of non-uniform sheets, beyond the paper's: aimed at an eye, imaging, magnifying, shaping a beam.
 
-Expected numbers are closed forms of thin lenses. A ray from the eye (0, 0, −D) through x of the sheet has the slope t = x/D.
-It leaves a sheet of lenses a distance s apart, whose body is T thick, with t' = (t − κ C)/η, C the centre of its cell, at
-x' = x + s t, and meets a screen in z at x' + (z − T) t'. Where cells are not aimed at the eye their light fills one side only:
-what goes through corresponding lenslets comes, in the mean, s t/2 beside C, and leaves as far on the other side of C + s t.
+Expected numbers are closed forms of thin lenses. A ray from the eye (0, 0, −D) through x of the sheet has the
+slope t = x/D. The sheet's lenses are a distance s apart, its body is T thick. The ray leaves with
+t' = (t − κ C)/η, C the centre of its cell, at x' = x + s t, and meets a screen in z at x' + (z − T) t'. Where cells are
+not aimed at the eye their light fills one side only. Light through corresponding lenslets then arrives, on
+average, s t/2 from C, and leaves as far on the other side of C + s t.
 """
 
 from __future__ import annotations
@@ -29,10 +30,12 @@ if TYPE_CHECKING:
     from clacad.imaging.shape import Rendered
 
 NEAR, FAR, FARTHER, FOCAL = 400.0, 1500.0, 2000.0, 200.0
-"""Of the eye before the window, the glens and the moiré magnifier; of the glens's image of parallel light, mm."""
+"""Distances of the eye from the window, the glens and the moiré magnifier; of the glens's image of parallel
+light, mm.
+"""
 
 SHAPED_CELLS, SHAPED_DISTANCE, SHAPED_WIDTH = (60, 60), 500.0, 40.0
-"""Cells of the sheet that shapes a beam, the screen's distance and the width of its picture, mm."""
+"""Cells of the beam-shaping sheet, distance of the screen and width of its picture, mm."""
 
 SHAPED_RAYS = 200_000
 
@@ -58,7 +61,7 @@ def _window(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def _share(scene: Scene) -> float:
-    """Mean share of thin lenses over the sheet, closed form, of the light that the camera sees."""
+    """Mean share, over the sheet, of the camera's light that thin lenses transmit, closed form."""
     window = prescribe(scene.design())
     plain = coordinate_scene(scene, 1.0, RAYS)
     x0, inside = sheet_points(plain, window, (plain.camera.pixels[1], plain.camera.pixels[0]))
@@ -72,7 +75,9 @@ def _glens(load: Loader) -> Iterator[AtlasFinding]:
     """The map from the glens to screens behind it, by exact surfaces and by its law."""
     cells, smooth = load("glens-knight"), load("glens-knight-law")
     window = prescribe(cells.design())
-    middle = 1.0 - 0.5 * window.thin.separation / FAR  # of the cell, over where its light comes through
+    middle = (
+        1.0 - 0.5 * window.thin.separation / FAR
+    )  # of the cell, relative to where its light comes through
     for z in (100.0, 300.0):
         real = 1.0 - (z - _thickness(window)) * (1.0 / FAR + middle / FOCAL)
         ideal = 1.0 - z * (1.0 / FAR + 1.0 / FOCAL)
@@ -93,7 +98,7 @@ def _thickness(window: Window) -> float:
 
 
 def _moire(load: Loader) -> Iterator[AtlasFinding]:
-    """How far apart the lenses of the moiré magnifier stand, as the eye sees them."""
+    """Apparent distance of the lenses of the moiré magnifier, seen by the eye."""
     scene = load("moire-magnifier")
     window = prescribe(scene.design())
     first, second = window.lattice.pitch[0], window.lattice_of(1).pitch[0]
@@ -104,7 +109,9 @@ def _moire(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def _period(scene: Scene, axis: int) -> float:
-    """Distance on the sheet over which the light changes by one order, a straight line through the orders of rays, lengths."""
+    """Length on the sheet over which the light changes by one order, from a straight line through the orders
+    of rays.
+    """
     from clacad.optics.rays import Fate, Rays
     from clacad.tracing.trace import trace
 
@@ -122,7 +129,7 @@ def _period(scene: Scene, axis: int) -> float:
 
 @cache
 def _shaped() -> Rendered:
-    """Parallel light through a sheet of cells that sends it into the outline of a knight, by rays."""
+    """Parallel light traced through a sheet of cells that direct it into the outline of a knight."""
     from clacad.design import Design, load
     from clacad.design.asked_cells import lattice_of
     from clacad.imaging.shape import rendered, shaped, table_text
@@ -170,7 +177,7 @@ def _shaped_picture() -> bytes:
 
 
 def _beam(load: Loader) -> Iterator[AtlasFinding]:
-    """How much of the light goes where it is sent."""
+    """Share of the light that reaches its target."""
     seen = _shaped()
     yield AtlasFinding("shaped beam: light within one blur of its target", seen.within, 1.0, 0.2)
     yield AtlasFinding("shaped beam: light through corresponding lenslets", seen.through, 1.0, 0.05)
@@ -189,4 +196,4 @@ DIFFERING: tuple[Figure, ...] = (
     Figure("V4", "A shaped beam", "A table of cells sends parallel light into the outline of a knight, 500 mm behind the sheet.",
            (), _beam, drawn=(("shaped-beam", "asked; by rays through the sheet; the difference", _shaped_picture),)),
 )  # fmt: skip
-"""What sheets whose cells differ show."""
+"""Figures of non-uniform sheets."""

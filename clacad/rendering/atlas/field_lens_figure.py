@@ -1,8 +1,8 @@
-"""A window off its axis, with and without a field lens: what of its light obeys the law, and what are ghosts.
+"""A window off its axis, with and without a field lens: the light that obeys the law, and the ghosts.
 
-window-100mm (η = −1) is seen from 20 m, so that all its rays have nearly one slope t. Of ideal lenses a share
-1 − |t| s/p of them finds its partner, the others leave with slopes p/f2 beside it; with a field lens at the common focus
-all do, up to t = p/s.
+window-100mm (η = −1) is seen from 20 m, so all its rays have nearly one slope t. With ideal lenses a share
+1 − |t| s/p of them finds its partner; the others leave with slopes that differ by p/f2. With a field lens at
+the common focus all do, up to t = p/s.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from clacad.rendering.sheet_passage import geometry_alone
 from clacad.scene import Scene
 
 ANGLES = (0.0, 1.5, 2.5)
-"""Degrees off the sheet's normal at which the window is looked at."""
+"""Degrees off the sheet's normal at which the window is viewed."""
 
 SIDE, PITCH, SEPARATION, BEHIND = 100.0, 0.5, 10.0, 300.0
-"""Of window-100mm, and where its pictures' piece stands, mm."""
+"""Sizes of window-100mm, and the distance of the piece in its pictures, mm."""
 
 MARK = np.array([1.0, 0.05, 0.5])
 """Colour of ghosts, linear sRGB."""
 
 BRIGHTNESS = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear sRGB primaries (IEC 61966-2-1)."""
+"""Luminance of linear sRGB primaries (IEC 61966-2-1)."""
 
 
 def ghosts_marked(scene: Scene) -> Picture:
-    """The picture of a still whose ghosts are drawn in one colour, as bright as they are."""
+    """The picture of a still with ghosts in one colour, at their own brightness."""
     whole = view_through(scene, compiled=True)
     direct = view_through(replace(scene, effects=replace(scene.effects, mode="none", list=())), compiled=True)
     ghosts = (whole.light - direct.light) @ BRIGHTNESS
@@ -44,8 +44,9 @@ def ghosts_marked(scene: Scene) -> Picture:
 
 
 def _seen(scene: Scene, fate: Fate) -> tuple[float, Floats]:
-    """Share of the rays on the sheet that end with a fate, and where (n, 2) they cross the plane of the piece less where
-    they met the sheet, mm.
+    """Share of the rays on the sheet with a fate, and their displacements (n, 2), mm.
+
+    A displacement leads from the point on the sheet to the crossing of the plane of the piece.
     """
     plain = coordinate_scene(scene, BEHIND, RAYS)
     passage = replace(geometry_alone(plain, direct=True), shining=(int(fate),))

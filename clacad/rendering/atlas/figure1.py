@@ -1,8 +1,8 @@
 """The paper's Fig. 1 as numbers: the drawn section traced as ideal lenses, the drawn solids as they are.
 
-Fig. 1(a) is judged by the rays of ideal lenses (the drawn thick ones follow them to their aberration), Fig. 1(b)
-by the corners of the very triangles that are drawn: each lens is fitted by quadrics, as a part would be measured.
-Corners are rounded to about a millionth of a cell, so a fitted axis is good to 0.005 degrees.
+Fig. 1(a) is compared with the rays of ideal lenses (the drawn thick lenses follow them to their aberration).
+Fig. 1(b) is measured on the corners of the drawn triangles: each lens is fitted by quadrics, as a part would
+be measured. Corners are rounded to about a millionth of a cell, so a fitted axis is good to 0.005 degrees.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from clacad.tracing.trace import trace
 
 
 def section_findings(scene: Scene) -> Iterator[AtlasFinding]:
-    """What a parallel bundle through one telescopelet of ideal lenses does: eqs. (1) to (6) of the paper."""
+    """Parallel bundle through one telescopelet of ideal lenses: eqs. (1) to (6) of the paper."""
     window = prescribe(scene.design()).with_cells((1, 1))
     start, direction = parallel_bundle(window)
     result = trace(window, Rays(start, direction), rung="thin", record=True, path="size")
@@ -64,7 +64,9 @@ def section_findings(scene: Scene) -> Iterator[AtlasFinding]:
 
 
 def solid_findings(scene: Scene) -> Iterator[AtlasFinding]:
-    """What the drawn triangles of both arrays are: closed, one piece, apart, alike, placed and turned as set."""
+    """Properties of the drawn triangles of both arrays: closed, one piece, separate, alike, placed and turned
+    as set.
+    """
     design = scene.design()
     window = prescribe(design)
     mesh = sheet_triangles(window)
@@ -89,7 +91,7 @@ def solid_findings(scene: Scene) -> Iterator[AtlasFinding]:
         f_x, f_y = window.thin.focal_length[k]
         ratio = float(lenses.radii[0, 0] / lenses.radii[0, 1])
         yield AtlasFinding(f"{name}: radius in x over radius in y", ratio, f_x / f_y, 0.05 * f_x / f_y)
-    s = window.thin.separation  # as asked: centre to centre
+    s = window.thin.separation  # as specified: centre to centre
     apart = (arrays[1].centre - arrays[0].centre) @ window.thin.rotation / s
     for axis, asked in enumerate((0.0, 0.0, 1.0)):
         worst = float(apart[np.argmax(np.abs(apart[:, axis] - asked)), axis])
@@ -154,7 +156,7 @@ def quadrics(points: Floats, flatter_x: bool) -> tuple[Floats, Floats, Floats]:
     Parameters
     ----------
     points : (n, k, 3) lengths
-        Of n caps about the z axis of each ellipsoid.
+        Points on n caps about the z axis of each ellipsoid.
     flatter_x : bool
         Whether x names the meridian with the larger radius.
 
@@ -189,7 +191,9 @@ def quadrics(points: Floats, flatter_x: bool) -> tuple[Floats, Floats, Floats]:
 
 
 def _named(vector: Floats, value: Floats, flatter_x: bool) -> tuple[Floats, Floats]:
-    """Eigenvectors as a right-handed frame: z nearest the sheet normal, x the flatter meridian or the other."""
+    """Eigenvectors as a right-handed frame: z nearest the sheet normal, x the flatter or the steeper
+    meridian.
+    """
     rows = np.arange(len(vector))
     axis = np.argmax(np.abs(vector[:, 2]), axis=1)
     others = np.array([(1, 2), (0, 2), (0, 1)])[axis]

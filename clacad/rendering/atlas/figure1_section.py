@@ -1,7 +1,7 @@
 """The paper's Fig. 1(a): one telescopelet in cross-section, to scale, with traced rays, as SVG.
 
-The drawing follows the traced design: lens outlines are the design's own faces cut by y = 0, rays are traced
-through them surface by surface, and the law's direction is held against that of ideal lenses.
+The drawing follows the traced design: lens outlines are the design's own faces cut by y = 0. Rays are traced
+through them surface by surface, and the law's direction is compared with that of ideal lenses.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RAYS = 7
 ASIDE = -0.07
 """Slope of the incident bundle against the line through both lens centres."""
 WIDTH = 900.0
-"""Of the drawing, user units."""
+"""Width of the drawing, user units."""
 SHARE = 0.92
 """Part of the half cell that is drawn."""
 
@@ -67,7 +67,7 @@ def section_svg(design: Design) -> str:
 
 
 def _slope(window: Window) -> float:
-    """Slope of the bundle against the lens axis: so that it finds lens 2."""
+    """Slope of the bundle against the lens axis at which it finds lens 2."""
     offset = np.array(window.thin.offset)
     return float(offset @ window.thin.rotation[:, 0]) / window.thin.separation + ASIDE
 
@@ -161,7 +161,7 @@ def _offset(canvas: _Canvas, foot: Floats, lens2: Floats, axis: Floats, f2: floa
 
 
 class _Canvas:
-    """Sheet (z to the right, x up) to drawing coordinates, and the pieces of an SVG text."""
+    """Transformation from sheet (z to the right, x up) to drawing coordinates, and the pieces of an SVG text."""
 
     def __init__(self, low: Floats, high: Floats) -> None:
         margin = 0.08 * float((high - low)[0])
@@ -203,7 +203,7 @@ class _Canvas:
         ]
 
     def svg(self, parts: list[str]) -> str:
-        """The whole drawing of these parts."""
+        """The whole drawing of the given parts."""
         style = (
             "text{font:15px system-ui,sans-serif;fill:#333;paint-order:stroke;stroke:#fff;stroke-width:4px;stroke-linejoin:round}.caption{font-size:13px}polyline{fill:none}"
             ".lens{fill:#bcd9ee;fill-opacity:.75;stroke:#3b6f9c}.ray{stroke:#c4483a;stroke-width:1.4}"

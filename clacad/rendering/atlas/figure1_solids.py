@@ -1,7 +1,7 @@
 """A picture of the sheet itself: its bodies as tinted solids over the scene, for the paper's Fig. 1(b).
 
 The glass is drawn, not traced: each body is a lit, half-transparent surface, so that the shape of the lenses
-can be seen. What is seen *through* a sheet is the business of `clacad.rendering.view`.
+is visible. `clacad.rendering.view` renders the view *through* a sheet.
 """
 
 from __future__ import annotations

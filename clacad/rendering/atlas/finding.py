@@ -1,4 +1,4 @@
-"""One measured number beside the number that it ought to be."""
+"""One measured number with its expected value."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class AtlasFinding:
-    """One measured number beside the expected one."""
+    """One measured number with its expected value."""
 
     what: str
     measured: float

@@ -1,4 +1,4 @@
-"""The atlas's index page: pictures, movies and measured numbers; nothing is loaded but the pictures beside it."""
+"""The atlas's index page: pictures, movies and measured numbers; it loads only the pictures in its folder."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.paper_figures import Figure
 
 POLICY = "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
-"""Content security policy: no script, no frame, no font, nothing from anywhere else."""
+"""Content security policy: no script, no frame, no font, nothing from other sites."""
 
 NOTE = (
     "Figures F and W are drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows "
@@ -39,7 +39,7 @@ def page_of(
     findings : mapping from row to findings
     movies : sequence of (scene file stem, title)
     names : sequence of str
-        Files beside the page.
+        Files in the folder of the page.
     """
     parts = [f"<p>{html.escape(NOTE)}</p>"]
     if "fig1a.svg" in names:

@@ -28,12 +28,12 @@ from clacad.scene import Scene, load_scene
 from clacad.storage.atomic import Stage, canonical_json, file_hash
 
 FIGURES = (*PAPER, *DIFFERING)
-"""The paper's figures, and what goes beyond them."""
+"""The paper's figures, and additional ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """What was made.
+    """Result of making an atlas.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Atlas:
 
 @dataclass(frozen=True, slots=True)
 class AtlasRequest:
-    """What to make.
+    """Specification of an atlas.
 
     Parameters
     ----------
@@ -95,21 +95,21 @@ class Movie:
     frames: tuple[Scene, ...]
 
     def labels(self) -> list[str]:
-        """What each frame shows; all name the same parameters."""
+        """Label of each frame; all name the same parameters."""
         turned = any(any(still.design().law_spec.euler) for still in self.frames)
         return [f"{self.title.split(':')[0]}: {parameters(still, turned)}" for still in self.frames]
 
 
 @dataclass(frozen=True, eq=False)
 class AtlasJob:
-    """Everything that an atlas is made of, read and checked.
+    """All input of an atlas, read and checked.
 
     Attributes
     ----------
     request : AtlasRequest
     figures : tuple of Figure
-    stills : mapping from scene file stem to Scene, sized as asked
-    movies : tuple of Movie, frames sized as asked
+    stills : mapping from scene file stem to Scene, sized as requested
+    movies : tuple of Movie, frames sized as requested
     first : (Scene, Scene) or None
         Of Fig. 1(a) and 1(b).
     """
@@ -121,12 +121,12 @@ class AtlasJob:
     first: tuple[Scene, Scene] | None
 
     def load(self, stem: str) -> Scene:
-        """A scene as its file has it."""
+        """A scene as specified in its file."""
         return load_scene(self.request.scenes / f"{stem}.toml")
 
 
 class NoSuchRow(ValueError):
-    """A row that is none of the paper's figures; exit status 2."""
+    """A requested row that is none of the paper's figures; exit status 2."""
 
     exit_status = 2
 
@@ -206,11 +206,14 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
 
 
 CIRCLE = 1.2
-"""Radius of a circle round a piece over half the piece's length; at least a fortieth of the picture's width."""
+"""Radius of a circle round a piece over half the piece's length; at least a fortieth of the picture's width.
+"""
 
 
 def circled(pixels: Bytes, scene: Scene) -> Bytes:
-    """Draw a red circle round the place where the law shows the piece on the sheet; (h, w, 3) stays the size."""
+    """Draw a red circle round the position on the sheet where the law shows the piece; the size (h, w, 3) is
+    kept.
+    """
     from PIL import Image, ImageDraw
 
     place, half = piece_on_sheet(scene)
@@ -236,7 +239,7 @@ def _sized(scene: Scene, size: int, samples: int) -> Scene:
 
 
 def parameters(scene: Scene, turned: bool = False) -> str:
-    """What a still shows, read from the scene itself: "eta = (-0.25, -1), z = 10".
+    """Parameters that a still shows, read from the scene itself: "eta = (-0.25, -1), z = 10".
 
     Parameters
     ----------
@@ -250,7 +253,7 @@ def parameters(scene: Scene, turned: bool = False) -> str:
 
 
 def _of_cells(design: Design) -> list[str]:
-    """How the cells of a design differ, in words; none where they are alike."""
+    """Words on the non-uniformity of a design's cells; none for a uniform sheet."""
     aperture, pitch, varying = design.lattice.aperture, design.lattice.pitch_2, design.law_spec.varying
     said = []
     if isinstance(aperture, AimedAt):
@@ -263,7 +266,7 @@ def _of_cells(design: Design) -> list[str]:
 
 
 def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]) -> None:
-    """Draw a movie, each frame with what its own scene shows."""
+    """Draw a movie, each frame labelled with the parameters of its own scene."""
     labels = movie.labels()
     width = movie.frames[0].camera.pixels[0]
     lines = max(len(label_lines(label, width)) for label in labels)
@@ -280,7 +283,7 @@ def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]
 def _first_figure(
     stage: Stage, section: Scene, solids: Scene, *, measured: bool
 ) -> dict[str, tuple[AtlasFinding, ...]]:
-    """Figure 1: the section with rays as SVG, and the sheet itself as a picture; what both measure."""
+    """Figure 1: the section with rays as SVG, and the sheet itself as a picture; return the findings of both."""
     from clacad.rendering.atlas.figure1_section import section_svg
     from clacad.rendering.atlas.figure1_solids import solid_picture
 

@@ -1,8 +1,8 @@
-"""The paper's figures and movies as rows that a rendered picture must meet.
+"""The paper's figures and movies as rows with requirements on rendered pictures.
 
-Each row names its scenes and says what must be measured on the coordinate screen; expected numbers are the
+Each row names its scenes and defines what is measured on the coordinate screen. Expected numbers are the
 closed forms of the paper's section 3 with the camera at D = 20 (Hamilton & Courtial 2009). Tolerances cover
-what real lenslets do to them: the finite separation (turned at z = s instead of 0: up to 1 %) and aberration.
+two effects of real lenslets: the finite separation (turned at z = s instead of 0: up to 1 %) and aberration.
 """
 
 from __future__ import annotations
@@ -36,16 +36,17 @@ class Figure:
     ----------
     row : str
         Number in the list of the paper's claims.
-    title, says : str
+    title, `says` : str
     scenes : tuple of (scene file stem, label)
     check : callable(loader) → findings
     movie : bool
     ghosts_marked : bool
-        Whether ghosts are drawn in one colour, and its pictures labelled with what they show.
+        Whether ghosts are drawn in one colour, and its pictures labelled with their content.
     drawn : tuple of (file stem, label, callable that gives a PNG)
         Pictures that are no view of a scene.
     circled : tuple of str
-        Stems of the scenes in whose pictures a circle marks the piece, as the paper does where it is very small.
+        Stems of the scenes in whose pictures a circle marks the piece, as the paper does where it is very
+        small.
     """
 
     row: str
@@ -74,7 +75,9 @@ def _turned(scene: Scene, k: int, degrees: float) -> Scene:
 
 DIRECT = {"eta_x = -0.25": 0.875, "eta_x = -0.5": 0.875, "eta_x = -1": 0.766, "eta_x = -2": 0.4375,
           "phi = 45": 0.914, "theta = 0.5": 0.895, "theta = 1": 0.840}  # fmt: skip
-"""Share of the light on the sheet that passes corresponding lenslets: mean of the closed form, share in x times in y."""
+"""Share of the light on the sheet that passes corresponding lenslets: mean of the closed form, product of x
+and y.
+"""
 
 
 def _share(what: str, found: ScreenMap) -> AtlasFinding:
@@ -100,7 +103,7 @@ def _squash(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def _sheared(label: str, matrix: Floats) -> AtlasFinding:
-    """The larger of the two numbers that are 0 where x and y do not mix."""
+    """The larger of the two matrix elements that are 0 where x and y do not mix."""
     mixed = max((float(matrix[0, 1]), float(matrix[1, 0])), key=abs)
     return AtlasFinding(f"{label}: shear", mixed, 0.0, 0.005)
 
@@ -133,7 +136,7 @@ def _distance(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def _before(scene: Scene) -> Iterator[AtlasFinding]:
-    """A piece before the sheet is seen as if there were none."""
+    """A piece before the sheet looks as without a sheet."""
     found = _map(scene, -2.0)
     for axis, name in ((0, "x"), (1, "y")):
         what = f"z = -2, before the sheet: undistorted in {name}"
@@ -154,7 +157,9 @@ def _offset(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def winding(maps: list[Floats]) -> float:
-    """Degrees by which a picture turns as its maps (2, 2) from the sheet to the screen change, followed step by step."""
+    """Degrees by which a picture turns while its maps (2, 2) from the sheet to the screen change, summed step
+    by step.
+    """
     total, last = 0.0, None
     for matrix in maps:
         up = np.linalg.solve(matrix, np.array([0.0, 1.0]))
@@ -166,12 +171,13 @@ def winding(maps: list[Floats]) -> float:
 
 
 FAR = 1.0e4
-"""Distance, tiles, at which a screen is the horizon to a picture."""
+"""Distance, tiles, at which a screen represents the horizon."""
 
 
 def horizon_tilt(matrix: Floats) -> float:
-    """Degrees from x by which a map (2, 2) shows the horizon, -90 to 90: the line on the sheet along which Y does not
-    change.
+    """Degrees from x, -90 to 90, at which a map (2, 2) shows the horizon.
+
+    The horizon is the line on the sheet along which Y does not change.
     """
     return (math.degrees(math.atan2(-matrix[1, 0], matrix[1, 1])) + 90.0) % 180.0 - 90.0
 
@@ -265,7 +271,7 @@ def _swing(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def _around(degrees: float) -> float:
-    """The angle between -180 and 180."""
+    """Normalise an angle to -180 … 180 degrees."""
     return (degrees + 180.0) % 360.0 - 180.0
 
 
@@ -276,16 +282,16 @@ def _mirror(matrix: Floats) -> float:
 
 CENTRES = {3.0: (-0.195, 0.133), 8.0: (0.175, -0.407), 10.0: (0.044, -0.393), 15.0: (-0.361, -0.688),
            38.0: (0.494, 0.243), 60.0: (0.381, 0.143), FAR: (0.284, 0.065)}  # fmt: skip
-"""Where the axis point at z is seen on the sheet of Fig. 8."""
+"""Positions on the sheet of Fig. 8 at which the axis point at z is seen."""
 
 SEEN, UNSEEN = (3.0, 8.0, 10.0, 38.0, 60.0), (5.0, 5.5, 6.0, 15.0, 18.0, 20.0, 22.0)
-"""Distances at which the axis point is seen on the sheet, and at which the place for it is beside the sheet."""
+"""Distances at which the axis point is seen on the sheet, and at which its position is outside the sheet."""
 
 NEAR = 0.05
 """Distance from the axis, tiles, that counts as the axis point."""
 
 HALF_SIDE = 0.5
-"""Of the sheet, tiles."""
+"""Half side of the sheet, tiles."""
 
 
 def _vanish(load: Loader) -> Iterator[AtlasFinding]:
@@ -310,7 +316,7 @@ def _vanish(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def visibility(scene: Scene) -> Iterator[AtlasFinding]:
-    """Whether the axis point is seen on the sheet of Fig. 8, or nowhere: light from it, counted in the picture."""
+    """Whether the axis point is visible on the sheet of Fig. 8: light from it, counted in the picture."""
     for z in (*SEEN, *UNSEEN):
         share = _map(scene, z).shown(0.0, 0.0, NEAR)
         what, expected, slack = ("seen", 1.0, 0.5) if z in SEEN else ("not seen", 0.0, 0.05)
@@ -323,12 +329,12 @@ def visibility(scene: Scene) -> Iterator[AtlasFinding]:
 
 
 def _reach(found: ScreenMap) -> float:
-    """How far outside the sheet the axis point is seen; negative where it is seen on it."""
+    """Distance outside the sheet at which the axis point appears; negative on the sheet."""
     return float(np.abs(found.appears_at(0.0, 0.0)).max()) - HALF_SIDE
 
 
 def unseen_zones(scene: Scene) -> list[float]:
-    """Distances z, rising, at which by the law alone the axis point crosses the edge of the sheet.
+    """Distances z, ascending, at which by the law alone the axis point crosses the edge of the sheet.
 
     Rays through points x₀ leave with the law's slopes, X = x₀ + z · slope; their fit is affine in z.
     """
@@ -344,7 +350,7 @@ def unseen_zones(scene: Scene) -> list[float]:
 
 
 def _slopes_of_law(scene: Scene) -> tuple[Floats, Floats]:
-    """Slopes behind the sheet of light from the camera, (2,) + (2, 2) x₀, fitted over the places x₀ that it crosses."""
+    """Slopes behind the sheet of light from the camera, (2,) + (2, 2) x₀, fitted over its crossing points x₀."""
     side = np.linspace(-HALF_SIDE, HALF_SIDE, 9)
     x0 = np.stack(np.meshgrid(side, side), axis=2).reshape(-1, 2)
     out = scene.design().law.refract(np.column_stack([x0, np.full(len(x0), D)]))
@@ -353,7 +359,9 @@ def _slopes_of_law(scene: Scene) -> tuple[Floats, Floats]:
 
 
 def piece_on_sheet(scene: Scene) -> tuple[Floats, float]:
-    """Where (2,) on the sheet the law shows the middle of the knight, and half the length of its larger image axis there."""
+    """Position (2,) on the sheet where the law shows the middle of the knight, and half the length of its
+    larger image axis there.
+    """
     piece = next(thing for thing in scene.objects if thing.id == "knight")
     offset, matrix = _slopes_of_law(scene)
     x, y, z = piece.at

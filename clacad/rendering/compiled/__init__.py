@@ -1,1 +1,1 @@
-"""What rays meet in a scene, compiled, and the one kernel from pixels to light."""
+"""Compiled search for what rays meet in a scene, and the one kernel from pixels to light."""

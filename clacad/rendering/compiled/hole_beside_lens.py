@@ -1,8 +1,8 @@
-"""The commonest rays that the block trace leaves, before they are walked: through a hole beside a thin lens.
+"""Fast path for the commonest rays that the block trace leaves: through a hole next to a thin lens.
 
-A turned lens that is too thin does not fill its cell; a ray through the corner passes a hole there. Where
+A rotated lens that is too thin does not fill its cell; a ray through the corner passes a hole there. Where
 arrays are bundles of convex lenslets without land, a ray that stays in its cell either misses the lens or
-crosses its two faces, and both are told by the roots of its two quadrics. Everything else is left to the walk.
+crosses its two faces. The roots of its two quadrics decide both. Everything else is left to the walk.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ HAIR = 1e-9
 
 
 def suits(sheet: Packed) -> bool:
-    """Whether a sheet is of the kind this module can tell: convex quadrics in columns, no land, no honeycomb."""
+    """Whether this module supports a sheet: convex quadrics in columns, no land, no honeycomb."""
     faces, bodies, lattice = sheet.faces, sheet.bodies, sheet.lattice
     plain = (
         lattice[slot.PLAIN] != 0.0 and lattice[slot.BAFFLE] == slot.NO_BAFFLE and lattice[slot.MARGIN] == 0.0
@@ -39,7 +39,9 @@ def suits(sheet: Packed) -> bool:
 
 @exact
 def pass_quick(sheet: Packed, launched: Launched, position: Floats, direction: Floats) -> int:
-    """Take one launched ray through; write where it leaves (0, 3), or give up and write nothing."""
+    """Trace one launched ray; write where it leaves to row 0 of (1, 3), or return UNDECIDED and write
+    nothing.
+    """
     faces, bodies, lat, rows, indices, _, _, _ = sheet
     i, j, x, y, z, L, M, N, _ = launched
     half_x, half_y = lat[slot.HALF], lat[slot.HALF + 1]
@@ -86,9 +88,9 @@ def pass_quick(sheet: Packed, launched: Launched, position: Floats, direction: F
 
 @exact
 def _between(faces: Floats, f: int, ray: Ray, hair: float) -> tuple[float, bool, float, bool]:
-    """Where a ray is inside both quadrics of a lens: from, whether by the front, to, whether by the back.
+    """Stretch of a ray inside both quadrics of a lens: start, whether by the front, end, whether by the back.
 
-    Enters at ∞ where it certainly misses; close calls are told as neither front nor back.
+    The start is ∞ for a certain miss; close calls are returned as neither front nor back.
     """
     x, y, z, L, M, N = ray
     a, b = lens_roots(faces, f, x, y, z, L, M, N)

@@ -1,8 +1,8 @@
 """From pixels to light in one compiled kernel: camera rays, the sheet, the scene, the sums of the pixels.
 
-One block of rays at a time, all of it in the first-level cache; nothing is as long as the picture but the
-sums. For a pinhole, one wavelength, and a sheet that is its law or its exact surfaces without effects beyond
-ghosts; everything else goes through `view.radiance` and gives the same picture.
+One block of rays is processed at a time, all of it in the first-level cache; only the sums have the size of
+the picture. The kernel serves a pinhole, one wavelength, and a sheet that is its law or its exact surfaces
+without effects beyond ghosts. Everything else goes through `view.radiance` and gives the same picture.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ from clacad.tracing.compiled.straight_path_slots import (
 from clacad.tracing.compiled.walk import walk_ray
 
 BESIDE, BLACK, SHINES, BEFORE = range(4)
-"""What becomes of a ray: goes past the sheet, brings nothing, goes on behind it, met something before it."""
+"""States of a ray: passes outside the sheet, brings no light, goes on behind the sheet, met an object before
+it.
+"""
 
 ALIVE, GHOST, LAND, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.MISSED)
 
@@ -77,15 +79,15 @@ class Pane(NamedTuple):
     kind : int
         NO_SHEET, LAW or SURFACES.
     numbers : (21,)
-        LAW: from MATRIX, AXIS and EDGES on matrix (9), axis (3), and edges in z = 0 (4) in scene lengths. SURFACES:
-        low and high corner of the first body (6). At SCALE window lengths in a scene length; at FRONT the height up
-        to which objects stand before.
+        LAW: from MATRIX, AXIS and EDGES on matrix (9), axis (3), and edges in z = 0 (4) in scene lengths.
+        SURFACES: low and high corner of the first body (6). At SCALE window lengths in a scene length; at
+        FRONT the height below which objects count as before the sheet.
     opaque, before : bool
-        Whether nothing is seen beside the sheet; whether anything may stand before it.
+        Whether nothing is visible outside the sheet; whether an object may be before it.
     sheet : Packed
-        SURFACES: what is traced.
+        SURFACES: the sheet that is traced.
     shining : (256,) bytes
-        Fates whose rays bring light.
+        Fates of rays that bring light.
     quick : bool
         Whether `hole_beside_lens` suits the sheet.
     """
@@ -103,7 +105,7 @@ MATRIX, AXIS, EDGES, SCALE, FRONT, PANE_NUMBERS = 0, 9, 12, 19, 20, 21
 
 
 class Walk(NamedTuple):
-    """Room of one thread for tracing.
+    """Working memory of one thread for tracing.
 
     Attributes
     ----------
@@ -124,7 +126,7 @@ class Walk(NamedTuple):
 
 @making
 def new_walk() -> Walk:
-    """Room for one thread."""
+    """Allocate the working memory of one thread."""
     out = Outcome(
         np.empty((1, 3)), np.empty((1, 3)), np.empty(1, np.uint8), np.empty(1), np.empty((1, 2), np.int32),
         np.empty((1, 2), np.int32), np.empty(1, np.int32), np.empty((0, 0, 3)), np.empty((0, 0, 3)),
@@ -141,7 +143,7 @@ def sample_all(
 ) -> None:
     """Add the light of `count` samples of each of `pixels`, and its square, to the sums in the rows `slots`.
 
-    square : (n, 3), or no rows where nothing asks for it
+    square : (n, 3), or no rows where squares are not needed
     """
     pad, walk = new_pad(), new_walk()
     state, front = np.empty(BLOCK, np.int64), np.empty((3, BLOCK))
@@ -201,7 +203,9 @@ def _look_out(eye: Eye, pixels: Ints, done: int, step: int, spare: Floats, ray: 
 
 @exact
 def pass_sheet(pane: Pane, tables: Tables, m: int, pad: Pad, walk: Walk, state: Ints, front: Floats) -> None:
-    """Take the pad's rays past the sheet or through it; their `state`, and the light of what stands before it."""
+    """Trace the pad's rays past the sheet or through it; set their `state`, and the light of objects before
+    the sheet.
+    """
     if pane.before or pane.opaque:
         level = pane.numbers[FRONT]
         for i in range(m):
@@ -225,7 +229,9 @@ def pass_sheet(pane: Pane, tables: Tables, m: int, pad: Pad, walk: Walk, state: 
 
 @exact
 def _law(numbers: Floats, m: int, ray: Floats, state: Ints) -> None:
-    """Through a homogeneous sheet in z = 0: directions matrix · d, where d · axis > 0 and they go on forwards."""
+    """Trace through a homogeneous sheet in z = 0: directions matrix · d, where d · axis > 0 and they go on
+    forwards.
+    """
     x, y, z, u, v, w, out = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m], state[:m]
     matrix, axis, edges = numbers[MATRIX:AXIS], numbers[AXIS:EDGES], numbers[EDGES:SCALE]
     a, b, c, d, e, f = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4], matrix[5]
@@ -246,7 +252,7 @@ def _law(numbers: Floats, m: int, ray: Floats, state: Ints) -> None:
 
 @exact
 def _crosses(numbers: Floats, m: int, ray: Floats, near: Floats) -> int:
-    """Mark the rays that come through a box by 1, others by −1; return how many do."""
+    """Mark the rays that pass through a box by 1, others by −1; return how many do."""
     x, y, z, u, v, w, out = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m], near[:m]
     x0, y0, z0, x1, y1, z1 = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5]
     mx, my, hx, hy, hz = 0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (x1 - x0), 0.5 * (y1 - y0), 0.5 * (z1 - z0)
@@ -264,7 +270,7 @@ def _crosses(numbers: Floats, m: int, ray: Floats, near: Floats) -> int:
 
 @exact
 def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
-    """Through the exact surfaces: straight where the conditions of the block trace hold, else walked."""
+    """Trace through the exact surfaces: straight where the conditions of the block trace hold, else walked."""
     near, ray, s = pad.near, pad.ray, walk.s
     for i in range(m):
         state[i] = BESIDE
@@ -294,7 +300,7 @@ def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
 def _collect(
     shining: NDArray[np.uint8], scale: float, top: float, m: int, s: Floats, ray: Floats, near: Floats, state: Ints
 ) -> None:  # fmt: skip
-    """Rays behind the sheet of those whose straight trace holds; their mark `near` becomes 2."""
+    """Collect the rays behind the sheet whose straight trace holds; their mark `near` becomes 2."""
     direct, ghost = SHINES if shining[ALIVE] else BLACK, SHINES if shining[GHOST] else BLACK
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
     px, py, pz, dx, dy, dz, good = lanes(s, (GX, GY, Z, DX, DY, DZ, GOOD))
@@ -344,7 +350,7 @@ def _walked(pane: Pane, scale: float, walk: Walk, ray: Floats, i: int) -> int:
 
 @exact
 def _blend(opaque: bool, before: bool, m: int, state: Ints, front: Floats, colour: Floats) -> None:
-    """Black where nothing shines, and what stands before the sheet."""
+    """Set black where nothing shines, and add the light of objects before the sheet."""
     dark = 0
     for i in range(m):
         dark += 1 if (state[i] == BLACK) | (state[i] == BEFORE) | (opaque & (state[i] == BESIDE)) else 0

@@ -76,7 +76,7 @@ def _sphere(m: int, local: Floats, radius: float, out: Floats) -> None:
 
 @exact
 def _span(p: float, d: float, half: float) -> tuple[float, float]:
-    """Distances at which a ray enters and leaves a slab; all or nothing for a ray that runs along it."""
+    """Distances at which a ray enters and leaves a slab; all or nothing for a ray parallel to it."""
     inverse = 1.0 / d
     a, b = (-half - p) * inverse, (half - p) * inverse
     outside = abs(p) > half

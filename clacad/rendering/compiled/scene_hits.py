@@ -1,8 +1,8 @@
-"""What rays meet in the scene and the light they find there, compiled: the twin of `reference.scene_hits`.
+"""Objects that rays meet in the scene and their light, compiled: the twin of `reference.scene_hits`.
 
-Blocks of rays in columns: sky, floors and bounds in passes over the block; the rays that come near an object
-are gathered and held against its primitives in passes of their own. Distances are in lengths of the given
-direction. Imported inside functions only.
+Rays are processed in blocks of columns: sky, floors and bounds in passes over the block. The rays that come
+near an object are gathered and tested against its primitives in separate passes. Distances are in lengths of
+the given direction. Imported inside functions only.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ class Pad(NamedTuple):
     ray : (6, BLOCK)
         Starts and directions.
     best : (BLOCK,), which : (BLOCK,) ints
-        Distance of what was met, as given before anything was; its primitive, −1 for none.
+        Distance of the hit, or the given limit before any; its primitive, −1 for none.
     colour : (3, BLOCK)
         Light found.
     near : (BLOCK,)
     some : (4, BLOCK) ints
-        Rays near an object; what each of them met, its triangle; nodes of a tree that wait.
+        Rays near an object; what each of them met, its triangle; waiting nodes of a tree.
     part : (16, BLOCK)
-        Those rays: starts, directions, the same in a primitive's frame, distances, scratch.
+        Starts and directions of those rays, both in a primitive's frame, distances, scratch.
     """
 
     ray: Floats
@@ -84,13 +84,14 @@ def look_all(
     tables: Tables, origin: Floats, direction: Floats, limit: Floats, light: Floats, met: NDArray[np.bool_],
     distance: Floats,
 ) -> None:  # fmt: skip
-    """Write the light each ray finds, whether it met an object and how far; see `reference.scene_hits.look`.
+    """Write the light of each ray, whether it met an object and its distance; see
+    `reference.scene_hits.look`.
 
     Parameters
     ----------
     origin, direction : (n, 3)
     limit : (n,)
-        How far is looked, in lengths of the given directions.
+        Limit of the search, in lengths of the given directions.
     light : (n, 3), met : (n,), distance : (n,)
         Result; the distance of a ray that met nothing is its limit.
     """
@@ -186,10 +187,10 @@ def _floor(
 
 @exact
 def bound(cluster: Floats, c: int, m: int, ray: Floats, near: Floats) -> None:
-    """Write a number below 0 where a ray certainly keeps off the box round object c.
+    """Write a negative number where a ray certainly misses the box round object c.
 
-    In the middle plane of the box a ray that comes through it lies within the box's extent and what the
-    ray leans over half the box's depth; one division, for objects are seen along z.
+    In the middle plane of the box, a ray through it lies within the box's extent plus its lateral travel over
+    half the box's depth. One division suffices, because objects are seen along z.
     """
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
     out = near[:m]
@@ -230,7 +231,7 @@ def _gather(m: int, pad: Pad) -> int:
 
 @exact
 def _object(tables: Tables, c: int, count: int, pad: Pad) -> None:
-    """Hold the gathered rays against an object's primitives and paint those that meet one."""
+    """Test the gathered rays against an object's primitives and paint those that meet one."""
     cluster, prim, store = tables.cluster, tables.prim, tables.store
     part, which, facet = pad.part, pad.some[1], pad.some[2]
     local, least, s = part[6:12], part[12], part[13]
@@ -287,7 +288,7 @@ def _paint(tables: Tables, count: int, pad: Pad) -> None:
 
 @exact
 def _window(cluster: Floats, c: int, count: int, part: Floats) -> tuple[float, float, float, float]:
-    """Range of x and y that the gathered rays take while they are between an object's lowest and highest z."""
+    """Range of x and y of the gathered rays between an object's lowest and highest z."""
     x, y, z, u, v, w = part[0], part[1], part[2], part[3], part[4], part[5]
     level, half = cluster[c, CENTRE + 2], cluster[c, EXTENT + 2]
     x0, x1, y0, y1, steep = np.inf, -np.inf, np.inf, -np.inf, np.inf

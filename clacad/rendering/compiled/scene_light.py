@@ -1,6 +1,6 @@
-"""The light of what rays meet, compiled: the twin of `reference.scene_hits`' paints.
+"""The light of objects that rays meet, compiled: the twin of `reference.scene_hits`' paints.
 
-The same formulas in the same order, one ray at a time, so that both paths agree to the last bits.
+Formulas and their order are identical, one ray at a time, so that both paths agree to the last bits.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from clacad.tracing.compiled.records import Ray
 
 @exact
 def one_sky(world: Floats) -> bool:
-    """Whether the sky is the same at the zenith and at the horizon."""
+    """Whether the sky has one colour at the zenith and at the horizon."""
     return bool(
         world[ZENITH] == world[HORIZON]
         and world[ZENITH + 1] == world[HORIZON + 1]

@@ -39,7 +39,7 @@ class Tables(NamedTuple):
     prim : (n, 35)
         A primitive a row, columns as named above; BOUND: low and high corner of a box round it, scene frame.
     store : (k,)
-        Corners of prisms, pixels, nodes and triangles; places in it are absolute.
+        Corners of prisms, pixels, nodes and triangles; indices into it are absolute.
     """
 
     world: Floats

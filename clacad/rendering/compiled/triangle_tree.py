@@ -11,7 +11,9 @@ from clacad.rendering.compiled.scene_tables import FACET, NODE
 from clacad.tracing.compiled.records import Ray, Vector
 
 DEPTH = 64
-"""Nodes waiting in a tree at most: median splits make it no deeper than the number's bits."""
+"""Largest number of waiting nodes: median splits make the tree no deeper than the bits of the number of
+triangles.
+"""
 
 
 @exact

@@ -1,4 +1,5 @@
-"""What rays meet in the scene and the light they find there, in numpy. `clacad.rendering.compiled.scene_hits` is its twin.
+"""Objects that rays meet in the scene and their light, in numpy. `clacad.rendering.compiled.scene_hits` is
+its twin.
 
 All distances are in lengths of the given direction, which need not be a unit vector.
 """
@@ -94,14 +95,14 @@ def _nearest(
 
 
 def _may_meet(bound: Floats, origin: Floats, direction: Floats) -> Bools:
-    """Whether rays come into a sphere (centre, radius) at a distance above 0."""
+    """Whether rays enter a sphere (centre, radius) at a distance above 0."""
     if not np.isfinite(bound[3]):
         return np.ones(len(origin), dtype=bool)
     x, y, z = (bound[:3] - origin).T
     dx, dy, dz = direction.T
     along, length2 = x * dx + y * dy + z * dz, dx * dx + dy * dy + dz * dz
     off2 = (x * x + y * y + z * z) * length2 - along * along
-    # the difference of two near squares: a hair is added for its rounding
+    # the difference of two near squares: a tolerance is added for its rounding
     return np.asarray((off2 <= bound[3] * bound[3] * length2 + 1e-12 * along * along)
                       & (along >= -bound[3] * np.sqrt(length2)))  # fmt: skip
 
@@ -132,7 +133,9 @@ def _first(near: Floats, far: Floats) -> Floats:
 
 
 def _sphere(local: Floats, ray: Floats, radius: float) -> Floats:
-    """The ray is carried to its point nearest the centre first: far starts lose nothing."""
+    """Nearer hit above 0; the ray is carried to its point nearest the centre first, so far starts lose no
+    accuracy.
+    """
     a = np.einsum("ij,ij->i", ray, ray)
     middle = -np.einsum("ij,ij->i", local, ray) / a
     near = local + middle[:, None] * ray
@@ -143,7 +146,7 @@ def _sphere(local: Floats, ray: Floats, radius: float) -> Floats:
 def _box(local: Floats, ray: Floats, half: Floats) -> Floats:
     p, q = (-half - local) / ray, (half - local) / ray
     near, far = np.fmax.reduce(np.fmin(p, q), axis=1), np.fmin.reduce(np.fmax(p, q), axis=1)
-    # a ray along a side's plane but outside it: 0/0 is left out above, so ask the coordinate
+    # a ray along a side's plane but outside it: 0/0 is left out above, so the coordinate decides
     beside = ((ray == 0.0) & (np.abs(local) > half)).any(axis=1)
     return np.where((near <= far) & ~beside, _first(near, far), np.nan)
 
@@ -269,7 +272,7 @@ def _normal(stage: SceneArrays, k: int, local: Floats, triangle: Ints) -> Floats
 
 
 def _prism_normal(local: Floats, half: float, outline: Floats) -> Floats:
-    """Of the nearest side or cap."""
+    """Normal of the nearest side or cap."""
     best = half - np.abs(local[:, 2])
     normal = np.tile([0.0, 0.0, 1.0], (len(local), 1))
     for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):

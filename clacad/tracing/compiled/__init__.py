@@ -1,5 +1,5 @@
-"""The tracer compiled: twins of `reference`, the straight path in blocks, and the plain arrays they read.
+"""The compiled tracer: twins of `reference`, the straight path in blocks, and the plain arrays they read.
 
-What they hand to one another is in `records`, the numbers of a sheet in `packing`; how functions are compiled is in
-`base.compiled`; facets are in `triangles`.
+The types that compiled functions exchange are in `records`, the numbers of a sheet in `packing`. How
+functions are compiled is in `base.compiled`; facets are in `triangles`.
 """

@@ -1,7 +1,8 @@
-"""Where the cells of an array stand and the lens in each, compiled: alike in all arrays, or told by `OwnCells`.
+"""Positions of the cells and lenses of each array, compiled.
 
-Which of the two is a matter of types: the kernels of sheets of equal cells are compiled without what asks `OwnCells`.
-Held to `clacad.sheet.cell_places` and `clacad.tracing.reference.launch.cell_in`.
+Uniform sheets read one set of numbers; non-uniform sheets read `OwnCells`. Argument types decide which:
+kernels for uniform sheets are compiled without the code that reads `OwnCells`.
+Compared with `clacad.sheet.cell_places` and `clacad.tracing.reference.launch.cell_in`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ Place = tuple[float, float, float, float]
 
 
 class CellRule(NamedTuple):
-    """Where a lattice's cells are: cell (i, j) is i − across + skew j pitches from x0, and j − along rows from y0."""
+    """Positions of a lattice's cells: cell (i, j) is i − across + skew j pitches from x0, and j − along rows
+    from y0.
+    """
 
     skew: float
     across: float
@@ -32,7 +35,7 @@ class CellRule(NamedTuple):
 
 @inlined
 def row_of(own: OwnCells | None, array: int) -> int:
-    """Which row of `Packed.lattices` an array's cells have."""
+    """Row of `Packed.lattices` with the cells of an array."""
     if own is None:
         return 0
     return array
@@ -40,7 +43,7 @@ def row_of(own: OwnCells | None, array: int) -> int:
 
 @inlined
 def apex(sheet: Packed, f: int, i: float, j: float) -> tuple[float, float]:
-    """How far the lens of a cell stands from the face's vertex; see `VertexChange.at`."""
+    """Offset of the lens of a cell from the face's vertex; see `VertexChange.at`."""
     return _apex(sheet, sheet.own, f, i, j)
 
 
@@ -53,7 +56,7 @@ def _apex(sheet: Packed, own: OwnCells | None, f: int, i: float, j: float) -> tu
 
 @exact
 def own_apex(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> tuple[float, float]:
-    """How far the lens of a cell stands from the vertex of a face where cells differ."""
+    """Offset of the lens of a cell from the face's vertex on a non-uniform sheet."""
     if own.change[f, slot.CHANGES] == 0.0:
         return 0.0, 0.0
     ax, ay = times_gradient(gradient_of(own, f), centre_of(grid_of(sheet.lattice), i, j))
@@ -66,21 +69,21 @@ def own_apex(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> tuple[
 
 @inlined
 def gradient_of(own: OwnCells, f: int) -> Place:
-    """Give the gradient of the lenses' places on a face, row by row."""
+    """Gradient of the lens offsets on a face, row by row."""
     change = own.change
     return change[f, slot.XX], change[f, slot.XY], change[f, slot.YX], change[f, slot.YY]
 
 
 @inlined
 def times_gradient(gradient: Place, place: tuple[float, float]) -> tuple[float, float]:
-    """Give a gradient times a place."""
+    """Product of a gradient and a position."""
     (xx, xy, yx, yy), (x, y) = gradient, place
     return xx * x + xy * y, yx * x + yy * y
 
 
 @inlined
 def grid_of(lat: Floats) -> CellRule:
-    """Give the numbers that say where a lattice's cells are."""
+    """Numbers that locate the cells of a lattice."""
     if lat[slot.HEXAGONAL] != 0.0:
         return CellRule(0.5, 0.0, 0.0, lat[slot.PITCH], lat[slot.ROW], lat[slot.X0], lat[slot.Y0])
     across, along = 0.5 * (lat[slot.N1] - 1.0), 0.5 * (lat[slot.N2] - 1.0)
@@ -89,20 +92,20 @@ def grid_of(lat: Floats) -> CellRule:
 
 @inlined
 def steps_to(grid: CellRule, i: float, j: float) -> tuple[float, float]:
-    """How many pitches and rows a cell is from where these are counted: exact."""
+    """Number of pitches and rows from the lattice's origin (x0, y0) to a cell, exact."""
     return (i - grid.across) + grid.skew * j, j - grid.along
 
 
 @inlined
 def centre_of(grid: CellRule, i: float, j: float) -> tuple[float, float]:
-    """Give the centre of a cell, rounded."""
+    """Centre of a cell, rounded."""
     across, along = steps_to(grid, i, j)
     return grid.x0 + across * grid.pitch, grid.y0 + along * grid.row
 
 
 @exact
 def tabled(sheet: Packed, own: OwnCells, which: int, i: float, j: float) -> tuple[float, float]:
-    """Give the part of a lens's place that a table has; 0 for cells that are not kept."""
+    """Tabulated part of the offset of a lens; 0 for cells that are not kept."""
     if not kept(sheet.lattice, sheet.rows, i, j):
         return 0.0, 0.0
     place = int(i) + int(j) // 2 if sheet.lattice[slot.HEXAGONAL] != 0.0 else int(i)
@@ -111,7 +114,7 @@ def tabled(sheet: Packed, own: OwnCells, which: int, i: float, j: float) -> tupl
 
 @inlined
 def vertex(sheet: Packed, f: int, i: float, j: float) -> tuple[float, float]:
-    """Where the lens of a cell stands, from the cell's centre."""
+    """Position of the lens of a cell relative to the cell's centre."""
     return _vertex(sheet, sheet.own, f, i, j)
 
 

@@ -1,7 +1,7 @@
 """The cell a point belongs to, compiled: the scalar twins of `clacad.sheet.lattice` and `clacad.tracing.layout`.
 
-Held to them by every trace that is compared with the numpy path: same cells, on the hard list too. Blocks
-of rays have loops of their own in `launch` and `straight_path`, which share `hexagon_steps`.
+Every trace that is compared with the numpy path checks them: same cells, also on the list of hard cases.
+Blocks of rays have their own loops in `launch` and `straight_path`, which share `hexagon_steps`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from clacad.tracing.compiled import packing as slot
 
 @exact
 def kept(lat: Floats, rows: Ints, i: float, j: float) -> bool:
-    """Whether the lattice has this cell; a plain one has no table of rows."""
+    """Whether the lattice has this cell; a plain lattice has no table of rows."""
     if lat[slot.PLAIN] != 0.0:
         return bool(0.0 <= i < lat[slot.N1] and 0.0 <= j < lat[slot.N2])
     if not (0.0 <= j < len(rows)):
@@ -72,7 +72,7 @@ def _less_pair(x: float, low: float, k: float, step: float) -> float:
 
 @exact
 def _less_origin(x: float, low: float, k: float, step: float, origin: float) -> float:
-    """Give x + low − k·step − origin, rounded once."""
+    """Value of x + low − k·step − origin, rounded once."""
     high, rest = two_product(k, step)
     a, e = two_sum(x, -high)
     b, f = two_sum(a, -origin)
@@ -81,7 +81,7 @@ def _less_origin(x: float, low: float, k: float, step: float, origin: float) -> 
 
 @exact
 def _hexagon_step(u: float, v: float, half: float, slant: float) -> tuple[float, float]:
-    """Step (i, j) over the first border of a hexagon that a point of its frame lies beyond; none inside."""
+    """Step (i, j) over the first border of a hexagon that a point of its frame lies beyond; (0, 0) inside."""
     if u >= half or u < -half:
         return (1.0 if u >= half else -1.0), 0.0
     across = 0.5 * u + slant * v

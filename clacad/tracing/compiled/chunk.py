@@ -1,4 +1,4 @@
-"""Rays traced chunk by chunk, compiled: blocks straight through, and a walk for the rays that need one."""
+"""Rays traced chunk by chunk, compiled: blocks take the straight path, the remaining rays the walk."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ from clacad.tracing.triangles.tiles import Tiles
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 
 WAITING = 32
-"""Rays that wait before they are walked: enough to keep the walk's code near, few enough to keep theirs near."""
+"""Rays queued before a walk: enough to keep the code of the walk in the cache, few enough to keep their rows
+there.
+"""
 
 MOST = 2.0**31 - 1.0
 
@@ -83,7 +85,7 @@ def _load_vectors(column: Floats, first: int, m: int, x: Floats, y: Floats, z: F
 
 @exact
 def _together(chosen: Rows) -> bool:
-    """Whether rows follow one another, so that a block can be moved as one piece."""
+    """Whether rows are consecutive, so that a block can be moved as one piece."""
     apart = 0
     for k in range(len(chosen)):
         apart |= chosen[k] - chosen[0] - k
@@ -92,7 +94,7 @@ def _together(chosen: Rows) -> bool:
 
 @exact
 def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome) -> None:
-    """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
+    """Write the rows of a block; rows of rays whose straight trace does not hold are meaningless."""
     faces, bodies = sheet.faces, sheet.bodies
     m = len(chosen)
     px, py, z, dz, good = lanes(s, (GX, GY, Z, DZ, GOOD))
@@ -121,14 +123,14 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
 
 @exact
 def _in_range(number: float) -> float:
-    """Give a number that an int32 has: the same where it is one, whatever it is of a ray that came to nothing."""
+    """Limit a number to the range of int32; only numbers of rays without a valid result are changed."""
     number = least(MOST, number)
     return -MOST if number < -MOST else number
 
 
 @exact
 def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> None:
-    """Write the m rows that follow one another from the first."""
+    """Write m consecutive rows from the first."""
     fate, path, surface = (
         out.fate[first : first + m],
         out.path[first : first + m],
@@ -159,7 +161,7 @@ def _store_vectors(x: Floats, y: Floats, z: Floats, column: Floats, first: int, 
 
 @exact
 def _store_cells(i: Floats, j: Floats, column: Cells, first: int, m: int) -> None:
-    """Write m cells of a column (n, 2) from a row on; counted in numbers, two apart is plain to the compiler."""
+    """Write m cells of a column (n, 2) from a row on; the stride of two numbers is plain to the compiler."""
     flat = column.reshape(column.size)[2 * first : 2 * (first + m)]
     for k in range(m):
         flat[2 * k], flat[2 * k + 1] = np.int32(i[k]), np.int32(j[k])
@@ -167,7 +169,7 @@ def _store_cells(i: Floats, j: Floats, column: Cells, first: int, m: int) -> Non
 
 @exact
 def blank_row(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
-    """Write a row as launched, MISSED or INVALID; tell whether the ray can be launched."""
+    """Write a row as launched, MISSED or INVALID; return whether the ray can be launched."""
     finite, zero = True, True
     for c in range(3):
         out.position[row, c], out.direction[row, c] = start[row, c], ray[row, c]
@@ -188,7 +190,7 @@ def blank_row(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
 def trace_chunk_of_triangles(
     trees: Hierarchy, grid: FacetGrid, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
 ) -> int:  # fmt: skip
-    """Trace the rays `chosen` through triangles from anywhere; as `trace_chunk`."""
+    """Trace the rays `chosen` through triangles from any source; arguments as in `trace_chunk`."""
     scratch, waiting, count = new_scratch(), np.empty(len(chosen), dtype=np.intp), 0
     plain = len(grid.walled) > 0 and len(trees.corner_normal) == 0 and len(out.hits) == 0
     rest = chosen
@@ -211,7 +213,9 @@ def trace_chunk_of_triangles(
 def _through_squares(
     grid: FacetGrid, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
 ) -> int:  # fmt: skip
-    """Trace rays where facets halve the bins of the grid; `left` takes those that this does not decide, and how many is given."""
+    """Trace rays where facets halve the bins of the grid; undecided rows go to `left`, and their count is
+    returned.
+    """
     s, count = np.zeros((ROWS, BLOCK)), 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
@@ -227,7 +231,9 @@ def _through_squares(
 def trace_chunk(
     tiles: Tiles | None, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
 ) -> int:
-    """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows; return how many had to be walked."""
+    """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows; return the number that were
+    walked.
+    """
     s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
     waiting, scratch = np.empty(WAITING + BLOCK, dtype=np.intp), new_scratch()
     count, walked = 0, 0
@@ -251,11 +257,11 @@ def trace_chunk(
 def straight_chunk_single(
     sheet: Packed, rounded: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
 ) -> int:  # fmt: skip
-    """Trace the rays `chosen` straight through in single precision, from the plane of the launch on.
+    """Trace the rays `chosen` straight through in single precision, starting from the launch plane.
 
     rounded : the sheet's numbers as float32
     left : (n,)
-        Takes the rows whose straight trace does not hold; returned is how many.
+        Receives the rows whose straight trace does not hold; their count is returned.
     """
     wide, count = np.zeros((SCRATCH, BLOCK)), 0
     carried: Singles = np.empty(BLOCK, dtype=np.float32)
@@ -279,7 +285,7 @@ def straight_chunk_single(
 
 @exact
 def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
-    """Write what the straight path lets through, where that was gathered: one more layer of `turns` takes it."""
+    """Write the share of light that the straight path transmits, where counted, to the last layer of `turns`."""
     indices, bodies, share = sheet.indices, len(sheet.bodies), len(sheet.faces)
     if len(indices) == bodies:
         return
@@ -296,7 +302,7 @@ def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
 
 @exact
 def queue_undecided(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
-    """Put the rays of a block whose straight trace does not hold on the list of those to be walked."""
+    """Append the rays of a block whose straight trace does not hold to the list of rays to walk."""
     good = lane(s, GOOD)
     for k in range(len(block)):
         if good[k] == 0.0:
@@ -310,7 +316,7 @@ def _walk(
     tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, waiting: Rows, start: Floats, ray: Floats,
     out: Outcome, scratch: Scratch,
 ) -> None:  # fmt: skip
-    """Walk rays one by one: many in a row, so that the walk's own code and tables stay near."""
+    """Walk rays one by one, many in a row, so that the code and tables of the walk stay in the cache."""
     counted, share = len(sheet.indices) > len(sheet.bodies), len(sheet.faces)
     for row in waiting:
         sound = blank_row(row, start, ray, out)
@@ -321,5 +327,5 @@ def _walk(
         reaches, launched = launch_ray(sheet, start, ray, row)
         if reaches:
             walk_ray(tiles, trees, sheet, launched, row, out, scratch)
-            if counted:  # not known here: its hits are there to work it out from
+            if counted:  # not known here: computed later from the ray's hits
                 out.turns[share, row // 3, row % 3] = 1.0 if out.fate[row] >= MISSED else nan

@@ -42,7 +42,7 @@ def box_span(
                 return inf, -inf
             continue
         one, two = (low - at) / speed, (high - at) / speed
-        if isnan(one) or isnan(two):  # infinite is right: the box of a slope that is all but 0
+        if isnan(one) or isnan(two):  # infinite is right: the box of a slope that is nearly 0
             return inf, -inf
         enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
     return enter, leave
@@ -66,7 +66,7 @@ def _lens_over(sheet: Packed, row: int, work: Floats, x: float, y: float) -> flo
 
 @exact
 def _proud(lens: float, land: float, front: bool) -> float:
-    """The outermost of lens and land; what there is, if only one is."""
+    """The outermost of lens and land; the one that exists, if only one does."""
     if isnan(lens):
         return land
     if isnan(land):
@@ -115,7 +115,9 @@ def _solid(sheet: Packed, b: int, ray: Ray, t: float, work: Floats) -> bool:
 
 @exact
 def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
-    """Fill in the distances that divide the ray (sheet frame) into stretches, and what each is; return their number."""
+    """Fill in the distances that divide the ray (sheet frame) into stretches, with the cause of each; return
+    their number.
+    """
     faces, lat = sheet.faces, sheet.lattice
     sheet_x, sheet_y, z, L, M, N = ray
     count = 0
@@ -155,7 +157,7 @@ def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
 
 @exact
 def divide_outline(bodies: Floats, b: int, ray: Ray, times: Floats, causes: Ints, count: int) -> int:
-    """Add the distances at which a ray of the sheet's frame crosses the outline; return the number of all."""
+    """Add the distances at which a ray of the sheet's frame crosses the outline; return the total number."""
     if bodies[b, slot.OUTLINE] == slot.NO_OUTLINE or bodies[b, slot.OUTLINE] == slot.PLATE:
         return count
     x, y, _, L, M, _ = ray
@@ -179,7 +181,9 @@ def divide_outline(bodies: Floats, b: int, ray: Ray, times: Floats, causes: Ints
 
 @exact
 def edge_ahead(sheet: Packed, b: int, ray: Ray, since: float) -> float:
-    """Where a ray of the sheet's frame next crosses an edge of the plate that body b ends at; infinite without a plate."""
+    """Distance at which a ray (sheet frame) next crosses an edge of the plate that bounds body b; inf without
+    a plate.
+    """
     if sheet.bodies[b, slot.OUTLINE] != slot.PLATE:
         return inf
     return next_edge(sheet.edges, ray.x, ray.y, ray.L, ray.M, since + sheet.lattice[slot.TINY])
@@ -189,8 +193,9 @@ def edge_ahead(sheet: Packed, b: int, ray: Ray, since: float) -> float:
 def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float:
     """Skip the solid middle of a thick body; returns the distance to go on from, `now` if nothing is skipped.
 
-    Between the front's highest and the back's lowest point there is nothing to meet but the side walls, and
-    none between two points of the convex region inside the footprint. The steps are set to the cells over there.
+    Between the front's highest and the back's lowest point only the side walls can be met. Between two points
+    of the convex region inside the footprint there are none. The steps are set to the cells at the new
+    position.
     """
     bodies = sheet.bodies
     array, i, j, x, y, z, L, M, N = ray
@@ -212,7 +217,7 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
 
 @inlined
 def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
-    """Note the cell and the start of a ray in each of the arrays of body b."""
+    """Record the cell and the start of a ray in each of the arrays of body b."""
     array, i, j, x, y, _, _, _, _ = ray
     for k in range(2 * slot.MOST_ARRAYS):
         work[STEP + k] = 0.0
@@ -229,7 +234,7 @@ def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
 
 @inlined
 def enter_cell(lat: Floats, at: int, work: Floats) -> tuple[float, float]:
-    """Note the present cell of array `at`, and give the start seen from there."""
+    """Record the present cell of array `at`, and return the start seen from there."""
     work[CELL + 2 * at] = work[HOME + 2 * at] + work[STEP + 2 * at]
     work[CELL + 2 * at + 1] = work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1]
     u, v = less_steps(
@@ -241,7 +246,9 @@ def enter_cell(lat: Floats, at: int, work: Floats) -> tuple[float, float]:
 
 @inlined
 def _next_border(sheet: Packed, b: int, ray: Ray, work: Floats) -> tuple[float, int, int, float]:
-    """Enter the present cells; the distance to the first border of theirs, which, of what array, in what sense."""
+    """Enter the present cells; return the distance to their first border, which border, of which array, and
+    the sense.
+    """
     faces = sheet.faces
     border, across, across_array, sense = inf, 0, 0, 1.0
     for side in range(2):
@@ -257,9 +264,9 @@ def _next_border(sheet: Packed, b: int, ray: Ray, work: Floats) -> tuple[float, 
 
 @inlined
 def border_ahead(lat: Floats, ray: Ray, u: float, v: float, before: float) -> tuple[float, int, float]:
-    """First border of a cell that a ray, at (u, v) of it, crosses before a distance: how far, which, in what sense.
+    """First border of a cell that a ray at (u, v) crosses before a distance: distance, which border, sense.
 
-    −1 for which where there is none.
+    The border is −1 where there is none.
     """
     across, sense = -1, 1.0
     for n in range(int(lat[slot.BORDERS])):
@@ -278,7 +285,7 @@ def _first_stretch(
     sheet: Packed, b: int, ray: Ray, inside: bool, span: tuple[float, float, int], count: int, work: Floats,
     causes: Ints,
 ) -> tuple[bool, float, int]:  # fmt: skip
-    """Find the first of a column's stretches that is not as the ray's state is.
+    """Find the first stretch of a column whose state differs from the ray's.
 
     span : since when the state is known, where the column ends, and why the state began
     Returns whether there is one, its start (else that of the last), and what is crossed there.
@@ -314,7 +321,9 @@ def write_event(sheet: Packed, kind: int, distance: float, work: Floats, event: 
 
 @inlined
 def ends_of_body(sheet: Packed, b: int, ray: CellRay, inside: bool) -> tuple[Ray, float, float]:
-    """The ray in the sheet's frame, and how far it goes until it is above body b (not looked for inside), or beside it."""
+    """The ray in the sheet's frame, and its distances to above body b (inf inside the material) and out of
+    its box.
+    """
     array, i, j, x, y, z, L, M, N = ray
     sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, i, j, x, y)
     aside = max(box_span(sheet.lattice, sheet.bodies, b, sx, sy, L, M)[1], 0.0)

@@ -30,7 +30,7 @@ def polynomial_over(
 
 @exact
 def polynomial_normal(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Normal G towards +z at a point met; its w from the height where the base stands steep, as numpy's."""
+    """Normal G towards +z at a hit; where the base is steep, w comes from the height, as in numpy."""
     gx, gy, w, gap, _ = polynomial_over(faces, row, x, y, z)
     q = faces[row, slot.CX] * x * x + faces[row, slot.CY] * y * y
     above = q / (1.0 + w) + faces[row, slot.SIDE] * gap
@@ -79,7 +79,9 @@ def _even_terms(faces: Floats, row: int, xx: float, yy: float) -> tuple[float, f
 
 @exact
 def polynomial_root(faces: Floats, row: int, ray: Ray, base: Vector) -> float:
-    """Distance from the base point to where the ray crosses the face towards the side it goes to; NaN: nowhere."""
+    """Distance from the base point to where the ray crosses the face in its direction of travel; NaN without
+    a crossing.
+    """
     bx, by, bz = base
     sense = -1.0 if ray.N < 0.0 else 1.0
     L, M, N = sense * ray.L, sense * ray.M, sense * ray.N

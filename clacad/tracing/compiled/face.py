@@ -1,6 +1,6 @@
-"""Compiled scalar pieces of the walk: one ray, one face. The same formulas as `clacad.optics.surface` and `face`.
+"""Compiled scalar pieces of the walk: one ray, one face. Formulas as in `clacad.optics.surface` and `face`.
 
-Notation as in `clacad.optics.surface`. `snell` and `bend` are the one compiled spelling of Snell's law.
+Notation as in `clacad.optics.surface`. `snell` and `bend` are the only compiled form of Snell's law.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from clacad.tracing.compiled.even_polynomial import polynomial_normal, polynomia
 from clacad.tracing.compiled.records import Ray, Vector
 
 ROOT_STEPS = 60
-"""Steps to find the roots of a quartic together; a dozen do unless roots nearly meet."""
+"""Steps of the simultaneous search for the roots of a quartic; a dozen suffice unless roots nearly coincide.
+"""
 
 
 class Conic(NamedTuple):
@@ -57,7 +58,7 @@ def to_sheet(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[flo
 
 @exact
 def _discriminant(conic: Conic, ray: Ray) -> float:
-    """B² − AC in pairs; the same at every point of the ray."""
+    """B² − AC in pairs; equal at every point of the ray."""
     cx, cy, kappa, side = conic
     x, y, z, L, M, N = ray
     lh, ll = two_product(kappa, z)
@@ -134,7 +135,9 @@ def _biconic_parts(faces: Floats, row: int, x: float, y: float) -> tuple[float, 
 
 @exact
 def _biconic_root(faces: Floats, row: int, ray: Ray, base: Vector) -> tuple[float, float]:
-    """Newton on the azimuth's own quadric, see `clacad.optics.surface.biconic`; a search where it does not settle."""
+    """Newton on the azimuth's own quadric, see `clacad.optics.surface.biconic`; root search where it does not
+    converge.
+    """
     bx, by, bz = base
     _, _, _, L, M, N = ray
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
@@ -164,7 +167,7 @@ def _biconic_root(faces: Floats, row: int, ray: Ray, base: Vector) -> tuple[floa
 
 @exact
 def _biconic_quartic(faces: Floats, row: int, ray: Ray) -> float:
-    """Crossing of a ray that Newton lost: lowest of the roots of z² P − 2 side z Q + Q² = 0 that qualify."""
+    """Crossing of a ray where Newton failed: lowest qualifying root of z² P − 2 side z Q + Q² = 0."""
     x, y, z, L, M, N = ray
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
@@ -274,7 +277,8 @@ def meet(
 
 @exact
 def bend(square: float, incident: float, weight: float) -> float:
-    """How much of the normal G refraction adds to n1/n2 D, in the form that does not cancel; NaN at total reflection.
+    """Multiple of the normal G that refraction adds to n1/n2 D, in the form without cancellation; NaN at
+    total reflection.
 
     square : |G|²; incident : n1/n2 D·G > 0; weight : 1 − (n1/n2)²
     """
@@ -290,7 +294,7 @@ def snell(direction: Vector, normal: Vector, root: float, n1: float, n2: float) 
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     incident = mu * root
     square = gx * gx + gy * gy + gz * gz
-    # along the face, between equal indices, nothing is bent
+    # between equal indices nothing is refracted along the face
     g = 0.0 if weight == 0.0 and incident <= 0.0 else bend(square, incident, weight)
     return mu * L + g * gx, mu * M + g * gy, mu * N + g * gz
 
@@ -372,7 +376,9 @@ def _finite(t: float) -> float:
 
 @exact
 def upward(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Normal G towards +z at a point near a lens (lens frame), and how far over it that lies, times |G|."""
+    """Normal G towards +z at a point near a lens (lens frame), and the height of the point over the lens,
+    times |G|.
+    """
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     if faces[row, slot.BICONIC] == 0.0:
         kappa = faces[row, slot.KX]

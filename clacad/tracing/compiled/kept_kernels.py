@@ -17,7 +17,7 @@ from clacad.tracing.ledger import Ledger
 
 
 def rung_is_kept(rung: Rung, layout: Layout) -> bool:
-    """Whether the kernel that traces this rung without a record is kept; types of arguments alone decide."""
+    """Whether the kernel that traces this rung without a record is on disk; argument types alone decide."""
     one = Rays(np.zeros((1, 3)), np.ones((1, 3)))
     sheet, rows, left = packed(layout), np.arange(1), np.empty(1, dtype=np.intp)
     traced = (rows, *in_arrays(one, Ledger.blank(1, 0)))

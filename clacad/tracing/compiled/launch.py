@@ -33,7 +33,7 @@ from clacad.tracing.compiled.straight_path_slots import (
 )
 
 SANE = 1e100
-"""Directions with components beyond this, or all below its inverse, are scaled before use."""
+"""Directions with components above this, or all below its inverse, are scaled before use."""
 
 
 @exact
@@ -55,7 +55,7 @@ def carried_to(
 
 @exact
 def launch_ray(sheet: Packed, position: Floats, direction: Floats, row: int) -> tuple[bool, Launched]:
-    """Whether one ray, wherever it comes from, reaches the first body, and where; see `reference.launch.launch`."""
+    """Whether a ray from any start reaches the first body, and where; see `reference.launch.launch`."""
     lat, bodies = sheet.lattice, sheet.bodies
     nowhere = Launched(nan, nan, nan, nan, nan, nan, nan, nan, nan)
     L, M, N = direction[row, 0], direction[row, 1], direction[row, 2]
@@ -85,8 +85,8 @@ def launch_ray(sheet: Packed, position: Floats, direction: Floats, row: int) -> 
 def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
     """Launch a block of rays whose starts and directions are in the scratch rows; see `launch_ray`.
 
-    Rays of insane scale, and those that are not over a cell on the reference plane, lose their mark GOOD. Lengths are
-    taken only in a block that has a direction of another length than 1: a root and a division a ray.
+    Rays of insane scale, and rays that are over no cell on the reference plane, lose their mark GOOD. Lengths
+    are computed only in a block with a direction whose length is not 1: a root and a division a ray.
     """
     x, y, z, dx, dy, dz = lanes(s, (X, Y, Z, DX, DY, DZ))
     path, good, xl, yl = lanes(s, (PATH, GOOD, GX, GY))
@@ -121,7 +121,9 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _normalise(s: Floats, m: int) -> None:
-    """Give directions length 1, and what was counted in their lengths its length, where they had another."""
+    """Scale directions to length 1, and quantities counted in their lengths accordingly, where the length is
+    not 1.
+    """
     dx, dy, dz, path = lanes(s, (DX, DY, DZ, PATH))
     for k in range(m):
         a, b, c = dx[k], dy[k], dz[k]
@@ -159,7 +161,7 @@ def _hexagons(
 
 @exact
 def _less_origin_fast(x: float, low: float, k: float, step: float, origin: float) -> float:
-    """Give x + low − k·step − origin, rounded once, by multiply-adds."""
+    """Value of x + low − k·step − origin, rounded once, by multiply-adds."""
     high = k * step
     a, e = two_sum(x, -high)
     b, f = two_sum(a, -origin)

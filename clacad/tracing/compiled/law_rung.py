@@ -1,7 +1,8 @@
 """Rung "law" compiled: blocks of rays that cross the sheet well inside a cell; the rest is left to numpy.
 
-The twin of `clacad.tracing.reference.law_rung`. Directions are worked out in the order of `Law.refract`, so that they
-are the same to the last bit; without its scaling by powers of two, which only directions and laws of insane size need.
+The twin of `clacad.tracing.reference.law_rung`. Directions are computed in the order of `Law.refract`, so
+they agree to the last bit. Its scaling by powers of two is left out: only directions and laws of insane size
+need it.
 """
 
 from __future__ import annotations
@@ -57,14 +58,16 @@ from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.law_rung import ordinary
 
 ETA_X, ETA_Y, DELTA_X, DELTA_Y, R0 = range(5)
-"""Places in `law_numbers`."""
+"""Indices of `law_numbers`."""
 
 SANE = STEEP
 """Row of a block that is positive where a direction is of ordinary size and goes forwards."""
 
 
 def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
-    """Write the rows of rays (n) that plainly cross a kept cell in z = 0; return the others (k,), not yet written."""
+    """Write the rows of rays (n) that clearly cross a kept cell in z = 0; return the other rows (k,), not yet
+    written.
+    """
     law = law_numbers(layout.window.law)
     if not ordinary(law):
         return np.arange(len(rays))
@@ -86,7 +89,7 @@ def law_chunk(
 
     law : see `law_numbers`
     left : (len(chosen),)
-        Takes the rows that are not decided here; returned is how many.
+        Receives the rows that are not decided here; their count is returned.
     """
     s, count = np.zeros((SCRATCH, BLOCK)), 0
     for first in range(0, len(chosen), BLOCK):
@@ -106,7 +109,7 @@ def law_chunk(
 
 @exact
 def less_product(x: float, a: float, b: float) -> float:
-    """Give x − a b with the product unrounded."""
+    """Value of x − a b with the product unrounded."""
     product = a * b
     total, rest = two_sum(x, -product)
     return total + (rest - multiply_add(a, b, -product))
@@ -114,7 +117,9 @@ def less_product(x: float, a: float, b: float) -> float:
 
 @exact
 def _refract(law: Floats, s: Floats, m: int) -> None:
-    """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and how surely there are any into GZ."""
+    """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and the margin by which they exist into
+    GZ.
+    """
     dx, dy, dz, out_x, out_y, out_z, sure = lanes(s, (DX, DY, DZ, LEFT_X, LEFT_Y, ROOT, GZ))
     eta_x, eta_y, delta_x, delta_y = law[ETA_X], law[ETA_Y], law[DELTA_X], law[DELTA_Y]
     a, b, c = law[R0], law[R0 + 1], law[R0 + 2]
@@ -132,7 +137,7 @@ def _refract(law: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _cross(sheet: Packed, s: Floats, m: int) -> None:
-    """Give rays that start before the plane their new directions; those that are turned back or nearly so are not good."""
+    """Refract rays that start before the plane; rays that are turned back, or nearly so, are not good."""
     x, y, dx, dy, dz, good, path = lanes(s, (X, Y, DX, DY, DZ, GOOD, PATH))
     out_x, out_y, out_z, sure = lanes(s, (LEFT_X, LEFT_Y, ROOT, GZ))
     copy_row(lane(s, CI), lane(s, CI0), m)

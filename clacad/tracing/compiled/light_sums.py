@@ -1,4 +1,4 @@
-"""Sums over rays that were traced, compiled: the twin of `clacad.tracing.reference.light_sums`."""
+"""Sums over traced rays, compiled: the twin of `clacad.tracing.reference.light_sums`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from clacad.tracing.reference.light_sums import GRADIENT, KNOWN, NORMAL, NUMBERS
 ALIVE = int(Fate.ALIVE)
 
 FEW = 64
-"""Rays whose numbers are added plainly; their sums are added with what rounding takes away."""
+"""Rays whose numbers are added plainly; their subtotals are added with compensation of the rounding error."""
 
 SMALL = 1e-2
-"""Chord below which four terms of the arc sine are exact to the last place."""
+"""Chord below which four terms of the arc sine are exact to the last digit."""
 
 
 @owning
@@ -30,7 +30,7 @@ def add_rays(law: Floats, fate: Bytes, ray: Floats, out: Floats, sums: Floats) -
     ray, out : (m, 3)
         Before the sheet, of any length, and behind it.
     sums : (2, NUMBERS)
-        And what rounding took away.
+        With the rounding error.
     """
     part, worst = np.zeros(NUMBERS), 0.0
     for first in range(0, len(fate), FEW):
@@ -49,7 +49,9 @@ def add_rays(law: Floats, fate: Bytes, ray: Floats, out: Floats, sums: Floats) -
 
 @exact
 def _add_ray(law: Floats, ray: Floats, out: Floats, part: Floats) -> float:
-    """Add one ALIVE ray, seen in the frame of the lenses; its angle to the law, 0 where that has no answer."""
+    """Add one ALIVE ray in the frame of the lenses; return its angle to the law, 0 where the law has no
+    answer.
+    """
     u, v, w = ray[0], ray[1], ray[2]
     size = 1.0 / sqrt(u * u + v * v + w * w)
     mx = (law[R0] * u + law[R0 + 3] * v + law[R0 + 6] * w) * size
@@ -76,7 +78,7 @@ def _add_ray(law: Floats, ray: Floats, out: Floats, part: Floats) -> float:
 
 @exact
 def _angle(square: float, product: float) -> float:
-    """Angle between unit directions whose difference has this square; `product`: theirs."""
+    """Angle between unit directions from the square of their difference and their product."""
     chord = sqrt(square)
     if chord < SMALL:
         return chord * (1.0 + square * (1.0 / 24.0 + square * (3.0 / 640.0 + square * (5.0 / 7168.0))))
@@ -87,7 +89,9 @@ def _angle(square: float, product: float) -> float:
 def _add_step(
     a: float, b: float, c: float, x: float, y: float, dx: float, dy: float, along: float, part: Floats
 ) -> None:
-    """Add what a ray that leaves at (x, y) says of 1/η and δ/η; (a, b, c): as it came, over the length it leaves with."""
+    """Add the contribution of a ray that leaves at (x, y) to 1/η and δ/η; (a, b, c): incident ray over exit
+    length.
+    """
     xx, yy, xy = 1.0 - x * x, 1.0 - y * y, -x * y
     ac, bc, cc = a * c, b * c, c * c
     part[NORMAL] += xx * (a * a)

@@ -1,6 +1,7 @@
-"""Sheets whose cells differ, packed: where every array's cells stand, and the lens in each.
+"""Packed numbers of a non-uniform sheet: positions of every array's cells, and the lens in each.
 
-Their kernels are those of all sheets, compiled for sheets with such numbers; sheets of equal cells load nothing of this.
+Non-uniform sheets use the general kernels, compiled for these numbers; uniform sheets load nothing from this
+module.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from clacad.tracing.layout import FacePlan, Layout
 
 
 def pack_own(layout: Layout) -> Packed:
-    """Pack a layout of cells that differ, with the indices of the design's wavelength; kept with the layout."""
+    """Pack the layout of a non-uniform sheet, with the indices of the design's wavelength; kept with the
+    layout.
+    """
     made: Packed | None = layout.kept.get("packed_own")
     if made is None:
         sheet = pack_array_1(layout)
         bodies = sheet.bodies.copy()
-        bodies[:, slot.QUICK] = 0.0  # the short cut of the walk knows one lens for all cells
+        bodies[:, slot.QUICK] = 0.0  # the short cut of the walk assumes one lens for all cells
         made = layout.kept["packed_own"] = sheet._replace(
             bodies=bodies, lattices=_lattices(layout), own=_own_cells(layout)
         )
@@ -27,7 +30,7 @@ def pack_own(layout: Layout) -> Packed:
 
 
 def _lattices(layout: Layout) -> Floats:
-    """Every array's own numbers; those of the last array stand for arrays that there are none of."""
+    """Numbers of every array, one row each; rows of missing arrays repeat the last array."""
     last = len(layout.lattices) - 1
     return np.array([_lattice_row(layout, min(array, last)) for array in range(slot.MOST_ARRAYS)])
 
@@ -49,7 +52,7 @@ def _lattice_row(layout: Layout, array: int) -> Floats:
 
 
 def _change(face: FacePlan, tables: list[Floats]) -> list[float]:
-    """Row of `OwnCells.change`; a face's table is added to those there are."""
+    """Row of `OwnCells.change`; the table of the face is appended to `tables`."""
     if face.change is None:
         return [0.0, 0.0, 0.0, 0.0, 0.0, -1.0]
     which = -1.0

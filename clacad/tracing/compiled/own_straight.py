@@ -1,6 +1,7 @@
-"""What the straight path does besides where cells differ, compiled: blocks into cells of another pitch, lenses that stand elsewhere.
+"""Additional steps of the straight path on non-uniform sheets, compiled: blocks into cells of another pitch,
+displaced lenses.
 
-Loops as in `straight_path`. Compiled for sheets whose cells differ only; see `array_cells`.
+Loops as in `straight_path`. Compiled only for non-uniform sheets; see `array_cells`.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ from clacad.tracing.compiled.straight_path_slots import (
 )
 
 CLEAR = 2.0**-44
-"""Share of half a cell within which of a border no cell is decided here: 100 times the rounding of this way and of the other."""
+"""Share of half a cell: closer to a border than this no cell is decided here; 100 times the rounding of both
+paths.
+"""
 
 
 @exact
@@ -52,8 +55,8 @@ def carry_own(
 ) -> None:
     """Carry rays to a level and into the cells of the array there; see `straight_path.carry`.
 
-    Cells of one index in two arrays are that many times the difference of their pitches apart, which is exact where they
-    are alike; products and sums of it are kept in pairs.
+    Cells of equal index in two arrays lie index times the pitch difference apart, exact where the pitches are
+    equal. Products and sums are kept in pairs.
     """
     z, dx, dy, dz, path = lanes(s, (Z, DX, DY, DZ, PATH))
     ox, oy, oz = origin
@@ -79,7 +82,7 @@ def carry_own(
 
 @exact
 def _beside(first: float, second: float, shift: float, other: float) -> tuple[float, float]:
-    """How far one array lies from another, as a pair, where each has a first place and a shift."""
+    """Displacement between two arrays, as a pair, from the first position and the shift of each."""
     h, e = two_sum(first, -second)
     a, b = two_sum(shift, -other)
     return pair_sum(h, e, a, b)
@@ -87,7 +90,7 @@ def _beside(first: float, second: float, shift: float, other: float) -> tuple[fl
 
 @exact
 def _apart(x: Floats, steps: Floats, m: int, pitch: tuple[float, float], shift: tuple[float, float]) -> None:
-    """Add steps · pitch + shift to x; `steps` takes what rounding leaves over."""
+    """Add steps · pitch + shift to x; `steps` receives the rounding error."""
     (ph, pl), (ch, cl) = pitch, shift
     for i in range(m):
         k = steps[i]
@@ -132,7 +135,7 @@ def _into_hexagons(lat: Floats, s: Floats, m: int) -> None:
 
 @exact
 def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None:
-    """Positions seen from the lens of each ray's own cell, as far as lenses stand elsewhere in every cell."""
+    """Transform positions to the lens of each ray's own cell, where lens offsets vary from cell to cell."""
     if own.change[f, slot.CHANGES] == 0.0:
         return
     x, y, ax, ay, ci, cj = lanes(s, (X, Y, AX, AY, CI, CJ))
@@ -148,7 +151,7 @@ def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None
 
 @exact
 def _add_tabled(sheet: Packed, table: Floats, s: Floats, m: int) -> None:
-    """Add a table's part of the lenses' places; rays that are GOOD have arrived in cells that are kept."""
+    """Add the tabulated part of the lens offsets; GOOD rays are in kept cells."""
     ax, ay, ci, cj, good = lanes(s, (AX, AY, CI, CJ, GOOD))
     hexagonal = sheet.lattice[slot.HEXAGONAL] != 0.0
     for i in range(m):
@@ -161,7 +164,7 @@ def _add_tabled(sheet: Packed, table: Floats, s: Floats, m: int) -> None:
 
 @exact
 def from_own_lens(own: OwnCells, f: int, s: Floats, m: int) -> None:
-    """Positions as before `to_own_lens`."""
+    """Undo `to_own_lens`."""
     if own.change[f, slot.CHANGES] == 0.0:
         return
     x, y, ax, ay = lanes(s, (X, Y, AX, AY))
@@ -171,7 +174,7 @@ def from_own_lens(own: OwnCells, f: int, s: Floats, m: int) -> None:
 
 @exact
 def own_thick(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None:
-    """Hits on one face must lie on the right side of the body's other face; see `straight_path`."""
+    """Require that hits on one face lie on the right side of the body's other face; see `straight_path`."""
     faces = sheet.faces
     vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
     other, sign = f + 1 - 2 * (f % 2), 1.0 - 2.0 * (f % 2)

@@ -1,4 +1,4 @@
-"""A layout packed into plain arrays, the only thing compiled kernels can read."""
+"""A layout packed into plain arrays, the only data that compiled kernels can read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)
 ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, A40, A22, A04 = range(20, 29)
 A60, A42, A24, A06, A80, A62, A44, A26, A08, BLIND, FACE_NUMBERS = range(29, 40)
 
-# What BICONIC says: 0 is a quadric.
+# Values of BICONIC: 0 is a quadric.
 POLYNOMIAL = 2.0
 
 # Columns of a body's row.
@@ -29,20 +29,22 @@ MID_X, MID_Y, INNER_X, INNER_Y, INNER_R, OUTLINE, OUT_X, OUT_Y, ENTRY, JUMP_FROM
 )
 BODY_NUMBERS = 22
 
-# What OUTLINE says.
+# Values of OUTLINE.
 NO_OUTLINE, CIRCLE, RECTANGLE, PLATE = range(4)
 OUTLINES = {"none": NO_OUTLINE, "circle": CIRCLE, "rectangle": RECTANGLE, "plate": PLATE}
 
-# The lattice's numbers.
+# Columns of the lattice's row.
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
 NORMAL, HALF = 11, 17
 OPAQUE, BAFFLE, PLAIN, SHIFT = range(20, 24)
 
 MOST_ARRAYS = 3
-"""Arrays that a packed sheet has room for: from SHIFT two numbers an array, from BETWEEN four an ordered pair of arrays."""
+"""Arrays that a packed sheet has room for: from SHIFT two numbers an array, from BETWEEN four an ordered
+pair.
+"""
 
 BETWEEN = SHIFT + 2 * MOST_ARRAYS
-"""How far the second array lies from the first: what is left over of whole steps, x and y, then whole steps, i and j."""
+"""Displacement of the second array against the first: residual x and y, then whole lattice steps i and j."""
 
 LATTICE_NUMBERS = BETWEEN + 4 * MOST_ARRAYS * MOST_ARRAYS
 
@@ -53,12 +55,13 @@ CHANGES, XX, XY, YX, YY, TABLE = range(6)
 
 
 class OwnCells(NamedTuple):
-    """Where in each cell the lens stands, of a sheet whose cells differ.
+    """Position of the lens in each cell of a non-uniform sheet.
 
     Attributes
     ----------
     change : (faces, 6)
-        Whether lenses stand elsewhere in each cell, the gradient row by row, and which table (−1: none).
+        Whether the lens offset varies from cell to cell, the gradient row by row, and the index of the table
+        (−1: none).
     table : (tables, n1, n2, 2) lengths
     """
 
@@ -74,17 +77,21 @@ class Packed(NamedTuple):
     faces : (f, FACE_NUMBERS), bodies : (b, BODY_NUMBERS), lattice : (LATTICE_NUMBERS,)
         Columns as named in this module; lengths in design units.
     rows : (n2, 2 k) ints
-        First kept cell of each row of the lattice and one past its last. Of a convex outline a row is one run; a plate may
-        cut it into k, the longest first. Empty for a plain lattice (PLAIN), whose rows are all alike.
+        First kept cell of each row of the lattice and one past its last. In a convex outline a row is one
+        run; a plate may cut it into k, the longest first. Empty for a plain lattice (PLAIN), whose rows are
+        all alike.
     indices : (b,) or (2 b + 1,)
-        Refractive index of each body. Where lost light is counted there follow: whether faces reflect (0 or 1),
-        and the attenuation of each body.
+        Refractive index of each body. Where lost light is counted two more parts follow: whether faces
+        reflect (0 or 1), and the attenuation of each body.
     edges : (e, EDGE_NUMBERS)
-        Of the plate that the bodies end at, columns as in `clacad.sheet.plate`; none where the outline is no plate.
+        Of the plate that bounds the bodies, columns as in `clacad.sheet.plate`; empty where the outline is no
+        plate.
     lattices : (1, LATTICE_NUMBERS) or (MOST_ARRAYS, LATTICE_NUMBERS)
-        The lattice's numbers for all arrays; or for each, with its own pitch, origin and half widths, where cells differ.
+        One row for all arrays of a uniform sheet. On a non-uniform sheet a row for each, with its pitch,
+        origin and half widths.
     own : OwnCells or None
-        None where all cells are alike, and kernels are then compiled without what asks it; else `lattice` is that of array 1.
+        None on a uniform sheet: kernels are then compiled without the code that reads it. Else `lattice` is
+        that of array 1.
     """
 
     faces: Floats
@@ -98,7 +105,7 @@ class Packed(NamedTuple):
 
 
 def pack(layout: Layout) -> Packed:
-    """Pack a layout of equal cells, with the indices of the design's wavelength; kept with the layout.
+    """Pack the layout of a uniform sheet, with the indices of the design's wavelength; kept with the layout.
 
     Raises
     ------
@@ -109,7 +116,9 @@ def pack(layout: Layout) -> Packed:
 
 
 def pack_array_1(layout: Layout) -> Packed:
-    """Pack a layout as `pack` does; where cells differ the lattice is that of array 1, and lenses stand as in its middle."""
+    """Pack a layout as `pack` does; non-uniform sheets get the lattice of array 1 and the lens positions of
+    its middle.
+    """
     kept: Packed | None = layout.kept.get("packed")
     if kept is not None:
         return kept
@@ -202,7 +211,7 @@ def lattice_row(layout: Layout) -> Floats:
 
 
 def _rows(layout: Layout) -> Ints:
-    """One run of cells a row of the lattice; none for a plain lattice, which may have 1e9 rows and needs no table."""
+    """One run of cells for each row of the lattice; empty for a plain lattice, which may have 1e9 rows."""
     lattice = layout.lattice
     if lattice.outline is None:
         j = np.arange(lattice.count[1] if lattice.hexagonal else 0, dtype=np.int64)

@@ -1,6 +1,7 @@
-"""What the compiled rungs "law" and "thin" decide: rays that pass everything they could touch, or all of it, at a distance.
+"""Rays that the compiled rungs "law" and "thin" decide: those that pass every border at a safe distance.
 
-A ray nearer than that to a border, or to being turned back, is left to the numpy path, whatever the rounding of either.
+A ray closer than that to a border, or to being turned back, is left to the numpy path, so the rounding of
+either path does not matter.
 """
 
 from __future__ import annotations
@@ -24,18 +25,22 @@ from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.ledger import Ledger
 
 NEAR = 2.0**-30
-"""Share of a cell, or cosine, within which nothing is decided: a million times the rounding of either path."""
+"""Share of a cell, or cosine, within which nothing is decided: a million times the rounding error of either
+path.
+"""
 
 FAR = 2.0**40
-"""Cells from the start to the sheet beyond which nothing is decided: rounding could hide whether a ray passes the sheet."""
+"""Cells from the start to the sheet beyond which nothing is decided: rounding could hide whether a ray misses
+the sheet.
+"""
 
 
 def rows_left(
     kernel: Callable[..., int], sheet: Packed, optics: Floats, rays: Rays, ledger: Ledger, threads: int
 ) -> Rows:
-    """Trace rays by a kernel that writes the rows it decides; the others (k,).
+    """Trace rays by a kernel that writes the rows it decides; return the other rows (k,).
 
-    kernel : `law_rung.law_chunk` or `thin.thin_chunk`, which `sheet` and `optics` are for
+    kernel : `law_rung.law_chunk` or `thin.thin_chunk`, which reads `sheet` and `optics`
     """
     position, direction, out = in_arrays(rays, ledger)
 
@@ -48,21 +53,21 @@ def rows_left(
 
 
 CLEAR = 1e-4
-"""Share of a cell by which a ray must pass beside the sheet, or start behind it, to be called MISSED here."""
+"""Share of a cell by which a ray must clear the sheet, or start behind it, to be called MISSED here."""
 
 MISS = HALF
-"""Row of a block that is positive where a ray surely misses."""
+"""Row of a block that is positive where a ray certainly misses."""
 
 
 @exact
 def near(lat: Floats) -> float:
-    """Give the distance from borders within which nothing is decided."""
+    """Distance from borders within which nothing is decided."""
     return float(NEAR * lat[slot.REACH])
 
 
 @exact
 def arrive_well_inside(sheet: Packed, s: Floats, m: int) -> None:
-    """On a reference plane rays must lie inside a kept cell, and not near its borders."""
+    """Require that rays on a reference plane lie inside a kept cell, and not near its borders."""
     arrive(sheet.lattice, sheet.rows, s, m, 0.0)
     hold_in_zone(sheet.lattice, s, m, near(sheet.lattice), 0.0, 0.0)
 
@@ -77,7 +82,7 @@ def surely_beside(sheet: Packed, s: Floats, k: int) -> bool:
 
 @exact
 def surely_unmet(sheet: Packed, s: Floats, k: int, sane: float, carried: float) -> bool:
-    """Whether launched ray k, of a direction that is `sane` > 0, is beside the sheet or started behind it."""
+    """Whether launched ray k, whose direction is `sane` > 0, misses the sheet laterally or started behind it."""
     reach = sheet.lattice[slot.REACH]
     if not (sane > 0.0 and abs(carried) < FAR * reach and abs(s[X, k]) + abs(s[Y, k]) < inf):
         return False
@@ -86,7 +91,9 @@ def surely_unmet(sheet: Packed, s: Floats, k: int, sane: float, carried: float) 
 
 @exact
 def miss(s: Floats, block: Rows, start: Floats, ray: Floats, out: Outcome) -> None:
-    """Give back as launched what is stored of a block and does not hold; it is decided if it misses or cannot be launched."""
+    """Reset the undecided rows of a block to the launched rays; rays that miss or cannot be launched become
+    decided.
+    """
     for k in range(len(block)):
         if s[GOOD, k] == 0.0:
             launchable = blank_row(block[k], start, ray, out)

@@ -1,4 +1,6 @@
-"""Compiled twins of `clacad.sheet.plate_edges`: whether a point lies in a plate, and where a ray next crosses an edge of it."""
+"""Compiled twins of `clacad.sheet.plate_edges`: whether a point lies in a plate, and the next edge that a ray
+crosses.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def in_plate(edges: Floats, x: float, y: float) -> bool:
 
 @exact
 def next_edge(edges: Floats, x: float, y: float, L: float, M: float, after: float) -> float:
-    """Least distance beyond `after` at which a ray's shadow on the sheet crosses an edge; infinite where there is none."""
+    """Least distance beyond `after` at which a ray's projection on the sheet crosses an edge; infinite
+    without one.
+    """
     nearest = inf
     for n in range(len(edges)):
         u, v = edges[n, X1] - edges[n, X0], edges[n, Y1] - edges[n, Y0]
@@ -62,7 +66,7 @@ def next_edge(edges: Floats, x: float, y: float, L: float, M: float, after: floa
 
 @exact
 def _left(edges: Floats, n: int, x: float, y: float) -> bool:
-    """Whether a point lies on the left of the chord of an edge."""
+    """Whether a point lies to the left of the chord of an edge."""
     return bool(
         (edges[n, X1] - edges[n, X0]) * (y - edges[n, Y0])
         > (edges[n, Y1] - edges[n, Y0]) * (x - edges[n, X0])

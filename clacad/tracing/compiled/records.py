@@ -1,4 +1,4 @@
-"""What compiled functions hand to one another: rays, the rows of the result, scratch."""
+"""Types that compiled functions exchange: rays, the rows of the result, scratch."""
 
 from __future__ import annotations
 
@@ -12,31 +12,32 @@ from clacad.tracing.compiled.packing import MOST_ARRAYS
 
 Vector = tuple[float, float, float]
 
-# Slots of an event, what a ray meets next: what, how far, then for each array its cell i, j and the ray's start seen
-# from there, then the normal of a facet.
+# Slots of an event, the next thing a ray meets: kind, distance, then for each array its cell i, j and the
+# ray's start seen from there, then the normal of a facet.
 KIND, DISTANCE, PLACE = range(3)
 FACET_NORMAL = PLACE + 4 * MOST_ARRAYS
 EVENT_NUMBERS = FACET_NORMAL + 3
 
-# Places in the search's floats; the first are distances that divide the ray. Two numbers for each array follow: the
-# start as given, the start seen from the present cell, the cell as given, the present cell, the steps in between.
+# Slots of the search's floats; the first are distances that divide the ray. Two numbers for each array
+# follow: start as given, start seen from the present cell, cell as given, present cell, steps in between.
 DIVISIONS = 24
 BASE, START, HOME, CELL, STEP, WORK_NUMBERS = range(DIVISIONS, DIVISIONS + 12 * MOST_ARRAYS, 2 * MOST_ARRAYS)
 
 DEPTH = 64
-"""Boxes of a tree that wait at most."""
+"""Largest number of boxes waiting on the stack of a tree."""
 
 FACET = 20
-"""Place in the search's integers of the facets that the arrays are in; before it, what each division is."""
+"""Slot in the search's integers of the facets that the arrays are in; the causes of the divisions come first.
+"""
 
-# Slots of a ray on its walk: cell, point and direction; optical length; point of the sheet; cells met first, last, and
-# first that differs; the array the cell belongs to; marks; the last face met.
+# Slots of a ray on its walk: cell, point and direction; optical length; point of the sheet; cells met first,
+# last, and first that differs; the array the cell belongs to; marks; the last face met.
 CI, CJ, X, Y, Z, DX, DY, DZ, PATH, PX, PY, PZ, FIRST = range(13)
 LAST, ODD, AT_ARRAY, SECOND, GHOSTLY, LANDED, SURFACE, WALKER_NUMBERS = 14, 16, 18, 19, 20, 21, 22, 23
 
 
 class Ray(NamedTuple):
-    """A point (lengths) and a direction, in whatever frame is said."""
+    """A point (lengths) and a direction; each use specifies the frame."""
 
     x: float
     y: float
@@ -47,7 +48,9 @@ class Ray(NamedTuple):
 
 
 class CellRay(NamedTuple):
-    """A ray in a cell (i, j) of an array: x and y from the cell's centre, z over the level of the body at hand."""
+    """A ray in a cell (i, j) of an array: x and y from the cell's centre, z over the level of the current
+    body.
+    """
 
     array: int
     i: float
@@ -61,7 +64,9 @@ class CellRay(NamedTuple):
 
 
 class Launched(NamedTuple):
-    """A ray carried to the first body's reference plane: in the cells of array 0, and how far it went from its start."""
+    """A ray carried to the first body's reference plane: in the cells of array 0, with the distance from its
+    start.
+    """
 
     i: float
     j: float
@@ -82,7 +87,7 @@ class Outcome(NamedTuple):
     position, direction : (n, 3); fate : (n,) bytes; path : (n,) lengths
     cell, order : (n, 2) ints; surface : (n,) ints
     hits, turns : (faces, n, 3) or (0, n, 3)
-        Where each face was met and the direction behind it.
+        Point where each face was met, and the direction behind it.
     """
 
     position: Floats
@@ -97,16 +102,16 @@ class Outcome(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room for one ray's walk.
+    """Working memory for the walk of one ray.
 
     Attributes
     ----------
     walker, left : (WALKER_NUMBERS,)
-        The ray, and as it left the last body.
+        The ray, and its state as it left the last body.
     event : (EVENT_NUMBERS,)
-        What it meets next.
+        The next thing it meets.
     work : (WORK_NUMBERS,), causes : (DIVISIONS,) ints, stack : (DEPTH,) ints
-        The search for that: on faces, and in a tree of boxes.
+        Search for that event on faces and in a tree of boxes.
     """
 
     walker: Floats
@@ -119,7 +124,7 @@ class Scratch(NamedTuple):
 
 @making
 def new_scratch() -> Scratch:
-    """Room for the walks of one thread."""
+    """Allocate the working memory for the walks of one thread."""
     return Scratch(
         np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS), np.empty(EVENT_NUMBERS), np.empty(WORK_NUMBERS),
         np.empty(DIVISIONS, dtype=np.int64), np.empty(DEPTH, dtype=np.int64),

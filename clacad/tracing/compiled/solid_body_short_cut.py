@@ -1,8 +1,9 @@
-"""Compiled short cut of the walk: what a steep ray meets next in a body that is solid between its two lens faces.
+"""Compiled short cut of the walk: the next thing a steep ray meets in a body that is solid between its two
+lens faces.
 
-Over every kept cell such a body is what lies between front and back, with no land, seam or hole. A ray steeper
-than both faces crosses each at most once in a column, and at a border only its height against the next cell's
-faces matters. Where anything is closer than rounding could tell, `column.first_change` decides.
+Over every kept cell such a body fills the space between front and back, with no land, seam or hole. A ray
+steeper than both faces crosses each at most once in a column. At a border only its height against the next
+cell's faces matters. Where a decision is within the rounding error, `column.first_change` decides.
 """
 
 from __future__ import annotations
@@ -19,18 +20,20 @@ from clacad.tracing.compiled.records import DISTANCE, KIND, PLACE, CellRay, Ray
 from clacad.tracing.reference.column import ABOVE, BACK, FRONT
 
 ARRIVING, INSIDE, LEAVING = 0, 1, 2
-"""Where a ray is: below the front, between front and back, on or over the back."""
+"""State of a ray: below the front, between front and back, on or over the back."""
 
 CLEAR = 8.0
-"""Distances that differ by less than this many times the shortest stretch are not told apart here."""
+"""Distances that differ by less than this multiple of the shortest stretch are not distinguished here."""
 
 COLUMNS = 4
-"""Cells looked at before a ray is left to the complete search."""
+"""Cells examined before a ray is left to the complete search."""
 
 
 @inlined
 def quick_change(sheet: Packed, b: int, ray: CellRay, stage: int, event: Floats) -> bool:
-    """Fill in the event that `first_change` would find and give True, or give False where that has to be asked."""
+    """Fill in the event that `first_change` would find and return True, or return False where `first_change`
+    must decide.
+    """
     faces, bodies, lat, rows = sheet.faces, sheet.bodies, sheet.lattice, sheet.rows
     array, i, j, x, y, z, L, M, N = ray
     if bodies[b, slot.QUICK] == 0.0 or array != int(bodies[b, slot.ENTRY]):
@@ -79,7 +82,7 @@ def quick_change(sheet: Packed, b: int, ray: CellRay, stage: int, event: Floats)
 
 @inlined
 def _border(lat: Floats, u: float, v: float, L: float, M: float) -> tuple[float, float, float]:
-    """Distance to the border that a ray in a cell meets first, and the step (i, j) to the cell beyond."""
+    """Distance to the first border that a ray in a cell meets, and the step (i, j) to the cell beyond."""
     border, ti, tj = inf, 0.0, 0.0
     for n in range(int(lat[slot.BORDERS])):
         ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
@@ -97,7 +100,7 @@ def _border(lat: Floats, u: float, v: float, L: float, M: float) -> tuple[float,
 def _crossing(
     faces: Floats, row: int, ray: Ray, since: float, border: float, clear: float
 ) -> tuple[float, bool]:
-    """Distance to a face between `since` and `border`, inf for none; and whether this is certain."""
+    """Distance to a face between `since` and `border`, inf for none; and whether the answer is certain."""
     u, v, z, L, M, N = ray
     x, y, h = to_lens(faces, row, u - faces[row, slot.VX], v - faces[row, slot.VY], z - faces[row, slot.VZ])
     p, q, w = to_lens(faces, row, L, M, N)

@@ -4,8 +4,8 @@ The twin of `clacad.tracing.reference.surfaces.in_cell`. Each pass is a plain lo
 into vector instructions: no branch, no call, two square roots and two divisions a face.
 
 Each condition of the straight path is a number that must be positive; the row GOOD keeps the least of them.
-A miss or a total reflection is a NaN that carries itself to the end, where it shows in the direction. Rays
-that fail are walked one by one afterwards.
+A miss or a total reflection is a NaN that propagates to the exit direction. Rays that fail are walked one by
+one afterwards.
 
 Positions are carried times N, so that the step to the vertex plane needs no division:
 with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r − b  the hit is
@@ -64,19 +64,22 @@ FIELD = 2
 """Array of a field lens."""
 
 BEHIND_START = -8 * 2.0**-52
-"""Share of what was gone by which the first face may lie behind the start: rounding."""
+"""Share of the travelled distance by which the first face may lie behind the start: rounding error."""
 
 
 @exact
 def copy_row(one: Floats, other: Floats, m: int) -> None:
-    """Copy a row, of whatever precision, to another: a plain loop becomes vector moves, a slice does not."""
+    """Copy a row of any precision to another: a plain loop becomes vector moves, a slice does not."""
     for k in range(m):
         other[k] = one[k]
 
 
 @exact
 def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, offset: Vector) -> None:
-    """First loop of a face: to the hit. Positions plus the offset are relative to the vertex, and are after."""
+    """First loop of a face: to the hit.
+
+    Positions plus the offset are relative to the vertex; afterwards without it.
+    """
     x, y, z, dx, dy, dz, root, path = lanes(s, (X, Y, Z, DX, DY, DZ, ROOT, PATH))
     cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
     real = s.dtype.type
@@ -117,7 +120,7 @@ def _turn_in(face: Floats, s: Floats, m: int, offset: Vector) -> None:
 
 @exact
 def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
-    """Back to sheet axes; normals must face up, rays must climb."""
+    """Rotate back to sheet axes; normals must face up, rays must climb."""
     x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     gx, gy, gz = lanes(s, (GX, GY, GZ))
     a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
@@ -138,8 +141,10 @@ def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
 def _refract_quadric(
     face: Floats, s: Floats, m: int, media: Media, climb: float, hx: float, hy: float
 ) -> None:
-    """Second loop of a face: Snell's law. The normal must be of the apex half, the hit inside hx and hy of the
-    cell's centre, and the ray must climb on; these comparisons hide behind the divisions.
+    """Second loop of a face: Snell's law.
+
+    The normal must be of the apex half, the hit inside hx and hy of the cell's centre, and the ray must climb
+    on. These comparisons cost no time: they run during the divisions.
     """
     x, y, z, dx, dy, dz, root, good = lanes(s, (X, Y, Z, DX, DY, DZ, ROOT, GOOD))
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
@@ -172,7 +177,7 @@ def _normals(face: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, media: Media, offset: Vector) -> None:
-    """Both loops of a biconic face: Newton has no fixed length, so rays are taken one by one."""
+    """Both loops of a biconic face, ray by ray: the number of Newton steps varies."""
     (n1, n2), (ox, oy, oz) = media, offset
     mu = n1 / n2
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
@@ -193,7 +198,7 @@ def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, media: Media, offset
 
 @exact
 def _proud(face: Floats, s: Floats, m: int) -> None:
-    """Hits must be on the lens where land could cover it."""
+    """Require that hits lie on the lens where land could cover it."""
     z, good = lanes(s, (Z, GOOD))
     vz, land, side = face[slot.VZ], face[slot.LAND], face[slot.SIDE]
     for i in range(m):
@@ -202,7 +207,7 @@ def _proud(face: Floats, s: Floats, m: int) -> None:
 
 @exact
 def hold_in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
-    """Points plus (ox, oy) must lie inside their cell, `margin` from its borders."""
+    """Require that points plus (ox, oy) lie inside their cell, `margin` from its borders."""
     x, y, good, real = lane(s, X), lane(s, Y), lane(s, GOOD), s.dtype.type
     margin, ox, oy, middle = real(margin), real(ox), real(oy), real(0.5)
     if lat[slot.HEXAGONAL] == 0.0:
@@ -219,7 +224,9 @@ def hold_in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: f
 
 @exact
 def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
-    """Rays must be in their cell, `margin` inside, where they cross a level; everything times N, so no division."""
+    """Require that rays are in their cell, `margin` inside, where they cross a level; scaled by N to avoid a
+    division.
+    """
     x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     real = s.dtype.type
     level, ox, oy, margin, middle = real(level), real(ox), real(oy), real(margin), real(0.5)
@@ -241,14 +248,14 @@ def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: flo
 def _carry(
     lat: Floats, s: Floats, m: int, level: float, index: float, arrays: tuple[int, int], origin: Vector
 ) -> None:
-    """Carry rays to a level and into the cells of the array there, whatever they may be.
+    """Carry rays to a level and into the cells of the array there, with equal or different pitch.
 
     Parameters
     ----------
     level : float
-        Over the body's level; what the rays' height is then called.
+        Height over the body's level, and the rays' height afterwards.
     arrays : (int, int)
-        In whose cells the rays are, and in whose they shall be.
+        Array in whose cells the rays are, and array into whose cells they are carried.
     origin : (x, y, z)
         The rays' origin, seen from the centre of their cell and the body's level.
     """
@@ -292,7 +299,7 @@ def _carry(
 
 @exact
 def arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
-    """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
+    """Require that rays on a reference plane lie inside a kept cell and are steeper than its lens."""
     x, y, dz, ci, cj, good = lanes(s, (X, Y, DZ, CI, CJ, GOOD))
     climb, middle = s.dtype.type(climb), s.dtype.type(0.5)
     if lat[slot.PLAIN] != 0.0:
@@ -333,7 +340,7 @@ def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, 
 
 @exact
 def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: float, oy: float) -> None:
-    """Rays must be certainly over the body."""
+    """Require that rays are certainly over the body."""
     px, py, good = lanes(s, (GX, GY, GOOD))
     centres(lat, s, m, array, px, py, ox, oy)
     mx, my, hx, hy, radius = (
@@ -352,7 +359,7 @@ def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: floa
 
 @exact
 def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
-    """Hits on one face must lie on the right side of the body's other face."""
+    """Require that hits on one face lie on the right side of the body's other face."""
     vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
     other, sign = f + 1 - 2 * (f % 2), 1.0 - 2.0 * (f % 2)
     for i in range(m):
@@ -364,7 +371,7 @@ def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
 
 @exact
 def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
-    """Do as `_thick` where both faces are quadrics: the hit's place against the other's own half space."""
+    """Check as `_thick` where both faces are quadrics: the hit against the other's half space."""
     x, y, z, good = lanes(s, (X, Y, Z, GOOD))
     ox, oy, oz = (
         face[slot.VX] - other[slot.VX],
@@ -392,9 +399,10 @@ def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> Non
 def _cross(
     own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float, offset: Vector
 ) -> None:
-    """Cross one face; positions plus the offset are relative to its vertex, and are after.
+    """Cross one face; positions plus the offset are relative to its vertex, afterwards without the offset.
 
-    Hits on a structured face must lie in the optical zone of the cell; where cells differ that is left to `_out_of_lens`.
+    Hits on a structured face must lie in the optical zone of the cell; on non-uniform sheets `_out_of_lens`
+    checks this.
     """
     faces, lat = sheet.faces, sheet.lattice
     face = faces[f]
@@ -430,14 +438,14 @@ def _cross(
 
 @inlined
 def _into_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
-    """Positions seen from the lens of each ray's own cell, if it stands elsewhere than its neighbours'."""
+    """Transform positions to the lens of each ray's own cell, where lens offsets vary from cell to cell."""
     if own is not None:
         to_own_lens(sheet, own, f, s, m)
 
 
 @inlined
 def _out_of_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
-    """Positions as before `_into_lens`; hits on a structured face must lie in the optical zone of the cell."""
+    """Undo `_into_lens`; hits on a structured face must lie in the optical zone of the cell."""
     if own is not None:
         from_own_lens(own, f, s, m)
         face = sheet.faces[f]
@@ -448,7 +456,7 @@ def _out_of_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int)
 
 @exact
 def _climbing(s: Floats, m: int, climb: float) -> None:
-    """Rays must climb faster than a face does."""
+    """Require that rays climb faster than a face does."""
     dz, good, climb = lane(s, DZ), lane(s, GOOD), s.dtype.type(climb)
     for i in range(m):
         good[i] = least(good[i], dz[i] - climb)
@@ -456,7 +464,7 @@ def _climbing(s: Floats, m: int, climb: float) -> None:
 
 @exact
 def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
-    """The first face must not lie behind the start."""
+    """Require that the first face does not lie behind the start."""
     path, good, behind = lane(s, PATH), lane(s, GOOD), s.dtype.type(BEHIND_START)
     for i in range(m):
         slack = behind * (abs(carried[i]) + abs(path[i] - carried[i]))
@@ -465,7 +473,7 @@ def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
 
 @exact
 def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
-    """Rays must pass the honeycomb between the arrays."""
+    """Require that rays pass the honeycomb between the arrays."""
     for i in range(m):
         di, dj = s[CI, i] - s[CI0, i], s[CJ, i] - s[CJ0, i]
         x, y = s[X, i] + face[slot.VX], s[Y, i] + face[slot.VY]
@@ -493,7 +501,7 @@ def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
 
 @exact
 def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
-    """The same at any face whose normals are kept: in what axes does not matter."""
+    """Multiply SHARE/OVER by the mean of T_s and T_p at any face with stored normals, in any axes."""
     gx, gy, gz, root, share, over = lanes(s, (GX, GY, GZ, ROOT, SHARE, OVER))
     mu = n1 / n2
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
@@ -508,7 +516,9 @@ def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
 
 @exact
 def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
-    """Add rate · length inside a body to DEPTH: its two ends' heights over the body's level, over N in between."""
+    """Add rate · length inside a body to DEPTH: the difference of its end heights over the body's level,
+    divided by N.
+    """
     z, dz, depth, steep = lanes(s, (Z, DZ, DEPTH, STEEP))
     if side == 0:
         for i in range(m):
@@ -521,7 +531,7 @@ def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
 
 @exact
 def _lose(sheet: Packed, f: int, s: Floats, m: int, media: Media) -> None:
-    """Light lost at a face just crossed, and in the glass behind or before it."""
+    """Apply the losses at the face just crossed, and in the glass behind or before it."""
     face, bodies, b = sheet.faces[f], len(sheet.bodies), f // 2
     reflects, rate = sheet.indices[bodies] != 0.0, sheet.indices[bodies + 1 + b]
     n1, n2 = media
@@ -536,7 +546,7 @@ def _lose(sheet: Packed, f: int, s: Floats, m: int, media: Media) -> None:
 
 @exact
 def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: Floats, turn: Floats) -> None:
-    """Note hits and directions at one face."""
+    """Record hits and directions at one face."""
     face, level, m = sheet.faces[f], sheet.bodies[f // 2, slot.LEVEL], len(chosen)
     px, py, base = lane(s, GX), lane(s, GY), level + face[slot.VZ]
     centres(sheet.lattices[row_of(sheet.own, array)], s, m, array, px, py, face[slot.VX], face[slot.VY])
@@ -549,7 +559,7 @@ def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: 
 
 @exact
 def _same_cell(s: Floats, m: int) -> None:
-    """Rays in another cell of the field lens than of lens 1 are left to the walk, which tells the two apart."""
+    """Leave rays whose field-lens cell is not that of lens 1 to the walk, which distinguishes the two."""
     ci, cj, ci0, cj0, good = lanes(s, (CI, CJ, CI0, CJ0, GOOD))
     for i in range(m):
         if ci[i] != ci0[i] or cj[i] != cj0[i]:
@@ -561,7 +571,7 @@ def _carry_on(
     own: OwnCells | None, sheet: Packed, s: Floats, m: int, level: float, index: float, arrays: tuple[int, int],
     origin: Vector,
 ) -> None:  # fmt: skip
-    """Carry rays to a level and into the cells of the array there, of whatever pitch."""
+    """Carry rays to a level and into the cells of the array there, of any pitch."""
     if own is None:
         _carry(sheet.lattice, s, m, level, index, arrays, origin)
     else:
@@ -586,7 +596,9 @@ def _enter_array(sheet: Packed, f: int, s: Floats, m: int, index: float, array: 
 
 @inlined
 def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex: Vector) -> None:
-    """A hit on a structured face must be in its cell still at the face's end, or before the body's other face."""
+    """Require that a hit on a structured face is still in its cell at the face's end, or before the body's
+    other face.
+    """
     face, body = sheet.faces[f], sheet.bodies[f // 2]
     vx, vy, vz = vertex
     if body[slot.COLUMNAR] == 0.0:
@@ -598,7 +610,7 @@ def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex:
 
 @inlined
 def _before_other(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
-    """A hit must come before the body's other face."""
+    """Require that a hit comes before the body's other face."""
     face, other = sheet.faces[f], sheet.faces[f + 1 - 2 * (f % 2)]
     if own is not None:
         own_thick(sheet, own, f, s, m)
@@ -614,9 +626,9 @@ def straight(
 ) -> int:
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
-    Positions are relative to the vertex of the last face, whatever was last crossed. Where lost light is counted (see
-    `Packed.indices`) the rows SHARE and DEPTH gather what bare faces let through of unpolarised light and what the
-    bodies absorb, and no hit is stored.
+    Positions are relative to the vertex of the last face, whichever face was last crossed. Where lost light
+    is counted (see `Packed.indices`) no hit is stored. The rows SHARE and DEPTH then gather the transmission
+    of bare faces for unpolarised light and the absorption of the bodies.
     """
     faces, bodies, lat, indices, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.indices, sheet.own
     m = len(chosen)

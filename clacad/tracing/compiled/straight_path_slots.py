@@ -1,4 +1,4 @@
-"""Rows of a block's scratch array: one quantity of every ray each."""
+"""Rows of a block's scratch array: each holds one quantity of every ray."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from clacad.base.types import Floats
 
 X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ, CI0, CJ0, LEFT_X, LEFT_Y, GX, GY, GZ = range(18)
 SHARE, OVER, DEPTH, STEEP, HALF, AX, AY, SCRATCH = range(18, 26)
-"""Light let through is SHARE/OVER; DEPTH sums attenuation times length, STEEP is attenuation/N; HALF numbers half bins.
-(AX, AY): how far the lens of a ray's cell stands from where the face's do, where cells differ."""
+"""Transmitted light is SHARE/OVER; DEPTH sums attenuation times length, STEEP is attenuation/N; HALF numbers
+half bins.
+(AX, AY): offset of the lens of a ray's cell from the face's vertex, on non-uniform sheets.
+"""
 
 RANGE = ROOT
-"""Distances, where facets take the place of a smooth face."""
+"""Distances, where facets replace a smooth face."""
 
 XL, YL = GX, GY
-"""What rounding takes from positions, on the way to another cell."""
+"""Rounding errors of positions, on the way to another cell."""
 
 BLOCK = 256
 """Rays in a block: the rows that one face works on take 24 KB, which the first-level cache holds."""
 
 
 def _row(context: Any, builder: Any, scratch: Any, value: Any, number: Any) -> Any:
-    """Row of a scratch array (any, BLOCK) as a place so many numbers from its start."""
+    """Row of a scratch array (any, BLOCK) as an address at a fixed offset from its start."""
     whole = context.make_array(scratch)(context, builder, value)
     row = context.make_array(scratch.copy(ndim=1))(context, builder)
     width, size = (context.get_constant(numba.types.intp, n) for n in (BLOCK, scratch.dtype.bitwidth // 8))
@@ -55,8 +57,10 @@ def _lanes(typing_context: Any, scratch: Any, numbers: Any) -> Any:
 
 
 lane: Callable[[Floats, int], Floats] = numba.extending.intrinsic(_lane)
-"""Row `number` of the scratch array, whose place is known when the kernel is compiled: of rows that plainly lie apart no loop
-has to ask first whether they overlap, which takes longer than a short loop does."""
+"""Row `number` of the scratch array, at an address known when the kernel is compiled.
+
+Loops over rows that cannot overlap need no overlap test, which takes longer than a short loop.
+"""
 
 lanes: Callable[[Floats, tuple[int, ...]], tuple[Floats, ...]] = numba.extending.intrinsic(_lanes)
-"""Several of them."""
+"""Several rows at once."""

@@ -18,11 +18,11 @@ from clacad.tracing.triangles.facet_grid import Triangles
 from clacad.tracing.triangles.tiles import Tiles
 
 FIRST = np.arange(CHUNK)
-"""Rows of a chunk in columns of its own."""
+"""Row numbers of a chunk that has its own columns."""
 
 
 def packed(layout: Layout) -> Packed:
-    """A layout of any cells, packed; what knows of cells that differ is loaded where they do."""
+    """Pack the layout of any sheet; code for non-uniform sheets is loaded only where needed."""
     if layout.window.uniform:
         return pack(layout)
     from clacad.tracing.compiled.own_cells import pack_own
@@ -40,11 +40,12 @@ def trace_compiled(
     facets: Tiles | Triangles | None = None,
     single: bool = False,
 ) -> None:
-    """Trace the rays `rows`, whatever they are, and write their rows; the results of `reference.surfaces.trace_surfaces`.
+    """Trace the rays `rows` of any kind and write their rows; the results of
+    `reference.surfaces.trace_surfaces`.
 
-    rows : a range costs less than the same rows in an array; of a ledger without hits
+    rows : a range costs less than the equivalent array; of a ledger without hits
     indices : refractive index of each body; see `Packed.indices`
-    facets : a mesh's own tiles, or triangles from anywhere, in place of the smooth faces
+    facets : a mesh's own tiles, or triangles from any source, in place of the smooth faces
     single : the straight path in single precision; rays for which it does not hold are traced in double
     """
     sheet = packed(layout)._replace(indices=np.asarray(indices, dtype=np.float64))
@@ -69,7 +70,7 @@ def trace_compiled(
 def piece(
     rows: range, position: Floats, direction: Floats, out: Outcome
 ) -> tuple[Rows, tuple[Floats, Floats, Outcome]]:
-    """Rows that follow one another as a job of its own: their places in columns of their own, and these."""
+    """Consecutive rows as a separate job: row numbers in its own columns, and these columns."""
     part = slice(rows.start, rows.stop)
     columns = Outcome._make(column if column.ndim == 3 else column[part] for column in out)
     return FIRST[: len(rows)], (position[part], direction[part], columns)

@@ -1,9 +1,9 @@
-"""Rung "thin" compiled: blocks of rays that meet both lenses plainly; the rest is left to numpy.
+"""Rung "thin" compiled: blocks of rays that clearly meet both lenses; the rest is left to numpy.
 
-The twin of `clacad.tracing.reference.thin`. Plain is a ray that is launched over a kept cell and meets the patches of
-that cell's column and of the one below which it arrives, each on its lens, without crossing a border on the way, and
-that goes on forwards; ghosts are plain, too. Each condition is a number that must be positive; the row GOOD keeps the
-least of them, as on the straight path through surfaces.
+The twin of `clacad.tracing.reference.thin`. A ray is plain if it is launched over a kept cell and meets the
+patches of that cell's column and of the one below which it arrives, each on its lens. It must cross no border
+on the way and go on forwards. Ghosts are plain, too. Each condition is a number that must be positive; the
+row GOOD keeps the least of them, as on the straight path through surfaces.
 """
 
 from __future__ import annotations
@@ -61,23 +61,25 @@ from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.thin import thin_layout, thin_patches
 
 CENTRE_X, CENTRE_Y, POWER_X, POWER_Y, R0, FLAT, LENS_NUMBERS = 0, 1, 2, 3, 4, 13, 14
-"""Columns of a lens's row: its centre from its cell's, 1/f in each meridian, its rotation row by row, whether all lie in one plane with nothing around."""
+"""Columns of a lens's row: centre from its cell's centre, 1/f in each meridian, rotation row by row, whether
+all lenses lie in one plane without surrounding land.
+"""
 
 STEEPEST = 1e-3
 """Least cosine to the sheet's normal of a ray that is called MISSED here."""
 
 ORDERS = 64.0
-"""Ghosts of higher orders are left to numpy: on their long way the last bit of a direction becomes many of a place."""
+"""Largest ghost order decided here: beyond it the last bit of a direction changes many bits of a position."""
 
 
 def trace_thin_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
-    """Write the rows of rays (n) that plainly pass both lenses; return the others (k,), not yet written."""
+    """Write the rows of rays (n) that clearly pass both lenses; return the other rows (k,), not yet written."""
     sheet, lenses = thin_pair(layout)
     return rows_left(thin_chunk, sheet, lenses, rays, ledger, threads)
 
 
 def thin_pair(layout: Layout) -> tuple[Packed, Floats]:
-    """The lenses (2, LENS_NUMBERS), and a sheet whose two bodies are the room they take; kept with the layout."""
+    """The lenses (2, LENS_NUMBERS), and a sheet whose two bodies enclose them; kept with the layout."""
     kept: tuple[Packed, Floats] | None = layout.kept.get("thin pair")
     if kept is not None:
         return kept
@@ -101,7 +103,7 @@ def thin_chunk(
     """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows.
 
     left : (len(chosen),)
-        Takes the rows that are not decided here; returned is how many.
+        Receives the rows that are not decided here; their count is returned.
     """
     s, carried, count = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), 0
     for first in range(0, len(chosen), BLOCK):
@@ -123,7 +125,9 @@ def thin_chunk(
 
 @exact
 def _unit(s: Floats, m: int) -> None:
-    """Divide the directions as given, in LEFT_X, LEFT_Y and ROOT, by their lengths: rounded once, as in numpy."""
+    """Divide the directions as given, in LEFT_X, LEFT_Y and ROOT, by their lengths: rounded once, as in
+    numpy.
+    """
     dx, dy, dz, given_x, given_y, given_z = lanes(s, (DX, DY, DZ, LEFT_X, LEFT_Y, ROOT))
     for i in range(m):
         u, v, w = given_x[i], given_y[i], given_z[i]
@@ -134,7 +138,7 @@ def _unit(s: Floats, m: int) -> None:
 
 @exact
 def _through(sheet: Packed, lenses: Floats, s: Floats, m: int, carried: Floats) -> None:
-    """Trace launched rays through both lenses; heights are over the level of the array at hand."""
+    """Trace launched rays through both lenses; heights are over the level of the current array."""
     lat = sheet.lattice
     margin = near(lat) + max(lat[slot.MARGIN], 0.5 * max(lat[slot.BAFFLE], 0.0))
     for array in range(2):
@@ -157,7 +161,7 @@ def _through(sheet: Packed, lenses: Floats, s: Floats, m: int, carried: Floats) 
 
 @exact
 def _miss_first(sheet: Packed, lenses: Floats, s: Floats, m: int, carried: Floats) -> None:
-    """Mark launched rays that surely miss lens 1; LEFT_X is where rays between the lenses are counted."""
+    """Mark launched rays that certainly miss lens 1; LEFT_X is where rays between the lenses are counted."""
     flat = lenses[0, FLAT] != 0.0
     for i in range(m):
         sane = least(s[GOOD, i], s[DZ, i] - STEEPEST)
@@ -167,7 +171,7 @@ def _miss_first(sheet: Packed, lenses: Floats, s: Floats, m: int, carried: Float
 
 @exact
 def _miss_second(sheet: Packed, s: Floats, m: int) -> None:
-    """Mark rays that passed lens 1 and surely miss lens 2."""
+    """Mark rays that passed lens 1 and certainly miss lens 2."""
     for i in range(m):
         if s[GOOD, i] > 0.0 and s[DZ, i] > STEEPEST and surely_beside(sheet, s, i):
             s[MISS, i], s[LEFT_X, i], s[LEFT_Y, i], s[ROOT, i] = 1.0, 1.0, s[CI0, i], s[CJ0, i]
@@ -175,7 +179,7 @@ def _miss_second(sheet: Packed, s: Floats, m: int) -> None:
 
 @exact
 def _name_cells(s: Floats, block: Rows, out: Outcome) -> None:
-    """Rays that passed lens 1 and missed lens 2 keep the cell of lens 1."""
+    """Keep the cell of lens 1 for rays that passed lens 1 and missed lens 2."""
     for k in range(len(block)):
         if s[LEFT_X, k] > 0.0:
             out.cell[block[k], 0], out.cell[block[k], 1] = np.int32(s[LEFT_Y, k]), np.int32(s[ROOT, k])
@@ -198,7 +202,7 @@ def _carry_over(sheet: Packed, s: Floats, m: int) -> None:
 
 @exact
 def _meet(lens: Floats, s: Floats, m: int) -> None:
-    """Carry rays to the lens of their cell, which they must climb to."""
+    """Carry rays to the lens of their cell; rays must climb to it."""
     x, y, z, dx, dy, dz, path, good = lanes(s, (X, Y, Z, DX, DY, DZ, PATH, GOOD))
     cx, cy, a, b, c = lens[CENTRE_X], lens[CENTRE_Y], lens[R0 + 2], lens[R0 + 5], lens[R0 + 8]
     for i in range(m):
@@ -211,7 +215,7 @@ def _meet(lens: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _bend(lens: Floats, s: Floats, m: int) -> None:
-    """Turn rays at a lens: slope t at x becomes t − x/f in each meridian; they must go on forwards."""
+    """Refract rays at a lens: slope t at x becomes t − x/f in each meridian; rays must go on forwards."""
     x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     cx, cy, power_x, power_y = lens[CENTRE_X], lens[CENTRE_Y], lens[POWER_X], lens[POWER_Y]
     a, b, c = lens[R0], lens[R0 + 1], lens[R0 + 2]
@@ -231,7 +235,7 @@ def _bend(lens: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _ahead(s: Floats, m: int, carried: Floats, far: float) -> None:
-    """The first lens must not lie behind the start, nor out of all proportion from it."""
+    """Require that the first lens lies neither behind the start nor too far from it."""
     path, good = lanes(s, (PATH, GOOD))
     for i in range(m):
         gone = abs(carried[i])
@@ -241,7 +245,7 @@ def _ahead(s: Floats, m: int, carried: Floats, far: float) -> None:
 
 @exact
 def _not_far_off(s: Floats, m: int, most: float) -> None:
-    """The cells met must be fewer than `most` steps apart, each way."""
+    """Require that the cells met are fewer than `most` steps apart in each direction."""
     ci, cj, ci0, cj0, good = lanes(s, (CI, CJ, CI0, CJ0, GOOD))
     for i in range(m):
         good[i] = least(good[i], least(most - abs(ci[i] - ci0[i]), most - abs(cj[i] - cj0[i])))

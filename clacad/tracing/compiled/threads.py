@@ -1,4 +1,4 @@
-"""Rays handed to kernels: columns as plain arrays, in chunks, one chunk a thread at a time."""
+"""Distribution of rays to kernels: columns as plain arrays, in chunks, one chunk a thread at a time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.ledger import Ledger
 
 CHUNK = 1 << 16
-"""Rays handed to a thread at a time: many chunks a thread, so that none waits long for the last."""
+"""Rays of one chunk: many chunks for each thread, so that no thread waits long for the last."""
 
 Found = TypeVar("Found")
 Several = TypeVar("Several", Rows, range, Rows | range)
@@ -31,7 +31,7 @@ def in_arrays(rays: Rays, ledger: Ledger) -> tuple[Floats, Floats, Outcome]:
 
 
 def over_threads(one: Callable[[Several], Found], rows: Several, threads: int) -> list[Found]:
-    """What a function gives for each chunk of rows (k,), or of a range of them, in their order."""
+    """Results of a function for each chunk of rows (k,), or of a range of rows, in order."""
     chunks = [rows[k : k + CHUNK] for k in range(0, len(rows), CHUNK)]
     if threads == 1 or len(chunks) == 1:
         return [one(chunk) for chunk in chunks]
@@ -40,7 +40,7 @@ def over_threads(one: Callable[[Several], Found], rows: Several, threads: int) -
 
 
 def thread_count(asked: int | None) -> int:
-    """Threads to use: as asked, else CLACAD_THREADS, else one for each core this process may run on.
+    """Threads to use: as requested, else CLACAD_THREADS, else one for each core this process may use.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Compiled twin of `clacad.tracing.reference.walk`: one ray through every body, whatever it meets."""
+"""Compiled twin of `clacad.tracing.reference.walk`: one ray through every body, for all events."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ from clacad.tracing.triangles.hierarchy import Hierarchy
 from clacad.tracing.triangles.tiles import Tiles
 
 BEHIND = 8 * ULP
-"""Share of what was gone by which a first face may lie behind the start: rounding."""
+"""Share of the travelled distance by which a first face may lie behind the start: rounding error."""
 
 SAME = 1e-6
-"""Share of half a cell within which two distances are those of one crossing."""
+"""Share of half a cell within which two distances belong to one crossing."""
 
 ALIVE, GHOST, ON_LAND, BACKWARD = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.BACKWARD)
 TIR, WALL, VIGNETTED, MISSED = int(Fate.TIR), int(Fate.WALL), int(Fate.VIGNETTED), int(Fate.MISSED)
@@ -94,7 +94,7 @@ def walk_ray(
 
 @inlined
 def _begin(launched: Launched, position: Floats, row: int, w: Floats) -> None:
-    """Fill a walker's numbers."""
+    """Initialise a walker's numbers."""
     i, j, x, y, z, L, M, N, _ = launched
     w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ], w[PATH] = i, j, x, y, z, L, M, N, 0.0
     w[PX], w[PY], w[PZ] = position[row, 0], position[row, 1], position[row, 2]
@@ -107,7 +107,7 @@ def _begin(launched: Launched, position: Floats, row: int, w: Floats) -> None:
 
 @inlined
 def _write_row(w: Floats, end: int, row: int, out: Outcome) -> None:
-    """Write the row of a ray that ended so."""
+    """Write the row of a ray that ended with this fate."""
     position, direction, cell = out.position, out.direction, out.cell
     if end == MISSED:
         for k in range(len(out.hits)):
@@ -125,7 +125,7 @@ def _write_row(w: Floats, end: int, row: int, out: Outcome) -> None:
 
 @exact
 def _order(w: Floats) -> tuple[int, int]:
-    """Cell of lens 2 minus cell 1; where they agree but a face between did not, that face's."""
+    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that face."""
     if w[SECOND] == 0.0 or w[FIRST] == NO_CELL or w[LAST] == NO_CELL:
         return NO_CELL, NO_CELL
     i, j = w[LAST] - w[FIRST], w[LAST + 1] - w[FIRST + 1]

@@ -1,9 +1,9 @@
 """The first thing a ray meets in a body: stretch by stretch, column by column.
 
-A body is cut by the borders of its cells into columns. Along a ray, inside one column, the points where it
-crosses a lens's surface, a land's level, an optical zone's border or the outline divide it into stretches,
-and each stretch is either all material or all air. Which, is asked of the heights at its middle. The first
-stretch that differs from the ray's present state tells what was met: the crossing at its start.
+The borders of its cells cut a body into columns. Inside a column a ray is divided where it crosses a lens's
+surface, a land's level, an optical zone's border or the outline. Each stretch between is either all material
+or all air, decided by the heights at its middle. The first stretch that differs from the ray's present state
+determines what was met: the crossing at its start.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 
 Kinds = NDArray[np.int8]
 
-# What ends a stretch: crossings of the faces' surfaces and levels, or one of three other ends.
+# Ends of a stretch: crossings of the faces' surfaces and levels, or one of three other ends.
 FRONT, FRONT_LAND, BACK, BACK_LAND, WALL, ABOVE, ASIDE = range(7)
 
 
@@ -35,8 +35,8 @@ class Event:
     Attributes
     ----------
     kind : (m,) ints
-        FRONT, BACK (a lens or plane face), FRONT_LAND, BACK_LAND, WALL, ABOVE (rose past the body) or
-        ASIDE (went out of the box round its footprint).
+        FRONT, BACK (a lens or plane face), FRONT_LAND, BACK_LAND, WALL, ABOVE (rose past the body) or ASIDE
+        (left the box round its footprint).
     distance : (m,) lengths
     cells, starts : one (m, 2) array for each of the body's arrays
         The cell where it happened and the ray's starting point seen from there.
@@ -128,7 +128,7 @@ def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Ev
 
 
 def _most_columns(layout: Layout, body: BodyPlan) -> int:
-    """More columns than a straight line can cross inside the body's box."""
+    """Upper bound of the number of columns that a straight line crosses inside the body's box."""
     across = 2.0 * float(layout.widths.min())
     width, depth = body.box[1] - body.box[0], body.box[3] - body.box[2]
     edges = 0 if body.plate is None else 2 * len(body.plate.edges)
@@ -136,7 +136,7 @@ def _most_columns(layout: Layout, body: BodyPlan) -> int:
 
 
 def grid_of(layout: Layout, beam: Beam, array: int) -> RaysInArray:
-    """Rays as they start, in the cells of one array."""
+    """Rays at their start, in the cells of one array."""
     if array == beam.array:
         return RaysInArray(array, beam.cell, beam.local, np.zeros_like(beam.cell))
     _, local, cell = cell_in(layout, beam.array, array, beam.cell, beam.local)
@@ -144,7 +144,7 @@ def grid_of(layout: Layout, beam: Beam, array: int) -> RaysInArray:
 
 
 def piece_of(layout: Layout, grids: list[RaysInArray], beam: Beam, xy: Floats, active: Rows) -> RaysInColumn:
-    """The rays `active` (k,) in the columns they are in."""
+    """The rays `active` (k,) in their present columns."""
     starts = {g.array: less_steps(layout.lattices[g.array], g.local[active], g.steps[active]) for g in grids}
     cells = {g.array: g.cell[active] + g.steps[active] for g in grids}
     kept = {array: layout.lattice.contains(cell) for array, cell in cells.items()}
@@ -152,7 +152,7 @@ def piece_of(layout: Layout, grids: list[RaysInArray], beam: Beam, xy: Floats, a
 
 
 def next_border(layout: Layout, piece: RaysInColumn) -> tuple[Floats, Ints]:
-    """Distance to the next border of a column, and which: array, direction and sense in one number."""
+    """Distance to the next border of a column, and its number: array, direction and sense combined."""
     k = len(piece.z)
     nearest, across = np.full(k, np.inf), np.zeros(k, dtype=np.int64)
     count = len(layout.halves)
@@ -210,18 +210,18 @@ def first_stretch(
 ) -> tuple[Floats, Kinds, Bools]:  # fmt: skip
     """Go through stretches of k rays; return the last division passed, its cause, and who changed state.
 
-    Stretches shorter than `tiny` are joined to the next one: rounding alone decides there. Where a
-    border and a face are that close, the face is named.
+    Stretches shorter than `tiny` are joined to the next one, because rounding alone would decide there. Where
+    a border and a face are that close, the face is reported.
 
     Parameters
     ----------
     divisions : (c, k) distances, and what each is
     span : (k,) distances from and up to which divisions count
-    known : (k,) distance since when the present state is known, and why it began
+    known : (k,) distance since when the present state is known, and the cause of that state
     inside : bool
         The present state: in the material.
     solid : callable
-        Of rays (p,) among the k and distances (p,): which lie in the material there.
+        Whether rays (p,) among the k lie in the material at distances (p,).
     """
     (times, causes), (earliest, end), (since, cause) = divisions, span, known
     times = np.where((times >= earliest) & (times < end), np.maximum(times, since), np.inf)
@@ -245,7 +245,7 @@ def first_stretch(
 
 
 def _divisions(layout: Layout, body: BodyPlan, piece: RaysInColumn) -> tuple[Floats, Kinds]:
-    """Distances (c, k) that divide rays into stretches, and what each is (c,)."""
+    """Distances (c, k) that divide rays into stretches, and the cause of each (c,)."""
     times: list[Floats] = []
     causes: list[int] = []
     for face, lens, land in ((body.front, FRONT, FRONT_LAND), (body.back, BACK, BACK_LAND)):

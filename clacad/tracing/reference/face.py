@@ -1,4 +1,4 @@
-"""One ray, one face: meeting and refracting in the lens's own frame, heights, the rules of a column."""
+"""One ray, one face: intersection and refraction in the lens frame, heights, the rules of a column."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Hit:
     direction : (m, 3)
         After refraction; NaN at total internal reflection.
     upright : (m,) bool
-        The surface can be seen from straight above or below there: it is part of the face.
+        The surface is visible from straight above or below there: it is part of the face.
     """
 
     local: Floats
@@ -45,10 +45,11 @@ def cross(
     n2: float,
     places: LensPlaces,
 ) -> Hit:
-    """Meet a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's level.
+    """Intersect a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's
+    level.
 
     places : LensPlaces, here and below
-        Where each ray's lens stands, see `clacad.tracing.layout.lenses`.
+        Position of each ray's lens, see `clacad.tracing.layout.lenses`.
     """
     ray = to_surface(face.rotation, direction)
     met, point = meet_at(face.surface, to_surface(face.rotation, _start(places, local, z)), ray)
@@ -64,8 +65,9 @@ def cross_at(
     face: FacePlan, local: Floats, z: Floats, direction: Floats, distance: Floats, n1: float, n2: float,
     places: LensPlaces,
 ) -> Hit:  # fmt: skip
-    """Refract at crossings (m,) that were found already, to be polished: `meet` gives the other one where a ray falls
-    in the lens's frame while it rises in the sheet's.
+    """Refract at crossings (m,) that were already found, and polish them.
+
+    `meet` returns the other crossing where a ray falls in the lens's frame while it rises in the sheet's.
     """
     start, ray = to_surface(face.rotation, _start(places, local, z)), to_surface(face.rotation, direction)
     if places.size is not None:
@@ -89,7 +91,7 @@ def _start(places: LensPlaces, local: Floats, z: Floats) -> Floats:
 
 
 def _hit(places: LensPlaces, point: Floats, distance: Floats, direction: Floats, upright: Bools) -> Hit:
-    """What was met, `point` (m, 3) and `distance` (m,) in lengths of the face's one lens."""
+    """Hit in the cell frame from `point` (m, 3) and `distance` (m,) in lengths of the face's one lens."""
     if places.size is not None:
         point, distance = point * places.size[:, None], distance * places.size
     vx, vy, vz = places.apex
@@ -98,7 +100,7 @@ def _hit(places: LensPlaces, point: Floats, distance: Floats, direction: Floats,
 
 
 def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
-    """Normal G towards +z at points near a lens (lens frame), and how far over it they lie, in units of 1/|G|."""
+    """Normal G towards +z at points near a lens (lens frame), and their heights over it, in units of 1/|G|."""
     surface = face.surface
     x, y, z = point.T
     if not isinstance(surface, Quadric):
@@ -148,7 +150,9 @@ def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
 
 
 def well_inside(body: BodyPlan, xy: Floats) -> Bools:
-    """Which sheet points (m, 2) are certainly over the body: what lies between two of them is the body too."""
+    """Which sheet points (m, 2) are certainly over the body: the region is convex, so points between two of
+    them are too.
+    """
     x, y = (xy - np.asarray(body.centre)).T
     half_x, half_y, radius = body.inner
     inside = (np.abs(x) < half_x) & (np.abs(y) < half_y)
@@ -160,8 +164,8 @@ def lens_roots(
 ) -> tuple[Floats, Floats]:
     """Both distances (m,) at which rays cross the whole of a lens's surface; +inf where they do not.
 
-    They only divide the ray into stretches; what each stretch is, is asked of the heights. So a root of
-    the half beyond the equator does no harm.
+    Roots only divide the ray into stretches; heights decide what each stretch is. A root of the half beyond
+    the equator is therefore harmless.
     """
     p, d = to_surface(face.rotation, _start(places, local, z)), to_surface(face.rotation, direction)
     one, other = _roots_of_one(face, p, d)
@@ -169,11 +173,11 @@ def lens_roots(
 
 
 def _roots_of_one(face: FacePlan, p: Floats, d: Floats) -> tuple[Floats, Floats]:
-    """The same of rays in the frame of the face's one lens, points and directions (m, 3)."""
+    """Both distances of rays in the frame of the face's one lens, points and directions (m, 3)."""
     surface = face.surface
     if isinstance(surface, Quadric):
         kappa = surface.kappa
-    else:  # the quadric of the same curvatures and mean κ is where Newton starts
+    else:  # Newton starts from the quadric of equal curvatures and mean κ
         kappa = 0.5 * (
             (1.0 + surface.conic_x) * surface.curvature_x + (1.0 + surface.conic_y) * surface.curvature_y
         )

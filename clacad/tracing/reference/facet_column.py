@@ -1,7 +1,8 @@
-"""The first thing rays meet among the facets of a mesh's own tiles: piece by piece, each over one facet of every tiling.
+"""The first thing rays meet among the facets of a mesh's own tiles: pieces that lie over one facet of every
+tiling.
 
-The twin of `clacad.tracing.triangles.compiled_tiles.first_facet_change`. In a piece both faces of a body are planes; it ends
-where a ray crosses an edge of a facet, a border of the cell, or an edge of the plate.
+The twin of `clacad.tracing.triangles.compiled_tiles.first_facet_change`. In a piece both faces of a body are
+planes. A piece ends where a ray crosses an edge of a facet, a border of the cell, or an edge of the plate.
 """
 
 from __future__ import annotations
@@ -40,14 +41,16 @@ from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 from clacad.tracing.triangles.tiles import LAND, VOID, TiledFace
 
 NOT_LOOKED_UP, NONE = -2, -1
-"""Of the facet that a ray is in: yet to be found; there is none."""
+"""State of the facet that a ray is in: not yet looked up; none exists."""
 
 NO_STEP = -2
-"""Instead of a border that is crossed: an edge of a facet or of the plate, which leads to no other cell."""
+"""In place of a crossed border: an edge of a facet or of the plate, which leads to no other cell."""
 
 
 def change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Event:
-    """Find where each ray first enters the body's material, or leaves it: see `column.first_change`; its facets, if it has them."""
+    """Find where each ray first enters or leaves the body's material, on its facets if it has them: see
+    `column.first_change`.
+    """
     if isinstance(body.front, TiledFace) and isinstance(body.back, TiledFace):
         return _FacetSearch.begun(layout, body, (body.front, body.back), beam, inside).found()
     return first_change(layout, body, beam, inside)
@@ -55,12 +58,12 @@ def change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Event:
 
 @dataclass(frozen=True, eq=False)
 class _FacetSearch:
-    """m rays on their way through the facets of one body; what is (m,) long is changed in place.
+    """m rays on their way through the facets of one body; columns (m,) are changed in place.
 
-    limit, above, aside : how far they go until they are above or beside the body
-    facet : of each of its arrays, which they are in
-    entered : where the present piece begins
-    since, cause : how long their state is known, and why it began
+    limit, above, aside : distance until they are above the body or out of its box
+    facet : present facet in each of its arrays
+    entered : start of the present piece
+    since, cause : distance since when their state is known, and the cause of that state
     """
 
     layout: Layout
@@ -95,7 +98,7 @@ class _FacetSearch:
         )  # fmt: skip
 
     def found(self) -> Event:
-        """Go on until every ray has met something, or is past the body."""
+        """Continue until every ray has met something, or is past the body."""
         active = np.flatnonzero(~(self.above <= 0.0))
         while len(active):
             active = self._through_piece(active)
@@ -105,7 +108,7 @@ class _FacetSearch:
         return Event(self.kind, self.since, cells, starts, self.normal)
 
     def _through_piece(self, active: Rows) -> Rows:
-        """Take the rays `active` (k,) through the pieces they are in; those that go on."""
+        """Take the rays `active` (k,) through their present pieces; return those that go on."""
         piece = piece_of(self.layout, self.grids, self.beam, self.xy, active)
         self._look_up(piece, active)
         limit = np.minimum(self.above, self.aside)[active]
@@ -132,25 +135,27 @@ class _FacetSearch:
         return active
 
     def _face_of(self, array: int) -> TiledFace:
-        """The first face in the cells of an array."""
+        """First face in the cells of an array."""
         return next(face for face in self.faces if face.array == array)
 
     def _look_up(self, piece: RaysInColumn, active: Rows) -> None:
-        """Find the facets of rays that came into other cells."""
+        """Find the facets of rays that entered other cells."""
         for array, facet in self.facet.items():
             fresh = np.flatnonzero(facet[active] == NOT_LOOKED_UP)
             if not len(fresh):
                 continue
             facet[active[fresh]] = NONE
             fresh = fresh[piece.kept[array][fresh]]
-            # a hair into the piece, so that a ray along an edge is in the facet it goes to
+            # slightly into the piece, so that a ray along an edge is in the facet it goes to
             t = self.entered[active[fresh]] + 2.0 * self.layout.tiny
             point = piece.starts[array][fresh] + t[:, None] * piece.direction[fresh, :2]
             face = self._face_of(array)
             facet[active[fresh]] = facets_over(face.tiles, face.tile, point)
 
     def _next_edge(self, piece: RaysInColumn, active: Rows, limit: Floats) -> tuple[Floats, Ints, Ints, Ints]:
-        """Where rays leave the first of their facets: how far, by which border of which cell, or edge of the facet of which array."""
+        """Distance at which rays leave the first of their facets; border and its cell, or edge of the facet
+        and its array.
+        """
         border, across = next_border(self.layout, piece)
         end, across = np.minimum(border, limit), np.where(border < limit, across, NO_STEP)
         edge, of = np.full(len(active), -1), np.full(len(active), -1)
@@ -175,7 +180,9 @@ class _FacetSearch:
         return end, across, edge, of
 
     def _levels(self, piece: RaysInColumn, active: Rows, face: TiledFace) -> tuple[Floats, Floats, Kinds]:
-        """Height of a face at the starts and its rise along the rays, NaN for none, (k,) each, and which crossing it is."""
+        """Height of a face at the starts, its rise along the rays, NaN for none, (k,) each, and the kind of
+        crossing.
+        """
         k = len(active)
         lens, land = (FRONT, FRONT_LAND) if face.side == 0 else (BACK, BACK_LAND)
         if face.array is None:
@@ -214,7 +221,7 @@ class _FacetSearch:
         )  # fmt: skip
 
     def _note_met(self, piece: RaysInColumn, active: Rows, changed: Bools) -> None:
-        """Note what changed the state of rays, and the normals of facets that did."""
+        """Record what changed the state of rays, and the normals of the facets involved."""
         self.kind[active[changed]] = self.cause[active[changed]]
         for face, lens in zip(self.faces, (FRONT, BACK), strict=True):
             if face.array is None:
@@ -225,7 +232,9 @@ class _FacetSearch:
             self.normal[active[met]] = normals_at(face, facet[met], piece.starts[face.array][met] + way)
 
     def _skip_middle(self, active: Rows) -> Bools:
-        """Take rays through the solid middle of a thick body, where there is nothing to meet but the side walls; tell which."""
+        """Take rays through the solid middle of a thick body, where only side walls can be met; return which
+        rays.
+        """
         body, beam = self.body, self.beam
         plain = all(face.whole or np.isfinite(face.land) for face in self.faces)
         if not (body.separate and plain and len(active)):

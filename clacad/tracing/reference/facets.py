@@ -1,6 +1,6 @@
-"""Facets of a mesh's own tiles in numpy: which one lies over a point, and where rays go through a face of them.
+"""Facets of a mesh's own tiles in numpy: the facet over a point, and where rays cross a face of facets.
 
-The twin of `clacad.tracing.triangles.compiled_tile_block`; few rays are traced so where nothing is compiled yet.
+The twin of `clacad.tracing.triangles.compiled_tile_block`; used for few rays while no kernels are compiled.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from clacad.tracing.triangles.tiles import (
 )
 
 TRIES = 8
-"""Facets looked up before a ray is left to the walk; two do for lens-like slopes."""
+"""Facets looked up before a ray is left to the walk; two suffice for lens-like slopes."""
 
 
 def meet_face(
     face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float, places: LensPlaces
 ) -> Hit:
-    """Meet a face from its −z side and refract: its lens, see `face.cross`, or its facets.
+    """Intersect a face from its −z side and refract: its lens, see `face.cross`, or its facets.
 
-    Of facets rays must be steeper than all of them: then the first one found is the only one.
+    Rays must be steeper than all of the facets: then the first one found is the only one.
     """
     if not isinstance(face, TiledFace):
         return cross(face, local, z, direction, n1, n2, places)
@@ -90,9 +90,9 @@ def normals_at(face: TiledFace, facet: Ints, xy: Floats) -> Floats:
 
 
 def _facets_met(face: TiledFace, local: Floats, z: Floats, direction: Floats) -> tuple[Ints, Floats]:
-    """Facets (m,) of the lens that rays go through, and how far (m,) those are; NaN where none was found.
+    """Facets (m,) of the lens that rays cross, and their distances (m,); NaN where none was found.
 
-    First by the halves of bins, of which most tiles are made; facet by facet where those do not say.
+    Half bins, of which most tiles are made, are tried first; then facet by facet where they do not decide.
     """
     tiles, side, row = face.tiles, face.side, face.tiles.table[face.tile]
     level = 0.5 * (face.low + face.high)
@@ -114,7 +114,9 @@ def _facets_met(face: TiledFace, local: Floats, z: Floats, direction: Floats) ->
 def _settled(
     face: TiledFace, guess: Ints, local: Floats, z: Floats, direction: Floats
 ) -> tuple[Ints, Floats]:
-    """Facets and distances from a first guess, going on from each facet to that over the hit; NaN where there is none."""
+    """Facets and distances from a first guess, moving from each facet to the one over the hit; NaN where none
+    is found.
+    """
     tiles, side = face.tiles, face.side
     found, distance = np.zeros(len(guess), dtype=np.int64), np.full(len(guess), np.nan)
     open_to, facet = np.flatnonzero(guess >= 0), guess[guess >= 0]
@@ -148,6 +150,6 @@ def _half_bins(row: Floats, xy: Floats) -> Ints:
 
 
 def _bins(row: Floats, xy: Floats) -> tuple[Floats, Floats]:
-    """Whole numbers (m,) along x and y of the bins over points (m, 2), the nearest where there is none."""
+    """Indices (m,) along x and y of the bins over points (m, 2), the nearest bin where there is none."""
     i, j = np.floor((xy[:, 0] - row[LOW_X]) * row[PER_X]), np.floor((xy[:, 1] - row[LOW_Y]) * row[PER_Y])
     return np.fmax(np.fmin(row[BINS_X] - 1.0, i), 0.0), np.fmax(np.fmin(row[BINS_Y] - 1.0, j), 0.0)

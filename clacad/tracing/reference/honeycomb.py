@@ -10,12 +10,12 @@ from clacad.tracing.layout import Layout
 
 
 def reach(layout: Layout, left: Floats, met: Floats, order: Ints) -> Floats:
-    """How far along the gap rays get before they meet the honeycomb.
+    """Fraction of the gap that rays cross before they meet the honeycomb.
 
     Parameters
     ----------
     left, met : (m, 2) lengths
-        Where they leave array 1 and meet array 2, each relative to the cell it is in.
+        Where they leave array 1 and meet array 2, each relative to its cell.
     order : (m, 2) ints
         Cell met minus cell left; (0, 0) is the partner.
 
@@ -27,7 +27,7 @@ def reach(layout: Layout, left: Floats, met: Floats, order: Ints) -> Floats:
     Notes
     -----
     In the frame that is sheared with the prisms a ray is a straight line from `left` to `met` plus the
-    order's displacement, and the prism is the cell less half a wall on every border.
+    order's displacement. The prism is the cell less half a wall on every border.
     """
     assert layout.window.baffle is not None
     margin = 0.5 * layout.window.baffle.wall

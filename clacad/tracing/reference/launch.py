@@ -17,7 +17,9 @@ from clacad.tracing.layout import BodyPlan, Layout, sheet_position
 
 
 class Extent(Protocol):
-    """Room that something takes: a box seen from above, and heights `low` … `high` over a sheet-frame level."""
+    """Space that an object occupies: a box seen from above, and heights `low` … `high` over a sheet-frame
+    level.
+    """
 
     @property
     def box(self) -> tuple[float, float, float, float]:
@@ -38,12 +40,12 @@ class Extent(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Beam:
-    """m rays on their way, each relative to the cell it is in.
+    """m rays on their way, each relative to its present cell.
 
     Attributes
     ----------
     rows : (m,) ints
-        Which launched ray each one is.
+        Number of the launched ray of each.
     array : int
         The lens array whose cells `cell` and `local` refer to.
     cell : (m, 2) ints
@@ -82,7 +84,7 @@ def launch(
     room : Extent
         Of the first body.
     position, direction : (n, 3) arrays, sheet frame
-        As launched; finite, of any length. Rows with d_z ≤ 0 must not be asked for.
+        As launched; finite, of any length. Rows with d_z ≤ 0 must not be among `rows`.
     rows : (m,) ints
         The rays to launch.
 
@@ -90,7 +92,7 @@ def launch(
     -------
     beam : Beam
         In the cells of array 0, on the plane just below the body, or where the ray comes alongside the sheet
-        above that plane. Rays that pass beside the sheet are left out: they are MISSED.
+        above that plane. Rays that pass outside the sheet are left out: they are MISSED.
     carried : (len(beam),) lengths
         From the start to there; negative when the start lies above the plane.
     """
@@ -114,7 +116,7 @@ def _plane_step(start: Floats, scaled: Floats, plane: Floats) -> tuple[Floats, F
     """(plane − z)/N in double-double."""
     rise = two_sum(plane, -start[:, 2])
     quotient = rise[0] / scaled[:, 2]
-    # what the rounded quotient leaves over, divided once more
+    # remainder of the rounded quotient, divided once more
     rest = pair_sum(rise, tuple(-part for part in two_product(quotient, scaled[:, 2])))  # type: ignore[arg-type]
     return quotient, rest[0] / scaled[:, 2]
 
@@ -124,7 +126,7 @@ def _stepped(x: Floats, along: Floats, high: Floats, low: Floats) -> tuple[Float
 
 
 def _length_ratio(scaled: Floats, ray: Floats) -> Floats:
-    """Length of the scaled directions: steps are in units of it."""
+    """Length of the scaled directions, the unit of steps."""
     largest = np.abs(scaled).argmax(axis=1)
     rows = np.arange(len(scaled))
     return np.asarray(scaled[rows, largest] / ray[rows, largest])
@@ -133,9 +135,9 @@ def _length_ratio(scaled: Floats, ray: Floats) -> Floats:
 def _alongside(
     layout: Layout, body: Extent, start: Floats, ray: Floats, plane: Floats
 ) -> tuple[Floats, Bools]:
-    """Raise the reference plane of rays that cross it beside the sheet to where they come alongside.
+    """Raise the reference plane of rays that cross it outside the sheet to where they come alongside.
 
-    Returns the plane of each ray and a mask of those that pass the sheet altogether.
+    Returns the plane of each ray and a mask of those that miss the sheet altogether.
     """
     run = (plane - start[:, 2]) / ray[:, 2]
     span = (body.high - body.low) / ray[:, 2]
@@ -165,19 +167,19 @@ def box_span(layout: Layout, body: Extent, point: Floats, ray: Floats) -> tuple[
         near, far = np.minimum(to_low, to_high), np.maximum(to_low, to_high)
         near = np.where(still, to_low, near)
         far = np.where(still, to_high, far)
-        # a ray whose plane crossing is not even finite passes beside
+        # a ray whose plane crossing is not even finite misses the sheet
         enter = np.nan_to_num(near.max(axis=1), nan=np.inf, posinf=np.inf, neginf=-np.inf)
         leave = np.nan_to_num(far.min(axis=1), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
     return enter, leave
 
 
 def sheet_xy(layout: Layout, beam: Beam) -> Floats:
-    """Sheet-frame x, y (m, 2) of the rays: good enough for footprints and output."""
+    """Sheet-frame x, y (m, 2) of the rays: accurate enough for footprints and output."""
     return sheet_position(layout, beam.array, beam.cell, beam.local, beam.z)[:, :2]
 
 
 def to_array(layout: Layout, beam: Beam, array: int) -> Beam:
-    """Name the same points by the cells of another array and give each ray the cell it is over."""
+    """Express the same points in the cells of another array and give each ray the cell it is over."""
     steps, local, cell = cell_in(layout, beam.array, array, beam.cell, beam.local)
     return replace(beam, array=array, cell=cell, local=local)
 
@@ -197,7 +199,7 @@ def cell_in(layout: Layout, of: int, array: int, cell: Ints, local: Floats) -> t
 def _in_other_pitch(
     layout: Layout, of: int, array: int, cell: Ints, local: Floats
 ) -> tuple[Ints, Floats, Ints]:
-    """`cell_in` from an array of one pitch to one of another: the point about the sheet's middle is held in pairs."""
+    """`cell_in` between arrays of different pitch: the point about the sheet's middle is kept in pairs."""
     here, there = (layout.window.placements[one].shift for one in (of, array))
     along = [
         pair_sum(centre, pair(local[:, k]), two_sum(here[k], -there[k]))
@@ -209,7 +211,7 @@ def _in_other_pitch(
 
 
 def on_to(layout: Layout, beam: Beam, left: BodyPlan, entered: BodyPlan) -> tuple[Beam, Floats]:
-    """Carry m rays from one body to the reference plane of the next, and the distance (m,) that takes."""
+    """Carry m rays from one body to the reference plane of the next; return also the distance (m,)."""
     z = beam.z - (entered.level - left.level)
     distance = (entered.low - z) / beam.direction[:, 2]
     local = beam.local + distance[:, None] * beam.direction[:, :2]

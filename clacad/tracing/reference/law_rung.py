@@ -1,4 +1,4 @@
-"""Rung "law": the sheet as a plane z = 0 that obeys its law exactly, each cell its own where they differ."""
+"""Rung "law": the sheet as a plane z = 0 that obeys its law exactly, or in each cell the law of that cell."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.launch import launch
 
 LARGE = 2.0**100
-"""Laws with a number beyond this, or an η below its inverse, are left to numpy."""
+"""Laws with a number above this, or an η below its inverse, are left to numpy."""
 
 
 def ordinary(law: Floats) -> bool:
-    """Whether compiled code, which carries no powers of two apart, holds a law's numbers; see `law_numbers`."""
+    """Whether compiled code, which has no separate powers of two, can represent a law's numbers; see
+    `law_numbers`.
+    """
     return bool(np.abs(law[:2]).min() > 1.0 / LARGE and np.abs(law).max() < LARGE)
 
 
 @dataclass(frozen=True)
 class SheetPlane:
-    """The sheet plane as the room the sheet takes."""
+    """The sheet plane as the space that the sheet occupies."""
 
     box: tuple[float, float, float, float]
     level: float = 0.0
@@ -34,8 +36,8 @@ class SheetPlane:
 def trace_law(layout: Layout, ledger: Ledger, rows: Rows, continuous: bool = False) -> None:
     """Write the rows (k,) of rays that cross a kept cell's footprint in z = 0.
 
-    ALIVE where the law has an answer, BACKWARD where it has none; the rest stay MISSED. `continuous`: by the law at the
-    very point met instead of that at the centre of the cell hit.
+    Rays are ALIVE where the law has an answer, BACKWARD where it has none; the rest stay MISSED.
+    `continuous`: use the law at the very point met instead of the law at the centre of the cell hit.
     """
     window = layout.window
     plane = SheetPlane(window.lattice.extent())

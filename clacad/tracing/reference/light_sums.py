@@ -1,8 +1,9 @@
-"""Sums over rays that were traced, in numpy: what each contributes to the numbers of `clacad.tracing.light_sums`.
+"""Sums over traced rays, in numpy: the contribution of each to the numbers of `clacad.tracing.light_sums`.
 
-In the frame of the lenses a ray m comes in and the law sends it along w = (m_x/η_x − m_z δ_x/η_x, …, m_z). With u = w/|w|
-and r what the ray's own exit direction has more than u, one step of Gauss and Newton in (1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y)
-solves N s = g with N = Σ Jᵀ J, g = Σ Jᵀ r and J = (1 − u uᵀ) ∂w/|w|, which has only the products below.
+In the frame of the lenses a ray m is incident and the law sends it along w = (m_x/η_x − m_z δ_x/η_x, …, m_z).
+With u = w/|w| and r the ray's own exit direction minus u, one step of Gauss and Newton in (1/η_x, 1/η_y,
+δ_x/η_x, δ_y/η_y) solves N s = g with N = Σ Jᵀ J, g = Σ Jᵀ r and J = (1 − u uᵀ) ∂w/|w|, which needs only the
+products below.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ from clacad.optics.law import Law, angle_between, linear_numbers
 from clacad.optics.rays import Fate, TraceResult
 
 KNOWN = len(Fate)
-"""Rays counted by fate come first; here: those ALIVE for which the law has an answer."""
+"""Index of the ALIVE rays for which the law has an answer; counts by fate come first."""
 
 SQUARE, OUT = KNOWN + 1, KNOWN + 2
-"""Squares of their angles to it; exit directions of the ALIVE (3)."""
+"""Indices of the squared angles to the law and of the exit directions of the ALIVE rays (3)."""
 
 NORMAL, GRADIENT, NUMBERS = KNOWN + 5, KNOWN + 15, KNOWN + 19
-"""The ten products that N is made of; g (4)."""
+"""Indices of the ten products that make up N, and of g (4)."""
 
 
 def sums_of(law: Law, ray: Floats, result: TraceResult) -> tuple[Floats, float]:

@@ -1,9 +1,9 @@
 """Rung "surfaces" in numpy: exact Snell at the exact surfaces, a block of rays at a time; rung "mesh" by a mesh's tiles.
 
-Almost every ray stays in one cell from the plane below an array to the plane above it. Such rays are
-traced straight through (`in_cell`), and the conditions that make this right are checked on the way:
-steeper than any lens, in the cell at both planes and at every hit, on the part of the lens that is the
-face. Rays that fail one of them are traced again by the complete walk of `clacad.tracing.reference.walk`.
+Almost every ray stays in one cell from the plane below an array to the plane above it. `in_cell` traces these
+rays straight through and checks the conditions that make this right: steeper than any lens, in the cell at
+both planes and at every hit, on the part of the lens that is the face. Rays that fail one of them are traced
+again by the complete walk of `clacad.tracing.reference.walk`.
 """
 
 from __future__ import annotations
@@ -99,9 +99,9 @@ class StraightTrace:
 
 
 def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Floats) -> StraightTrace:
-    """Trace m rays straight through the faces of the cells they are over, and tell for which this is right.
+    """Trace m rays straight through the faces of the cells they are over, and mark where this is valid.
 
-    `carried` (m,): how far the beam is from the start.
+    `carried` (m,): distance of the beam from the start.
     """
     good = np.ones(len(beam), dtype=bool)
     path = np.zeros(len(beam))
@@ -138,7 +138,7 @@ def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Throug
     good = layout.lattice.contains(beam.cell) & _steeper(beam.direction, front.slope)
     beam, first, ok = _through(layout, front, beam, 1.0, index)
     good &= ok & _steeper(beam.direction, max(front.slope, back.slope))
-    by_heights = not (body.covered or isinstance(front, TiledFace))  # a facet is there only where it is met
+    by_heights = not (body.covered or isinstance(front, TiledFace))  # a facet exists only where it is met
     if by_heights:
         good &= height(back, beam.local, lenses(layout, back, beam.cell)) >= beam.z
     seen = [beam]
@@ -152,9 +152,10 @@ def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Throug
 
 
 def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through:
-    """Through a body whose faces are apart: each structured face has its own cell and its own two planes.
+    """Trace through a body whose faces are in different arrays: each structured face has its own cell and two
+    planes.
 
-    Between those planes a ray must keep to the optical zone: a lenslet with a seam is an island with walls.
+    Between those planes a ray must stay in the optical zone: a lenslet with a seam is an island with walls.
     """
     if not body.covered:
         return beam, (beam.z, beam.z), np.zeros(len(beam), dtype=bool), [beam.cell], [beam, beam]
@@ -188,7 +189,7 @@ def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through
 def _through(
     layout: Layout, face: FacePlan, beam: Beam, n1: float, n2: float, within: bool = True
 ) -> tuple[Beam, Floats, Bools]:
-    """Cross one face; tell which rays met the lens itself, upright, in the cell's optical zone."""
+    """Cross one face; return which rays met the lens itself, upright, in the cell's optical zone."""
     hit = meet_face(face, beam.local, beam.z, beam.direction, n1, n2, lenses(layout, face, beam.cell))
     good = hit.upright & (hit.direction[:, 2] > 0.0)
     if within:
@@ -199,12 +200,12 @@ def _through(
 
 
 def _at(beam: Beam, z: float) -> Floats:
-    """Local x, y of rays where they cross the plane z, still seen from their cell."""
+    """Local x, y of rays where they cross the plane z, still relative to their cell."""
     return np.asarray(beam.local + ((z - beam.z) / beam.direction[:, 2])[:, None] * beam.direction[:, :2])
 
 
 def _steeper(direction: Floats, slope: float) -> Bools:
-    """Whether rays climb faster than a face of that slope: then they cross it once at most."""
+    """Whether rays climb faster than a face of that slope, so that they cross it at most once."""
     lateral = direction[:, 0] ** 2 + direction[:, 1] ** 2
     return np.asarray(direction[:, 2] ** 2 >= slope * slope * lateral)
 

@@ -2,8 +2,8 @@
 
 The lens of a cell is the plane patch through its centre, normal to its axis, cut by the cell's column. In the
 lens frame a ray of slope t that meets it at x leaves with slope t − x/f, per meridian. Where neighbouring
-patches step, a ray may slip between them: it goes on straight, as LAND. The patch is also met only once: a
-thin lens has no thickness that a ray could meet again.
+patches step, a ray may slip between them: it goes on straight, as LAND. A patch is met only once, because a
+thin lens has no thickness.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class ThinPatch:
     rotation : (3, 3), lens → sheet
     power : (1/f_x, 1/f_y)
     level, low, high, box
-        The room the patches and the land round them take, see `Extent`.
+        Space that the patches and the surrounding land occupy, see `Extent`.
     centre : (x, y)
         Of the window's outline, sheet frame.
     change : VertexChange or None
-        How far the lens of each cell stands from `vertex`, and how large it is.
+        Offset of the lens of each cell from `vertex`, and its size.
     """
 
     array: int
@@ -67,7 +67,7 @@ class ThinPatch:
         return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))
 
     def lenses(self, layout: Layout, cell: Ints) -> LensPlaces:
-        """Where the lenses of cells (m, 2) stand and how large they are."""
+        """Positions and sizes of the lenses of cells (m, 2)."""
         if self.change is None:
             return LensPlaces(self.vertex)
         return self.change.places(self.vertex, layout.lattice, cell)
@@ -106,10 +106,10 @@ class Met:
     beam : Beam
         At the point met, in its cell.
     distance : (m,) lengths
-    lens, land, beside : (m,) bool
+    lens, land, `beside` : (m,) bool
         On the optical zone of a patch; between patches, on seam or border; outside the sheet.
     solid : (m,) bool
-        Land of which there is material: opaque land stops light there, a gap does not.
+        Land with material: opaque land stops light there, a gap does not.
     """
 
     beam: Beam
@@ -130,7 +130,7 @@ def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
 
 
 def thin_layout(layout: Layout) -> Layout:
-    """The same window with the cells of array 2 and of field lenses where the thin pair has them."""
+    """Same window with the cells of array 2 and of field lenses at the positions of the thin pair."""
     pair = layout.window.thin
     field = tuple(CellPlacement((float(x), float(y))) for x, y, _ in map(pair.field_centre, pair.field))
     window = replace(layout.window, placements=(CellPlacement(), pair.second, *field))
@@ -161,7 +161,9 @@ def _patch(
     focal_length: Pair2,
     change: VertexChange | None = None,
 ) -> ThinPatch:
-    """Thin lens of an array whose `vertex` and focal lengths are in lengths, with the room that all its patches take."""
+    """Thin lens of an array whose `vertex` and focal lengths are in lengths, with the space of all its
+    patches.
+    """
     pair, place = layout.window.thin, layout.window.placements[array]
     box = place.extent(layout.lattice)
     centre = (0.0, 0.0) if layout.window.form == "slab" else place.shift
@@ -203,7 +205,7 @@ def _patch(
 
 @dataclass(frozen=True, eq=False)
 class Passed:
-    """m rays that passed lens 1, and perhaps a field lens.
+    """m rays that passed lens 1, and possibly a field lens.
 
     Attributes
     ----------
@@ -215,7 +217,7 @@ class Passed:
     land : (m,) bool
         Land was passed.
     odd : (m, 2) ints
-        Cell of the first field lens that is not that of lens 1's cell; else lens 1's.
+        Cell of the first field lens that differs from lens 1's cell; else lens 1's.
     """
 
     one: Met
@@ -256,7 +258,7 @@ def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger,
 
 
 def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -> tuple[Met, Floats]:
-    """What rays (m) meet in the next array, and how far (m,) that is from where they left the last one."""
+    """What rays (m) meet in the next array, and the distance (m,) from where they left the last one."""
     out = start.direction
     gap = (entered.level + entered.low - left.level - start.z) / out[:, 2]
     local = start.local + gap[:, None] * out[:, :2]
@@ -268,7 +270,9 @@ def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -
 def _stopped(
     layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, met: Met, length: Floats
 ) -> Bools:
-    """End the rays that a honeycomb stops between the array they left and the one they meet, `length` (m,) on; tell which (m,)."""
+    """End the rays that a honeycomb stops between the array they left and the one they meet, `length` (m,)
+    on; return which (m,).
+    """
     start = gone.beam
     share = honeycomb.reach(layout, start.local, met.beam.local, met.beam.cell - gone.one.beam.cell)
     stopped = np.isfinite(share) | met.beside
@@ -280,7 +284,7 @@ def _stopped(
 
 
 def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, patch: ThinPatch) -> Passed:
-    """Bend rays at a field lens; those that pass beside it are missed."""
+    """Refract rays at a field lens; rays that pass outside it are missed."""
     met, length = _carried(layout, gone.beam, left, patch)
     if layout.window.baffle is not None:
         on = ~_stopped(layout, ledger, gone, left, met, length)
@@ -304,14 +308,14 @@ def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch
 
 
 def _pass_beside(layout: Layout, ledger: Ledger, one: Met, met: Met) -> None:
-    """Give back as launched the rays that pass beside an array; the cell of lens 1 stays known."""
+    """Reset the rays that pass outside an array to their launched state; the cell of lens 1 stays known."""
     beside = one.beam.rows[met.beside]
     ledger.miss(beside)
     ledger.cell[beside] = _named(layout, one.beam)[met.beside]
 
 
 def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Floats) -> tuple[Bools, Floats]:
-    """Bend at a patch; end what is opaque or turned back. Returns who goes on and all directions."""
+    """Refract at a patch; end what is opaque or turned back. Returns who goes on and all directions."""
     beam = met.beam
     at = _position(layout, patch, beam)
     bent = patch.bend(layout, beam.cell, beam.local, beam.z, beam.direction)
@@ -328,7 +332,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
 
 
 def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, gone: Passed, two: Met, path: Floats) -> None:
-    """Bend at lens 2 and write the rays."""
+    """Refract at lens 2 and write the rays."""
     one = gone.one
     goes, out = _go_on(layout, ledger, patch, two, path)
     rows = two.beam.rows
@@ -428,7 +432,7 @@ def _in_outline(layout: Layout, patch: ThinPatch, xy: Floats) -> Bools:
 
 
 def _named(layout: Layout, beam: Beam) -> Ints:
-    """Cells (m, 2) as results name them: NO_CELL where no kept cell is."""
+    """Cells (m, 2) as results name them: NO_CELL where there is no kept cell."""
     kept = layout.lattice.contains(beam.cell)
     return np.where(kept[:, None], beam.cell, NO_CELL)
 

@@ -1,7 +1,7 @@
-"""The complete walk of rays through the sheet: every fate, whatever is met, body by body.
+"""The complete walk of rays through the sheet: every fate and event, body by body.
 
-`clacad.tracing.reference.column` finds the first thing a ray meets; here it is refracted there, or ended. Nothing is
-assumed about slopes, steps, displacements or directions.
+`clacad.tracing.reference.column` finds the first thing a ray meets; this module refracts or ends the ray
+there. Nothing is assumed about slopes, steps, displacements or directions.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from clacad.tracing.reference.facet_column import change
 from clacad.tracing.reference.launch import Beam, box_span, on_to, sheet_xy, to_array
 
 BEHIND = 8 * ULP
-"""Share of a ray's travel by which the first face may seem to lie behind its start: rounding."""
+"""Share of a ray's travel by which the first face may seem to lie behind its start: rounding error."""
 
 SAME = 1e-6
 """Share of a cell by which two roots of one crossing may differ: far above rounding, far below two crossings."""
@@ -40,7 +40,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Walkers:
-    """Rays in the walk and what they have met so far.
+    """Rays in the walk and their record so far.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Walkers:
     second : (m,) bool
         A face of array 1 has been met.
     ghost, land : (m,) bool
-        Lens faces of different telescopelets were crossed; land or a hole was.
+        Lens faces of different telescopelets were crossed; land or a hole was crossed.
     surface : (m,) ints
         Last face met.
     """
@@ -81,7 +81,7 @@ class Walkers:
 
 @dataclass(frozen=True, eq=False)
 class BodyWalk:
-    """What a walk needs to know at one body."""
+    """Data of a walk at one body."""
 
     layout: Layout
     ledger: Ledger
@@ -105,7 +105,7 @@ def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, c
     ----------
     indices : one refractive index a body
     beam, carried
-        From `launch`: m rays on the first body's reference plane, and how far (m,) that is from the start.
+        From `launch`: m rays on the first body's reference plane, and their distances (m,) from the start.
     """
     m = len(beam)
     none, no = np.full((m, 2), NO_CELL, dtype=np.int64), np.zeros(m, dtype=bool)
@@ -204,7 +204,7 @@ def _refract(
 def _cross_face(
     here: BodyWalk, face: FacePlan, beam: Beam, event: Event, on_lens: Bools, n1: float, n2: float
 ) -> tuple[Beam, Floats, Floats]:
-    """Beams on the face, distances gone and directions behind it, for lens and land alike."""
+    """Beams on the face, distances travelled and directions behind it, for lens and land alike."""
     array = here.body.arrays[0] if face.array is None else face.array
     start = event.starts[array]
     flat = cross_land(beam.direction, n1, n2)
@@ -231,7 +231,7 @@ def _cross_face(
 
 
 def _where(chosen: Bools, one: Hit, other: Hit) -> Hit:
-    """Chosen rows of one, the rest of the other."""
+    """Select rows of `one` where chosen, else of `other`."""
     column = chosen[:, None]
     return Hit(
         local=np.where(column, one.local, other.local),
@@ -257,7 +257,7 @@ def _depart(here: BodyWalk, walkers: Walkers) -> Walkers:
 
 
 def _pass_hole(here: BodyWalk, walkers: Walkers, rows: Rows, event: Event) -> Walkers:
-    """Rays that rose past the body over its footprint without meeting it, put on its highest level."""
+    """Put rays that rose past the body over its footprint without meeting it on its highest level."""
     walkers, distance = walkers.take(rows), event.distance[rows]
     for face in (here.body.front, here.body.back):
         if face.array is None or not len(rows):
@@ -310,7 +310,7 @@ def _cross_gap(here: BodyWalk, walkers: Walkers) -> tuple[Walkers, Walkers, Floa
     span = (body.high - body.low) / beam.direction[:, 2]
     reaches = (enter <= leave) & (leave >= 0.0) & (enter <= span) & np.isfinite(gap)
     if here.layout.window.baffle is not None:
-        # rays that pass beside array 2 have long since met the honeycomb
+        # rays that pass outside array 2 have already met the honeycomb
         stray = np.flatnonzero(~reaches)
         _vignette(here, left.take(stray), gap[stray], np.zeros(len(stray)))
     else:
@@ -321,7 +321,7 @@ def _cross_gap(here: BodyWalk, walkers: Walkers) -> tuple[Walkers, Walkers, Floa
 
 
 def _stop_at_baffle(here: BodyWalk, walkers: Walkers, left: Walkers, event: Event, gap: Floats) -> Bools:
-    """End rays that the honeycomb between the arrays stops; tell which."""
+    """End rays that the honeycomb between the arrays stops; return which."""
     array = here.body.arrays[0]
     met = event.starts[array] + event.distance[:, None] * walkers.beam.direction[:, :2]
     order = event.cells[array] - left.beam.cell
@@ -345,7 +345,7 @@ def _vignette(here: BodyWalk, left: Walkers, length: Floats, share: Floats) -> N
 
 
 def _end_at(here: BodyWalk, walkers: Walkers, event: Event, index: float) -> None:
-    """End rays at a wall, or at a face met from its wrong side, which no sequence of faces goes on from."""
+    """End rays at a wall, or at a face met from its wrong side, where no sequence of faces continues."""
     if not len(walkers):
         return
     array = here.body.arrays[0]
@@ -390,7 +390,7 @@ def _record_end(here: BodyWalk, walkers: Walkers) -> None:
 
 
 def order_of(walkers: Walkers) -> Ints:
-    """Cell of lens 2 minus cell 1; where they agree but a face between did not, that face's."""
+    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that face."""
     both = walkers.second & (walkers.first != NO_CELL).all(axis=1) & (walkers.last != NO_CELL).all(axis=1)
     order = walkers.last - walkers.first
     same = (order == 0).all(axis=1) & (walkers.odd != NO_CELL).all(axis=1)
@@ -399,14 +399,14 @@ def order_of(walkers: Walkers) -> Ints:
 
 
 def _miss(here: BodyWalk, walkers: Walkers) -> None:
-    """Give rays back as launched; the cell of lens 1 stays known if one was met."""
+    """Reset rays to their launched state; the cell of lens 1 stays known if one was met."""
     rows = walkers.beam.rows
     here.ledger.miss(rows)
     here.ledger.cell[rows] = walkers.first
 
 
 def _joined(a: Walkers, b: Walkers) -> Walkers:
-    """Two groups in one, each in its own cells of the same array."""
+    """Join two groups, each in its own cells of the same array."""
     if not len(a):
         return b
     if not len(b):

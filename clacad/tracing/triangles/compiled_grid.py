@@ -1,4 +1,6 @@
-"""Compiled light straight through triangles from anywhere: what is decided beyond doubt within a few bins of a grid."""
+"""Compiled straight path through triangles from any source: rays decided with certainty within a few bins of
+a grid.
+"""
 
 from __future__ import annotations
 
@@ -32,20 +34,20 @@ from clacad.tracing.triangles.facet_grid import (
 from clacad.tracing.triangles.hierarchy import Hierarchy
 
 NOTHING, UNSURE = -1, -2
-"""In place of a facet: none is met; it cannot be told here."""
+"""In place of a facet number: none is met; undecided here."""
 
 MOST_BINS = 4
-"""Bins that a stretch may touch."""
+"""Largest number of bins that a stretch may touch."""
 
 INSIDE_CELL = 1e-9
-"""Share of a cell that a hit must lie off its borders."""
+"""Least distance of a hit from the borders of its cell, as a share of a cell."""
 
 ALIVE, GHOST = int(Fate.ALIVE), int(Fate.GHOST)
 
 
 @exact
 def _bin_of(place: float) -> int:
-    """Bin of a place counted in bins; −1 within a hair of a border."""
+    """Bin of a position counted in bins; −1 within the tolerance of a border."""
     whole = floor(place)
     part = place - whole
     return int(whole) if 2.0 * HAIR < part < 1.0 - 2.0 * HAIR else -1
@@ -53,7 +55,7 @@ def _bin_of(place: float) -> int:
 
 @exact
 def _walls_in(grid: FacetGrid, row: Floats, i0: int, i1: int, j0: int, j1: int) -> int:
-    """Bins with walls among those from i0 to i1 and j0 to j1."""
+    """Number of bins with walls among those from i0 to i1 and j0 to j1."""
     first, wide = int(row[CORNER]), int(row[BINS_X]) + 1
     below, above = first + j0 * wide, first + (j1 + 1) * wide
     held = grid.walled
@@ -64,7 +66,9 @@ def _walls_in(grid: FacetGrid, row: Floats, i0: int, i1: int, j0: int, j1: int) 
 def _first_on_stretch(
     trees: Hierarchy, grid: FacetGrid, b: int, origin: Vector, ray: Ray, stretch: tuple[float, float], but: int
 ) -> tuple[float, int]:  # fmt: skip
-    """First facet of body b but one on a stretch of a ray: distance and number, inf and NOTHING or UNSURE."""
+    """First facet of body b, except one, on a stretch of a ray: distance and number, inf and NOTHING or
+    UNSURE.
+    """
     row, (begin, end) = grid.table[b], stretch
     x, y = origin[0] + ray.x, origin[1] + ray.y
     i0 = _bin_of((x + begin * ray.L - row[LOW_X]) * row[PER_X])
@@ -98,13 +102,13 @@ def _first_on_stretch(
 def _free_until(
     trees: Hierarchy, grid: FacetGrid, b: int, origin: Vector, ray: Ray, end: float, but: int
 ) -> bool:
-    """Whether a ray surely meets no facet of body b but one before a distance."""
+    """Whether a ray certainly meets no facet of body b, except one, before a distance."""
     return end <= 0.0 or _first_on_stretch(trees, grid, b, origin, ray, (0.0, end), but)[1] == NOTHING
 
 
 @exact
 def _no_wall_between(grid: FacetGrid, b: int, x: float, y: float, u: float, v: float) -> bool:
-    """Whether no wall stands between two places of the sheet."""
+    """Whether there is no wall between two positions on the sheet."""
     row = grid.table[b]
     right, top = row[BINS_X] - 1.0, row[BINS_Y] - 1.0
     i, j = floor((x - row[LOW_X]) * row[PER_X]), floor((y - row[LOW_Y]) * row[PER_Y])
@@ -116,7 +120,7 @@ def _no_wall_between(grid: FacetGrid, b: int, x: float, y: float, u: float, v: f
 
 @exact
 def _bent(trees: Hierarchy, sheet: Packed, f: int, which: int, ray: Ray, n1: float, n2: float) -> Vector:
-    """Direction behind a facet of face f that is lens for certain; (0, 0, 0) where that cannot be told here."""
+    """Direction behind a facet of face f that is certainly lens; (0, 0, 0) where that is undecided here."""
     nx, ny, nz = normal_of(trees, which)
     sign = -1.0 if f % 2 == 0 else 1.0
     nx, ny, nz = sign * nx, sign * ny, sign * nz
@@ -132,7 +136,9 @@ def _bent(trees: Hierarchy, sheet: Packed, f: int, which: int, ray: Ray, n1: flo
 def straight_through(
     trees: Hierarchy, grid: FacetGrid, sheet: Packed, launched: Launched, row: int, out: Outcome
 ) -> bool:
-    """Trace a launched ray straight through every body and write its row; False where that cannot be decided here."""
+    """Trace a launched ray straight through every body and write its row; False where that cannot be decided
+    here.
+    """
     lat, bodies, faces = sheet.lattice, sheet.bodies, sheet.faces
     if lat[slot.BAFFLE] != slot.NO_BAFFLE or not kept(lat, sheet.rows, launched.i, launched.j):
         return False

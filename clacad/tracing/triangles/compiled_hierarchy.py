@@ -1,4 +1,4 @@
-"""Triangles from anywhere in the walk, compiled: where a ray enters a body of them, or leaves it."""
+"""Triangles from any source in the walk, compiled: where a ray enters or leaves a body of them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LEVEL = 1e-5
 """Slope below which a triangle may be land."""
 
 CLEAR = 1e-9
-"""Share of a cell that a ray must have gone before it can meet a triangle again."""
+"""Share of a cell that a ray must travel before it can meet a triangle again."""
 
 
 @exact
@@ -39,9 +39,9 @@ def is_level(nx: float, ny: float, nz: float) -> bool:
 def first_soup_change(
     trees: Hierarchy, sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats, stack: Ints
 ) -> None:
-    """Find where a ray first enters the triangles of body b, or leaves them; see `reference.column.first_change`.
+    """Find where a ray first enters or leaves the triangles of body b; see `reference.column.first_change`.
 
-    Two cells that touch as separate solids have two walls in one place: light in the glass passes both.
+    Two cells that touch as separate solids have two coincident walls: light in the glass passes both.
     """
     bodies, lat = sheet.bodies, sheet.lattice
     array, i, j, x, y, z, L, M, N = ray
@@ -84,7 +84,7 @@ def first_soup_change(
 
 @exact
 def _tell_land(trees: Hierarchy, faces: Floats, b: int, which: int, ray: Ray, event: Floats) -> None:
-    """Tell land from lens: land is level triangles nearer the design's land than its lens."""
+    """Distinguish land from lens: land is level triangles nearer the design's land than its lens."""
     side, t = (0 if event[KIND] == FRONT else 1), event[DISTANCE]
     nx, ny, nz = normal_of(trees, which)
     face, level = faces[2 * b + side], ray.z + t * ray.N
@@ -97,7 +97,7 @@ def _tell_land(trees: Hierarchy, faces: Floats, b: int, which: int, ray: Ray, ev
 
 @exact
 def _note_normal(trees: Hierarchy, which: int, origin: Vector, ray: Ray, event: Floats) -> None:
-    """Note the normal towards +z: the triangle's, or that of its corners interpolated."""
+    """Record the normal towards +z: the triangle's, or that of its corners interpolated."""
     nx, ny, nz = normal_of(trees, which)
     if len(trees.corner_normal) > 0:
         _, u, v, w = hit(trees.corner[which], origin, ray)

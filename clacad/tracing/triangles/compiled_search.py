@@ -1,6 +1,6 @@
-"""Compiled search of triangles from anywhere: the first one a ray meets, in a tree of boxes.
+"""Compiled search of triangles from any source: the first one a ray meets, in a tree of boxes.
 
-Nothing of sheets is known here: the walk of `compiled_hierarchy` asks, and so does who judges a file's facets.
+The search knows nothing of sheets: the walk of `compiled_hierarchy` and the judge of a file's facets call it.
 """
 
 from __future__ import annotations
@@ -15,18 +15,21 @@ from clacad.tracing.compiled.records import DEPTH, Ray, Vector
 from clacad.tracing.triangles.hierarchy import LEAF, Hierarchy
 
 INWARDS, OUTWARDS, BOTH = 1, 2, 3
-"""What `ways_through` gives: how triangles are passed."""
+"""Results of `ways_through`: the direction in which triangles are passed."""
 
 BEFORE = -1e-300
 """A facet at the very start of a ray counts."""
 
 UPRIGHT = 1e-300
-"""Slope put in place of 0, whose reciprocal times a distance of 0 from a box's side would be no number."""
+"""Slope used in place of 0, whose reciprocal times a distance of 0 from a box's side would be NaN."""
 
 
 @exact
 def _enters(box: Floats, x: float, y: float, z: float, inverse: Vector, far: float) -> float:
-    """Distance at which a ray enters a box, or inf; a hair is granted for rounding. `inverse` is of its direction."""
+    """Distance at which a ray enters a box, or inf, with a rounding tolerance.
+
+    `inverse` is of its direction.
+    """
     il, im, iz = inverse
     a, b = (box[0] - x) * il, (box[3] - x) * il
     c, d = (box[1] - y) * im, (box[4] - y) * im
@@ -41,9 +44,10 @@ def _enters(box: Floats, x: float, y: float, z: float, inverse: Vector, far: flo
 def hit(corner: Floats, origin: Vector, ray: Ray) -> tuple[float, float, float, float]:
     """Distance to a triangle and barycentric coordinates; inf where it is missed.
 
-    Corners are taken relative to the cell and then to the ray, sheared so that the ray runs along z: edges
+    Corners are taken relative to the cell and then to the ray, sheared so that the ray runs along z. Edges
     that two triangles share get the same number with opposite signs, so no ray slips between them. After
-    Woop, Benthin and Wald, Watertight Ray/Triangle Intersection, JCGT 2 (2013); N > 0 is the largest axis here.
+    Woop, Benthin and Wald, Watertight Ray/Triangle Intersection, JCGT 2 (2013); N > 0 is the largest axis
+    here.
     """
     ox, oy, oz = origin
     x, y, z, L, M, N = ray
@@ -75,10 +79,10 @@ def _tree(trees: Hierarchy, b: int) -> tuple[int, int, int, int]:
 def _next_leaf(
     trees: Hierarchy, b: int, place: Vector, inverse: Vector, far: float, stack: Ints, waiting: int
 ) -> tuple[int, int, int]:
-    """Triangles, from the first to before the last, of the next leaf a ray enters before `far`; 0, 0 at the end.
+    """Range of triangles (first, end) of the next leaf that a ray enters before `far`; 0, 0 at the end.
 
     place : a point of the ray in the frame of the boxes; `inverse` is of its direction
-    waiting : boxes on the stack; how many remain is given last
+    waiting : boxes on the stack; the number that remain is returned last
     """
     root, first, count, inner = _tree(trees, b)
     while waiting > 0:
@@ -120,7 +124,9 @@ def search(
 def ways_through(
     trees: Hierarchy, b: int, origin: Vector, ray: Ray, least: float, most: float, stack: Ints
 ) -> int:
-    """Which way the ray goes through the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0 for none."""
+    """Direction in which the ray passes the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0
+    for none.
+    """
     inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
     place = (origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z)
     found, stack[0] = 0, 0
@@ -136,7 +142,7 @@ def ways_through(
 
 @exact
 def normal_of(trees: Hierarchy, k: int) -> tuple[float, float, float]:
-    """Outward normal of a triangle, as long as twice its area."""
+    """Outward normal of a triangle, of length twice its area."""
     c = trees.corner[k]
     ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
     vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
@@ -150,7 +156,7 @@ def first_facet(
 ) -> None:  # fmt: skip
     """Fill `distance` (n,) and `facet` (n,) for rays with d_z > 0; NaN and −1 where none is met.
 
-    Of the facets of body 0 of `trees` with facing × normal · direction > 0 the nearest ahead.
+    The nearest facet ahead, of body 0 of `trees`, with facing × normal · direction > 0.
     """
     origin, stack = (0.0, 0.0, 0.0), np.empty(DEPTH, dtype=np.int64)
     for r in range(len(position)):

@@ -1,7 +1,8 @@
-"""Compiled light straight through facets that halve the bins of a grid: a block of rays, face by face.
+"""Compiled straight path through facets that halve the bins of a grid: a block of rays, face by face.
 
-Over bins that are halved (see `squares`) each side of a body is one piece of surface; a ray that is steeper than it all over
-those bins passes it once, where the plane of a half says that it lies over that half. What is not so for certain is left.
+Over halved bins (see `squares`) each side of a body is one piece of surface. A ray that is steeper than it
+over all those bins passes it once, at the half whose plane gives a hit over that half. Uncertain cases are
+left.
 """
 
 from __future__ import annotations
@@ -62,10 +63,10 @@ from clacad.tracing.triangles.facet_grid import (
 from clacad.tracing.triangles.squares import ROUNDED
 
 INSIDE_CELL = 1e-9
-"""Share of a cell that a hit must lie off its borders."""
+"""Least distance of a hit from the borders of its cell, as a share of a cell."""
 
-# Rows of a block's scratch array after those of `straight_path_slots`: the cell of the launch and its centre, whether cells
-# differ, the rectangle that a ray stays in, and a plane's distance, then that of the hit.
+# Rows of a block's scratch array after those of `straight_path_slots`: cell of the launch and its centre,
+# whether cells changed, the rectangle that a ray stays in, and the distance of a plane, later that of the hit.
 HOME_I, HOME_J, CENTRE_X, CENTRE_Y, ODD, LEAST_X, MOST_X, LEAST_Y, MOST_Y, FAR, ROWS = range(
     SCRATCH, SCRATCH + 11
 )
@@ -75,7 +76,7 @@ ALIVE, GHOST = int(Fate.ALIVE), int(Fate.GHOST)
 
 @exact
 def suits_squares(grid: FacetGrid, lat: Floats) -> bool:
-    """Whether there are squares at all, and nothing else in the way of light."""
+    """Whether there are squares at all, and nothing else in the path of light."""
     for row in grid.table:
         if not row[DOWN_HIGH] < row[UP_LOW]:
             return False
@@ -84,7 +85,7 @@ def suits_squares(grid: FacetGrid, lat: Floats) -> bool:
 
 @exact
 def through_squares(grid: FacetGrid, sheet: Packed, s: Floats, m: int) -> None:
-    """Trace a launched block straight through every body; rays that are not certain lose their mark GOOD.
+    """Trace a launched block straight through every body; uncertain rays lose their mark GOOD.
 
     Positions are then in the sheet frame; CI and CJ hold the last cell, CI0 and CJ0 the first.
     """
@@ -120,7 +121,7 @@ def through_squares(grid: FacetGrid, sheet: Packed, s: Floats, m: int) -> None:
 
 @exact
 def _in_sheet(sheet: Packed, s: Floats, m: int) -> None:
-    """Launched positions in the sheet frame, where they are in a cell for certain."""
+    """Transform launched positions to the sheet frame, where they are certainly in a cell."""
     lat, base, hair = sheet.lattice, sheet.bodies[0, slot.LEVEL], INSIDE_CELL * sheet.lattice[slot.HALF]
     for i in range(m):
         if not (in_zone(lat, s[X, i], s[Y, i], hair) and kept(lat, sheet.rows, s[CI, i], s[CJ, i])):
@@ -133,7 +134,9 @@ def _in_sheet(sheet: Packed, s: Floats, m: int) -> None:
 
 @exact
 def _begin(s: Floats, m: int, level: float) -> None:
-    """Where rays cross the lower end of a body the rectangle begins that they stay in; they may not start above it."""
+    """Begin the rectangle that rays stay in where they cross the lower end of a body; they may not start
+    above it.
+    """
     x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     left, right, lower, upper = lanes(s, (LEAST_X, MOST_X, LEAST_Y, MOST_Y))
     for i in range(m):
@@ -145,7 +148,7 @@ def _begin(s: Floats, m: int, level: float) -> None:
 
 @exact
 def _squares_of(row: Floats, side: int) -> SquareGrid:
-    """The bins of a body, halved as one of its sides does."""
+    """The bins of a body, as halved by one of its sides."""
     return (
         row[LOW_X],
         row[LOW_Y],
@@ -160,7 +163,7 @@ def _squares_of(row: Floats, side: int) -> SquareGrid:
 
 @exact
 def _planes_of_bins(grid: FacetGrid, side: int, s: Floats, m: int) -> None:
-    """Load the planes over the half bins that rays are in."""
+    """Load the planes over the present half bins of rays."""
     for i in range(m):
         h = int(s[HALF, i])
         s[GX, i], s[GY, i], s[GZ, i] = grid.plane[h, side, 0], grid.plane[h, side, 1], grid.plane[h, side, 2]
@@ -169,7 +172,9 @@ def _planes_of_bins(grid: FacetGrid, side: int, s: Floats, m: int) -> None:
 
 @exact
 def _to_planes(squares: SquareGrid, s: Floats, m: int, hair: float) -> None:
-    """How far rays go to their planes: NaN unless over the same half, `hair` bins off its borders; and the half there."""
+    """Distances of rays to their planes: NaN unless over the same half, `hair` bins off its borders; and the
+    half there.
+    """
     x, y, z, dx, dy, dz, bins, far = lanes(s, (X, Y, Z, DX, DY, DZ, HALF, FAR))
     a, b, c = lanes(s, (GX, GY, GZ))
     low_x, low_y, per_x, per_y, nx, ny, first, split = squares
@@ -191,7 +196,7 @@ def _to_planes(squares: SquareGrid, s: Floats, m: int, hair: float) -> None:
 def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float) -> None:
     """Move to the hits and refract there, where rays are steeper than the facets before and behind them.
 
-    level : square of the slope up to which a facet may be land; negative where there is none
+    level : squared slope up to which a facet may be land; negative where there is none
     """
     x, y, z, dx, dy, dz, good, path = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD, PATH))
     gx, gy, gz, far = lanes(s, (GX, GY, GZ, FAR))
@@ -217,7 +222,9 @@ def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float
 
 @exact
 def _note_cells(sheet: Packed, s: Floats, m: int, array: int, first: bool) -> None:
-    """Cells of an array in which hits lie for certain: first and last of each ray, and whether they ever differ."""
+    """Cells of an array in which hits certainly lie: first and last of each ray, and whether they ever
+    differ.
+    """
     lat = sheet.lattice
     hair, at = INSIDE_CELL * lat[slot.HALF], slot.BETWEEN + 4 * array
     dx, dy, di, dj = lat[at], lat[at + 1], lat[at + 2], lat[at + 3]
@@ -243,7 +250,7 @@ def _note_cells(sheet: Packed, s: Floats, m: int, array: int, first: bool) -> No
 
 @exact
 def _hold_among_squares(grid: FacetGrid, row: Floats, s: Floats, m: int, level: float) -> None:
-    """Up to a level rays must have stayed over halved bins."""
+    """Require that rays stayed over halved bins up to a level."""
     held, start, wide = grid.odd, int(row[CORNER]), int(row[BINS_X]) + 1
     hair, high = max(2.0 * HAIR, ROUNDED * row[OFF]), int(row[BINS_Y]) + 1
     for i in range(m):
@@ -271,7 +278,7 @@ def _hold_among_squares(grid: FacetGrid, row: Floats, s: Floats, m: int, level: 
 
 @exact
 def store_sheet_block(s: Floats, chosen: Rows, last: int, out: Outcome) -> None:
-    """Write the rows of those rays of a block in the sheet frame that kept their mark."""
+    """Write the rows of the rays of a block in the sheet frame that kept their mark."""
     for k in range(len(chosen)):
         if not s[GOOD, k] > 0.0:
             continue

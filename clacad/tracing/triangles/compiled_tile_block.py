@@ -1,9 +1,10 @@
 """The straight path through one face of facets, compiled: a block of rays by lookup in the regular grid.
 
-From a first guess where the ray meets the face's middle height, the facet over that point is met, then the facet
-over the hit; if that hit lies over the same facet it is the hit, since a ray steeper than every facet has only one.
-Arithmetic runs in vector loops, loads from the tables in loops of their own. Rays over bins that hold anything but
-the two halves of a square, and those that need more steps, are looked up one by one.
+The first guess is where the ray meets the face's middle height. The facet over that point is intersected,
+then the facet over the hit. If that hit lies over the same facet, it is the hit: a ray steeper than every
+facet has only one.
+Arithmetic runs in vector loops, table loads in separate loops. Rays over bins that contain anything but the
+two halves of a square, and those that need more steps, are looked up one by one.
 """
 
 from __future__ import annotations
@@ -37,17 +38,21 @@ from clacad.tracing.triangles.compiled_tiles import facet_normal, locate_facet
 from clacad.tracing.triangles.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
 
 SquareGrid = tuple[float, float, float, float, float, float, float, float]
-"""Corner of a grid of halved bins, bins per length, how many, number of the first, and which way diagonals go (SPLIT)."""
+"""Corner of a grid of halved bins, bins per length, their count, number of the first, and direction of
+diagonals (SPLIT).
+"""
 
 TRIES = 8
-"""Facets looked up before a ray is left to the walk; two do for lens-like slopes."""
+"""Facets looked up before a ray is left to the walk; two suffice for lens-like slopes."""
 
 
 @exact
 def cross_facets(
     tiles: Tiles, faces: Floats, f: int, s: Floats, m: int, media: tuple[float, float], climb: float, origin: Vector
 ) -> None:  # fmt: skip
-    """Cross one face of facets; positions plus the origin are relative to cell and level, and are after."""
+    """Cross one face of facets; positions plus the origin are relative to cell and level, afterwards without
+    the origin.
+    """
     x, y, z = lanes(s, (X, Y, Z))
     ox, oy, oz = origin
     for i in range(m):
@@ -73,7 +78,7 @@ def _squares_of(row: Floats) -> SquareGrid:
 
 @exact
 def to_level(squares: SquareGrid, s: Floats, m: int, level: float) -> None:
-    """Carry rays to a level, in thought, and find the half bin there."""
+    """Extrapolate rays to a level without moving them, and find the half bin there."""
     x, y, z, dx, dy, dz, bins = lanes(s, (X, Y, Z, DX, DY, DZ, HALF))
     low_x, low_y, per_x, per_y, nx, ny, first, split = squares
     for i in range(m):
@@ -95,7 +100,7 @@ def half_bin(u: float, v: float, nx: float, ny: float, first: float, split: floa
 
 @exact
 def _planes_of_bins(tiles: Tiles, side: int, s: Floats, m: int) -> None:
-    """Load the planes over the half bins the rays are in; NaN where there is no such facet."""
+    """Load the planes over the present half bins of rays; NaN where there is no such facet."""
     for i in range(m):
         h = int(s[HALF, i])
         s[GX, i], s[GY, i], s[GZ, i] = tiles.lens[h, side, 0], tiles.lens[h, side, 1], tiles.lens[h, side, 2]
@@ -103,7 +108,9 @@ def _planes_of_bins(tiles: Tiles, side: int, s: Floats, m: int) -> None:
 
 @exact
 def _to_planes(row: Floats, s: Floats, m: int) -> None:
-    """Carry rays to their planes, in thought: how far, NaN if the hit lies over another half bin, and that one."""
+    """Distances of rays to their planes, without moving them: NaN if the hit lies over another half bin, and
+    that bin.
+    """
     x, y, z, dx, dy, dz, bins, far = lanes(s, (X, Y, Z, DX, DY, DZ, HALF, RANGE))
     a, b, c = lanes(s, (GX, GY, GZ))
     low_x, low_y, per_x, per_y, nx, ny, first, split = _squares_of(row)
@@ -118,7 +125,7 @@ def _to_planes(row: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _settle(tiles: Tiles, tile: int, side: int, level: float, s: Floats, m: int) -> None:
-    """Put in the normals; look up one by one the rays whose facet is not certain."""
+    """Fill in the normals; look up one by one the rays whose facet is not certain."""
     gx, gy, gz, far = lanes(s, (GX, GY, GZ, RANGE))
     for i in range(m):
         gx[i], gy[i], gz[i] = -gx[i], -gy[i], 1.0

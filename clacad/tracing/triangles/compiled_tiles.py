@@ -39,10 +39,10 @@ from clacad.tracing.triangles.tiles import (
 )
 
 NOT_LOOKED_UP, NONE = -2, -1
-"""Of the facet that an array is in: yet to be found; there is none."""
+"""State of the facet that an array is in: not yet looked up; none exists."""
 
 NO_STEP = -2
-"""Instead of a border that is crossed: an edge of the plate, which leads to no other cell."""
+"""In place of a crossed border: an edge of the plate, which leads to no other cell."""
 
 
 @exact
@@ -88,7 +88,7 @@ def facet_normal(tiles: Tiles, facet: int, side: int, x: float, y: float) -> tup
 def _levels(
     tiles: Tiles, faces: Floats, row: int, at: int, causes: Ints, work: Floats, dx: float, dy: float
 ) -> tuple[float, float]:  # fmt: skip
-    """Height of a face at the start and its rise along the ray, over the column the ray is in; NaN for none."""
+    """Height of a face at the start and its rise along the ray, in the ray's present column; NaN for none."""
     if faces[row, slot.ARRAY] < 0.0:
         return faces[row, slot.LOW], 0.0
     f = causes[FACET + at]
@@ -103,7 +103,7 @@ def _levels(
 
 @exact
 def _kind(tiles: Tiles, faces: Floats, row: int, facet: int) -> int:
-    """Which crossing a face's plane is over a facet: of a lens or plane face, or of land."""
+    """Kind of crossing of a face's plane over a facet: of a lens or plane face, or of land."""
     side = row % 2
     if faces[row, slot.ARRAY] < 0.0:
         return FRONT if side == 0 else BACK
@@ -115,7 +115,7 @@ def _kind(tiles: Tiles, faces: Floats, row: int, facet: int) -> int:
 
 @inlined
 def _look_up_again(causes: Ints) -> None:
-    """Forget which facets the arrays are in."""
+    """Discard the present facets of the arrays."""
     for at in range(slot.MOST_ARRAYS):
         causes[FACET + at] = NOT_LOOKED_UP
 
@@ -124,9 +124,10 @@ def _look_up_again(causes: Ints) -> None:
 def first_facet_change(
     tiles: Tiles, sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats, work: Floats, causes: Ints
 ) -> None:
-    """Find where a ray first enters the facets of body b, or leaves them: `reference.column.first_change` for facets.
+    """Find where a ray first enters or leaves the facets of body b: `reference.column.first_change` for
+    facets.
 
-    A piece is what lies over one facet of each of the body's tilings; in it both faces are planes.
+    A piece lies over one facet of each of the body's tilings; in it both faces are planes.
     """
     start_search(sheet, b, ray, work)
     _look_up_again(causes)
@@ -137,7 +138,7 @@ def first_facet_change(
     walking = not above <= 0.0
     if not walking:
         kind = ABOVE
-    entered = 0.0  # where the piece begins
+    entered = 0.0  # start of the piece
     while walking:
         end, across, edge, at, sense = _next_edge(tiles, sheet, b, along, (entered, limit), work, causes)
         ahead = edge_ahead(sheet, b, along, entered)
@@ -178,9 +179,9 @@ def _next_edge(
 ) -> tuple[float, int, int, int, float]:
     """Enter the present facets, and find where the ray leaves the first of them.
 
-    span : where the piece begins, and how far is looked
-    Returns the distance; the border of the cell that is crossed there, or the facet's edge, −1 for neither; of what
-    array; in what sense the border is crossed.
+    span : start of the piece, and the end of the search
+    Returns the distance; the crossed border of the cell, or the facet's edge, −1 for neither; its array; and
+    the sense in which the border is crossed.
     """
     faces, lat = sheet.faces, sheet.lattice
     entered, end = span
@@ -193,7 +194,7 @@ def _next_edge(
         if causes[FACET + at] == NOT_LOOKED_UP:
             causes[FACET + at] = NONE
             if kept(lat, sheet.rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
-                # a hair into the piece, so that a ray along an edge is in the facet it goes to
+                # slightly into the piece, so that a ray along an edge is in the facet it goes to
                 t = entered + 2.0 * lat[slot.TINY]
                 causes[FACET + at] = locate_facet(tiles, tiles.of[b, side], u + t * ray.L, v + t * ray.M)
         t, n, towards = border_ahead(lat, ray, u, v, end)
@@ -225,9 +226,9 @@ def _first_stretch(
     tiles: Tiles, sheet: Packed, b: int, ray: Ray, inside: bool, span: tuple[float, float, float, int],
     work: Floats, causes: Ints,
 ) -> tuple[bool, float, int]:  # fmt: skip
-    """Find the first of a piece's stretches that is not as the ray's state is; see `column`.
+    """Find the first stretch of a piece whose state differs from the ray's; see `column`.
 
-    span : where the piece begins and ends, since when the state is known and why it began
+    span : start and end of the piece, since when the state is known, and its cause
     Returns whether there is one, its start (else that of the last), and what is crossed there.
     """
     faces, bodies, tiny = sheet.faces, sheet.bodies, sheet.lattice[slot.TINY]
@@ -262,7 +263,7 @@ def _first_stretch(
 def _normal_met(
     tiles: Tiles, sheet: Packed, b: int, ray: Ray, met: tuple[int, float], work: Floats, causes: Ints
 ) -> Vector:
-    """Normal towards +z of the facet where the state changed; (0, 0, 1) where that is none."""
+    """Normal towards +z of the facet where the state changed; (0, 0, 1) without such a facet."""
     kind, t = met
     if kind != FRONT and kind != BACK:
         return 0.0, 0.0, 1.0

@@ -1,10 +1,11 @@
-"""The first triangle by Embree, where it is installed: it says which triangle, the distance is our own.
+"""The first triangle by Embree, where it is installed: Embree names the triangle, clacad computes the
+distance.
 
-Embree works in single precision. It is asked for nothing but the number of the triangle; the hit is computed again in
-double precision on that triangle, and what is not beyond doubt is left to the trees: rays of a trace that pass an edge
-within the rounding of a float32, meet a wall, flat land or another lenslet's face of one lens, or do not come out, are
-traced by `compiled_hierarchy`; rays of a picture whose triangle does not hold go down the `median_tree`. Needs the
-package embreex (extra `pictures`).
+Embree works in single precision, so only the number of the triangle is used. The hit is computed again in
+double precision on that triangle, and what is not beyond doubt is left to the trees. `compiled_hierarchy`
+traces rays that pass an edge within the rounding error of a float32, that meet a wall, flat land or another
+lenslet's face of one lens, or that do not leave the sheet. Rays of a picture whose triangle is not confirmed
+go down the `median_tree`. Needs the package embreex (extra `pictures`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from clacad.tracing.triangles.hierarchy import Hierarchy
 from clacad.tracing.triangles.median_tree import Tree, meet_each, nearest_triangle
 
 DOUBTFUL = 16.0
-"""Float32 spacings at the scene's size within which a hit's place is not trusted to Embree."""
+"""Float32 spacings at the scene's size within which the position of a hit from Embree is not trusted."""
 
 STEEP, LEVEL = 0.05, 1e-5
 """Slopes of walls and of what may be land, as in `compiled_hierarchy`."""
@@ -37,19 +38,19 @@ MANY = 4096
 """Rays of a picture below which the tree answers before Embree has built its own."""
 
 KEPT_SCENES = 8
-"""Embree's trees of a picture's meshes kept at most."""
+"""Largest number of cached Embree trees of a picture's meshes."""
 
 _SCENES: dict[tuple[int, int], tuple[Tree, Any]] = {}
 
 
 @lru_cache(maxsize=1)
 def installed() -> bool:
-    """Whether Embree can be asked."""
+    """Whether Embree is available."""
     return find_spec("embreex") is not None
 
 
 def embree_scene(corners: Floats) -> Any:
-    """Embree's own tree of triangles (t, 3, 3), lengths about a point amid them, in single precision."""
+    """Embree's own tree of triangles (t, 3, 3), lengths about a point among them, in single precision."""
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
@@ -109,7 +110,7 @@ def body_trees(trees: Hierarchy) -> tuple[BodyTree, ...]:
 
 
 def trace_straight(layout: Layout, bodies: tuple[BodyTree, ...], rays: Rays) -> tuple[TraceResult, Bools]:
-    """Trace what goes straight through every body by its lens faces.
+    """Trace rays that go straight through every body by its lens faces.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def trace_straight(layout: Layout, bodies: tuple[BodyTree, ...], rays: Rays) -> 
     result : TraceResult
         Valid in the rows that were decided: ALIVE or GHOST.
     decided : (n,) bool
-        False: to be traced by the own tree.
+        False: to be traced by clacad's own tree.
     """
     window, straight, before = layout.window, _Straight.launched(layout, rays), 1.0
     for body, triangles in zip(window.bodies, bodies, strict=True):
@@ -144,7 +145,7 @@ class _Straight:
     cells : (arrays, n, 2) ints
         Cell of each array, NO_CELL before it is met.
     decided : (n,) bool
-        All has been beyond doubt so far.
+        All decisions so far are beyond doubt.
     """
 
     position: Floats
@@ -190,7 +191,9 @@ class _Straight:
         self.decided[live[~(self.direction[live, 2] > 0.0)]] = False  # reflected totally, or backward
 
     def note_cells(self, window: Window, array: int, rows: Rows) -> None:
-        """Note the cell of an array that rays (k,) met; one that met two of one array's is left to the own tree."""
+        """Record the cell of an array that rays (k,) met; rays that met two cells of one array are left to
+        clacad's tree.
+        """
         shift, point = np.asarray(window.shifts[array]), self.position[rows]
         cell, _, _ = window.lattice.locate(point[:, 0] - shift[0], point[:, 1] - shift[1])
         known = self.cells[array, rows, 0] != NO_CELL
@@ -199,7 +202,9 @@ class _Straight:
         self.cells[array, rows] = cell
 
     def result(self, last: int) -> TraceResult:
-        """All n rows as if they had left through the last surface; where a field lens was met elsewhere is not decided here."""
+        """All n rows as if they had left through the last surface; rays that met a field lens elsewhere stay
+        undecided.
+        """
         n = len(self.path)
         for other in self.cells[2:]:
             self.decided[(other != self.cells[0]).any(axis=1)] = False
@@ -216,7 +221,7 @@ def _hit(body: BodyTree, position: Floats, direction: Floats, entering: bool) ->
     reach = float(np.abs(body.corners).max()) + float(np.abs(start).max(initial=0.0))
     doubt = DOUBTFUL * float(np.spacing(np.float32(reach)))
     away = start + (0.0 if entering else 2.0 * doubt) * direction
-    found = name_first(body.scene, away, direction)  # what is nearest ahead of a float32 start
+    found = name_first(body.scene, away, direction)  # nearest ahead of a float32 start
     good = found >= 0
     chosen = np.where(good, found, 0)
     corner, normal = body.corners[chosen], body.normals[chosen]
@@ -248,7 +253,7 @@ def _from_edges(corner: Floats, normal: Floats, point: Floats, altitude: Floats)
 def first_triangle(
     tree: Tree, first: int, end: int, root: int, origin: Floats, direction: Floats, limit: Floats
 ) -> tuple[Floats, Ints]:
-    """First triangle each ray meets; as `median_tree.nearest_triangle`, by Embree where it is installed.
+    """First triangle that each ray meets; as `median_tree.nearest_triangle`, by Embree where it is installed.
 
     Parameters
     ----------
@@ -257,7 +262,7 @@ def first_triangle(
     first, end : int
         Triangles of this mesh in `tree.corners`; `root` is its first node.
     origin, direction : (n, 3) arrays; limit : (n,)
-        As there, and so is what is returned.
+        As there; so is the return value.
     """
     if len(origin) < MANY or not installed() or first == end:
         return nearest_triangle(tree, root, origin, direction, limit)
@@ -286,7 +291,7 @@ def first_triangle(
 
 
 def _kept_scene(tree: Tree, first: int, end: int, middle: Floats) -> Any:
-    """Embree's tree of a mesh, kept while its own is."""
+    """Embree's tree of a mesh, cached with the lifetime of `tree`."""
     key = id(tree), first
     kept = _SCENES.get(key)
     if kept is None or kept[0] is not tree:

@@ -1,8 +1,8 @@
-"""Triangles from anywhere over a grid of bins in the sheet plane, so that a ray straight through tests a handful.
+"""Triangles from any source over a grid of bins in the sheet plane, so that a straight ray tests only a few.
 
-A sheet is flat: between the lowest and the highest point of its lenses a ray crosses a bin or two. Each bin lists the
-facets over it that are no walls, and where walls stand is counted; what a ray meets along so short a stretch is
-then known beyond doubt, whatever the triangles are, or the ray is left to the trees of `hierarchy`.
+A sheet is flat: between the lowest and the highest point of its lenses a ray crosses a bin or two. Each bin
+lists the facets over it that are no walls, and bins with walls are counted. What a ray meets along so short a
+stretch is then known beyond doubt for any triangles, or the ray is left to the trees of `hierarchy`.
 """
 
 from __future__ import annotations
@@ -19,18 +19,21 @@ from clacad.tracing.triangles.hierarchy import Hierarchy
 from clacad.tracing.triangles.squares import squares
 from clacad.tracing.triangles.tiles import over_bins
 
-# Columns of a body's row: corner of the grid, bins per length, bins in x and y, number of the first bin and of the first
-# corner of bins, and the heights between which facets that look down, and those that look up, lie. Of its squares: which
-# way diagonals go on both sides, the steepest slopes there, and what corners lie off.
+# Columns of a body's row: corner of the grid, bins per length, bins in x and y, number of the first bin and
+# of the first corner of bins, and the heights between which facets that face down, and those that face up,
+# lie. Of its squares: direction of diagonals on both sides, the steepest slopes there, and the deviation of
+# corners.
 LOW_X, LOW_Y, PER_X, PER_Y, BINS_X, BINS_Y, BIN, CORNER, DOWN_LOW, DOWN_HIGH, UP_LOW, UP_HIGH = range(12)
 SPLIT, CLIMB, OFF = 12, 14, 16
 GRID_NUMBERS = 17
 
 HAIR = 1e-4
-"""Share of a bin, along its borders, in which a ray is left to the trees: facets that reach no further are not listed."""
+"""Share of a bin, along its borders, in which a ray is left to the trees: facets that extend no further are
+not listed.
+"""
 
 FULLEST = 16
-"""Entries a triangle, on average, beyond which no grid is made."""
+"""Entries for each triangle, on average, beyond which no grid is made."""
 
 
 class FacetGrid(NamedTuple):
@@ -43,9 +46,10 @@ class FacetGrid(NamedTuple):
     start : (bins + 1,) ints, member : ints
         Triangles of the hierarchy over bin b are member[start[b] : start[b + 1]].
     walled : (corners of bins,) ints
-        For each corner of bins, how many bins to its left and below hold walls: four of them tell of any rectangle.
+        For each corner of bins, the number of bins to its left and below that contain walls: four of them
+        give the count in any rectangle.
     odd : (corners of bins,) ints
-        The same of bins that hold walls or are not halved; see `squares`.
+        As `walled`, for bins that contain walls or are not halved; see `squares`.
     plane : (2 bins, 2, 4)
         See `squares`.
     """
@@ -59,7 +63,7 @@ class FacetGrid(NamedTuple):
 
 
 class Triangles(NamedTuple):
-    """Triangles from anywhere, in both of their orders.
+    """Triangles from any source, in both of their orders.
 
     trees : Hierarchy
     grid : FacetGrid
@@ -80,7 +84,7 @@ NO_GRID = FacetGrid(
 
 
 def facet_grid(trees: Hierarchy) -> FacetGrid:
-    """Sort a hierarchy's triangles into bins; `NO_GRID` where they are too unlike in size for that to help."""
+    """Sort a hierarchy's triangles into bins; `NO_GRID` where their sizes are too different for that to help."""
     made: list[FacetGrid] = []
     first = edge = 0
     for begin, count in trees.tree[:, 1:3].tolist():
@@ -155,7 +159,7 @@ def _range(heights: Floats) -> tuple[float, float]:
 
 
 def _sums(held: Ints, bins: Ints) -> NDArray[np.int32]:
-    """How many of some bins are to the left and below of every corner of bins, row by row."""
+    """Number of the given bins to the left and below every corner of bins, row by row."""
     found = np.zeros((int(bins[1]) + 1, int(bins[0]) + 1), dtype=np.int32)
     j, i = np.divmod(held, int(bins[0]))
     found[j + 1, i + 1] = 1

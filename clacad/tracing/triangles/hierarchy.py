@@ -1,7 +1,8 @@
-"""Triangles in trees of boxes, one for each body, in which compiled code finds those that a ray meets.
+"""Triangles in trees of boxes, one for each body, in which compiled code finds the triangles that a ray
+meets.
 
-A tree is a complete binary one over triangles in Morton order of their places in the sheet plane: built by sorting,
-without recursion.
+Each is a complete binary tree over triangles in Morton order of their positions in the sheet plane: built by
+sorting, without recursion.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Hierarchy(NamedTuple):
     corner : (t, 3, 3) lengths
         Counter-clockwise seen from outside.
     corner_normal : (t, 3, 3) or (0, 3, 3)
-        Outward normals at the corners, where those are asked for.
+        Outward normals at the corners, where requested.
     tree : (bodies, 3) ints
         First box of each body's tree, its first triangle, their number.
     box : (nodes, 6) lengths

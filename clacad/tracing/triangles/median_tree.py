@@ -1,4 +1,4 @@
-"""A tree of boxes over triangles, and what a ray meets in it. Pure numpy; numba and embree do it faster.
+"""A tree of boxes over triangles, and the first hit of a ray in it. Pure numpy; numba and embree are faster.
 
 Bounding volumes by median split; triangles by Möller & Trumbore, J. Graphics Tools 2, 21 (1997).
 """
@@ -42,8 +42,8 @@ class Tree:
 def grow(corners: Floats) -> Tree:
     """Build the tree of triangles (t, 3, 3); triangles without area are left out.
 
-    Memory is about 200 bytes a triangle; the split is at the median of the longest side, so that the
-    tree, and with it the picture, is the same everywhere.
+    Memory is about 200 bytes a triangle. The split is at the median of the longest side, so the tree, and
+    with it the picture, is identical on all machines.
     """
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     corners = corners[np.isfinite(corners).all(axis=(1, 2)) & area.any(axis=1)]
@@ -81,12 +81,12 @@ def grow(corners: Floats) -> Tree:
 def nearest_triangle(
     tree: Tree, root: int, origin: Floats, direction: Floats, limit: Floats
 ) -> tuple[Floats, Ints]:
-    """First triangle each ray meets, whole bundles of rays going down the tree together.
+    """First triangle that each ray meets; whole bundles of rays traverse the tree together.
 
     Parameters
     ----------
     root : int
-        Node to start from: several trees may stand behind one another.
+        Node to start from: one `Tree` may contain several trees.
     origin, direction : (n, 3) arrays
         In the tree's frame; directions of any length.
     limit : (n,)

@@ -1,8 +1,8 @@
-"""Rung "mesh" of a sheet whose cells differ: its triangles as they lie, whoever's they are, and cells told afterwards.
+"""Rung "mesh" of a non-uniform sheet: light through all triangles, with the cells found afterwards.
 
-The trees that find triangles know no cells; the kernels above them count cells of one pitch. So light goes through the triangles as
-through those of a sheet of equal cells without an end, and every ray's cells are read off the places where it met the arrays, in
-the order in which it met them.
+The trees that find triangles know no cells, and the kernels above them assume cells of one pitch. Light is
+therefore traced through the triangles as if they belonged to a uniform sheet without an end. The cells of
+every ray are then found from the points where it met the arrays, in the order in which it met them.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from clacad.tracing.triangles.tiles import Normals
 
 MOST_FACETS = 4_000_000
-"""Triangles of a sheet that are held for tracing, none of them a copy of another."""
+"""Largest number of triangles of a sheet that are held for tracing, none of them a copy of another."""
 
 ENDLESS = 1_000_001
-"""Cells a way of a sheet that light does not pass beside."""
+"""Cells in each direction of a sheet so wide that no light passes outside it."""
 
 
 def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
@@ -41,7 +41,7 @@ def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
     Raises
     ------
     LimitRefused
-        More than are held.
+        More than `MOST_FACETS` triangles.
     """
     count = sum(body.facets_about for body in mesh.bodies)
     if count > MOST_FACETS:
@@ -58,7 +58,7 @@ def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
 
 
 def endless_layout(layout: Layout) -> Layout:
-    """A sheet of equal cells without an end that stands for one whose cells differ wherever only triangles are asked.
+    """Uniform sheet without an end that replaces a non-uniform one where only triangles are searched.
 
     layout : Layout
         Of the sheet, with the bounds of the triangles.
@@ -89,9 +89,10 @@ def endless_layout(layout: Layout) -> Layout:
 def told(
     window: Window, bodies: tuple[BodyPlan, ...], rays: Rays, result: TraceResult, record: bool
 ) -> TraceResult:
-    """The same light with the cells of the sheet itself; `result` was recorded through the triangles of `endless_layout`.
+    """Result with the cells of the sheet itself; `result` was recorded through the triangles of
+    `endless_layout`.
 
-    What passed a body beside its cells has missed the sheet: one without an end calls it land.
+    Rays that passed a body outside its cells have missed the sheet; the endless sheet calls them land.
     """
     way = _Way.of(bodies, rays, result)
     walkers, missed = _unmet(len(rays)), np.zeros(len(rays), dtype=bool)
@@ -111,15 +112,15 @@ def told(
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """What n rays met, face by face.
+    """Record of n rays, face by face.
 
     hits : (faces, n, 3) lengths
     met : (faces, n) bool
-        They were bent at that face.
+        Whether they were refracted at that face.
     dry : (bodies, n) bool
-        They have passed that body without meeting it.
+        Whether they have passed that body without meeting it.
     tops : (bodies, n, 3) lengths
-        Where those rose past it.
+        Points where those rays rose past it.
     """
 
     hits: Floats
@@ -129,7 +130,7 @@ class _Way:
 
     @classmethod
     def of(cls, bodies: tuple[BodyPlan, ...], rays: Rays, result: TraceResult) -> _Way:
-        """Read it off what was recorded: a face that was not met repeats the last point, or the end."""
+        """Derive it from a recorded trace: a face that was not met repeats the last point, or the end."""
         hits, turns, surface = result.hits, result.directions, result.surface
         assert hits is not None
         assert turns is not None
@@ -154,7 +155,9 @@ class _Way:
 
 
 def _last_body(bodies: tuple[BodyPlan, ...], result: TraceResult) -> Ints:
-    """Number (n,) of the body in which rays ended; one beyond the last of those that passed all, −1 of those that met none."""
+    """Number (n,) of the body in which rays ended; one beyond the last for rays that passed all, −1 for rays
+    that met none.
+    """
     lows = np.array([body.level + body.low for body in bodies])
     with np.errstate(invalid="ignore"):
         at_wall = np.searchsorted(lows, result.position[:, 2], side="right") - 1
@@ -171,7 +174,9 @@ def _unmet(n: int) -> Walkers:
 
 
 def _cells(window: Window, array: int, at: Floats) -> Ints:
-    """Cells (m, 2) of an array that hold points (m, 3), kept or not, told by differences that are rounded once."""
+    """Cells (m, 2) of an array that contain points (m, 3), kept or not, from differences that are rounded
+    once.
+    """
     dx, dy = window.placements[array].shift
     (x, x_low), (y, y_low) = two_sum(at[:, 0], -dx), two_sum(at[:, 1], -dy)
     return window.lattice_of(array).locate(x, y, x_low, y_low)[0]
@@ -193,7 +198,7 @@ def _noted(
 
 
 def _written(rays: Rays, result: TraceResult, walkers: Walkers, missed: Bools, record: bool) -> TraceResult:
-    """The rows with their cells; those that missed as launched."""
+    """Rows with their cells; missed rays as launched."""
     order = np.where(missed[:, None], NO_CELL, order_of(walkers)).astype(np.int32)
     through = result.fate <= Fate.GHOST
     fate = np.where(through, np.where(walkers.ghost, Fate.GHOST, Fate.ALIVE), result.fate)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 OWN_QUADS = 16
-"""Quads a cell side of the sheet's own mesh where none is given; scenes have as many."""
+"""Quads a cell side of the sheet's own mesh where none is given, as in scenes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Facets:
         The window, with the bounds of the triangles.
     found_in : Tiles or Triangles
     embree : tuple of BodyTree
-        Of each body, where Embree shall search; else empty.
+        One for each body where Embree is selected; else empty.
     """
 
     layout: Layout
@@ -44,15 +44,16 @@ class Facets:
 def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) -> Facets:
     """Triangles ready for rays through a window; the last ones are kept with the window.
 
-    Where cells differ they are those of a sheet without an end, and who traces tells cells by what was met.
+    For a non-uniform sheet they are those of a sheet without an end; the tracer finds cells afterwards from
+    the points met.
 
     Raises
     ------
     ValueError
-        The mesh has other bodies than the window, no normals where those are asked for, or no unit that fits; so many
-        quads cannot be made.
+        The mesh has other bodies than the window, no normals where vertex normals are requested, or no unit
+        that fits; or the requested number of quads cannot be made.
     LimitRefused
-        Cells differ, and their triangles are more than are held.
+        The sheet is non-uniform and has more triangles than are held.
     """
     if isinstance(mesh, Facets):
         return mesh
@@ -66,7 +67,9 @@ def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) ->
 
 
 def _identity(mesh: AnyMesh | int) -> Callable[[], object]:
-    """What tells a mesh from others when called: the object, None once it is gone; of a file, its place, time and size."""
+    """Function that returns the identity of a mesh: the object, None once it is deleted; of a file, its path,
+    time and size.
+    """
     if isinstance(mesh, int):
         return lambda: mesh
     if not isinstance(mesh, (str, os.PathLike)):

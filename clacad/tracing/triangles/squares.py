@@ -1,8 +1,9 @@
-"""Bins of a grid that facets halve: two that look down and two that look up, each pair a square cut along its diagonal.
+"""Bins of a grid that facets halve: two that face down and two that face up, each pair a square cut along its
+diagonal.
 
-A sheet's own mesh is made so nearly everywhere, and what is cut from a map of heights is. Where neighbouring squares share
-their corners to the last bit, each side of a body is one piece of surface over them, without holes, folds or steps:
-a ray steeper than all of its facets goes through it once, and a look into the table says where.
+Nearly all of a sheet's own mesh is made of such squares, and so are meshes of height maps. Where neighbouring
+squares share their corners to the last bit, each side of a body is one piece of surface over them, without
+holes, folds or steps. A ray steeper than all of its facets crosses it once, and one table lookup finds where.
 """
 
 from __future__ import annotations
@@ -15,31 +16,34 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 
 NEAR = 1e-3
-"""Share of a bin by which corners of facets may lie off those of the bin: numbers of files are rounded."""
+"""Share of a bin by which corners of facets may deviate from those of the bin: numbers in files are rounded.
+"""
 
 ROUNDED = 4.0
-"""A place so many times as far from a border as corners lie off theirs is on that side of it."""
+"""Multiple of the corner deviation: a point this far from a border is certainly on that side of it."""
 
 WHOLE_OF = (15 - (1 << 0), 15 - (1 << 1), 15 - (1 << 2), 15 - (1 << 3))
-"""Sets of three corners of a bin, by the one they lack; corners are 0, 1 along x and 2, 3 beyond them along y."""
+"""Sets of three corners of a bin, by the missing corner; corners are 0, 1 along x and 2, 3 beyond them along
+y.
+"""
 
 
 class Squares(NamedTuple):
-    """What halves the bins of one body.
+    """Facets that halve the bins of one body.
 
     Attributes
     ----------
     split : (2,)
-        Which way diagonals go below and above: −1 rising, +1 falling.
+        Direction of diagonals below and above: −1 rising, +1 falling.
     off : float
-        Share of a bin by which corners lie off those of bins.
+        Share of a bin by which corners deviate from those of bins.
     climb : (2,)
         Sine of the steepest slope of each side.
     plane : (2 bins, 2, 4)
-        Normal towards +z, as long as twice the facet's area, and its product with the facet's first corner, for both
-        halves of a bin, that before its diagonal first, on both sides.
+        Normal towards +z, of length twice the facet's area, and its product with the facet's first corner.
+        For both halves of a bin, the one before its diagonal first, on both sides.
     odd : (bins,) bools
-        Bins that are not halved so.
+        Bins that are not halved.
     """
 
     split: Floats
@@ -59,7 +63,7 @@ def squares(place: Floats, corners: Floats, normal: Floats, facet: Ints, where: 
     corners : (t, 3, 3) lengths
     normal : (t, 3)
     facet, where : (k,) ints
-        Facets that are no walls over the bins they are over, bin after bin.
+        Facets that are not walls and the bins they are over, bin after bin.
     bins : (2,) ints
     """
     count = int(bins.prod())
@@ -89,7 +93,9 @@ def squares(place: Floats, corners: Floats, normal: Floats, facet: Ints, where: 
 
 
 def _lacking(local: Floats) -> tuple[Ints, Floats]:
-    """Corner (k, 2) of its bin that each of two facets (k, 2, 3, 2) lacks, −1 where it is no half; how far off they lie."""
+    """Corner (k, 2) of its bin that each of two facets (k, 2, 3, 2) lacks, −1 where it is no half; and their
+    deviation.
+    """
     near = np.rint(local)
     far = np.abs(local - near).max(axis=(1, 2, 3), initial=0.0)
     sound = (near >= 0.0).all(axis=(2, 3)) & (near <= 1.0).all(axis=(2, 3)) & (far < NEAR)[:, None]

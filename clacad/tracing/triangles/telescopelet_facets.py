@@ -1,8 +1,8 @@
-"""Light through the very triangles of a file, one telescopelet at a time, in double precision.
+"""Light through the triangles of a file themselves, one telescopelet at a time, in double precision.
 
-A file is known here only as triangles. Those over one cell are gathered, and rays meet in each body the
-first facet that faces outward against them, then the first that faces outward along them; walls (facets
-nearly parallel to z) let nothing through. Nothing of the mesher or of the exact surfaces is used.
+A file is known here only as triangles. Those over one cell are gathered. In each body rays meet the first
+facet that faces outward against them, then the first that faces outward along them. Walls (facets nearly
+parallel to z) let nothing through. Nothing of the mesher or of the exact surfaces is used.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class FacetFace:
         Sheet frame.
     z_range : (low, high), lengths, relative to origin
     land : (t,) bool
-        Facets that are flat land: light through them is no lens light.
+        Facets that are flat land: light through them is not lens light.
     """
 
     trees: Hierarchy | None
@@ -45,13 +45,13 @@ class FacetFace:
 
 @dataclass(frozen=True, eq=False)
 class ExactFace:
-    """A face of the design in place of facets, where a file holds only one of two bodies.
+    """A face of the design in place of facets, where a file contains only one of two bodies.
 
     face : Face
     origin : (3,) lengths
         Centre of the face's cell in the sheet frame, z = 0.
     window : Window or None
-        Whose optical zone ends the face; None: it goes on.
+        Window whose optical zone ends the face; None: it continues.
     """
 
     face: Face
@@ -72,7 +72,7 @@ class FacetBody:
 
 
 def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> FacetFace:
-    """Make facets (t, 3, 3), given in the sheet frame, ready about `origin` (3,); `land` (t,) marks flat land."""
+    """Prepare facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
     flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
     if not len(local):
@@ -86,7 +86,7 @@ def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> Fa
 
 
 def on_land(window: Window, face: Face, corners: Floats) -> Bools:
-    """Tell which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
+    """Which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
     if face.land is None:
         return np.zeros(len(corners), dtype=bool)
     reach = max(abs(v) for v in window.z_range)
@@ -125,7 +125,9 @@ def first_crossing(
 
 
 def _meet(face: AnyFace, position: Floats, direction: Floats, entering: bool) -> tuple[Floats, Floats, Bools]:
-    """Distance (n,) along each ray, NaN for none; normal (n, 3) turned the way the light goes; whether it is land."""
+    """Distance (n,) along each ray, NaN for none; normal (n, 3) in the direction of the light; whether it is
+    land.
+    """
     if isinstance(face, FacetFace):
         if not len(face.normals):
             return np.full(len(position), np.nan), position, np.zeros(len(position), dtype=bool)
@@ -137,9 +139,7 @@ def _meet(face: AnyFace, position: Floats, direction: Floats, entering: bool) ->
     apex = face.origin + np.asarray(face.face.vertex)
     met = meet(face.face.surface, (position - apex) @ turn, direction @ turn)
     distance = np.where(met.distance >= 0.0, met.distance, np.nan)
-    if (
-        face.window is not None and face.face.array is not None
-    ):  # what it meets beyond belongs to another lens
+    if face.window is not None and face.face.array is not None:  # a hit beyond belongs to another lens
         x, y, _ = (position + distance[:, None] * direction - face.origin).T
         distance = np.where(in_optical_tile(face.window, x, y), distance, np.nan)
     return distance, met.gradient @ turn.T, np.zeros(len(position), dtype=bool)
@@ -158,8 +158,9 @@ def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
     Returns
     -------
     TraceResult
-        ALIVE where the ray entered and left every body over this telescopelet and goes on forwards, LAND where it
-        did so through land; TIR, BACKWARD; WALL where no facet was met (a wall, or another cell). `cell` and `order` are not known here.
+        ALIVE where the ray entered and left every body over this telescopelet and goes on forwards, LAND
+        where it did so through land; TIR, BACKWARD; WALL where no facet was met (a wall, or another cell).
+        `cell` and `order` are not known here.
     """
     passing = _Passing.launched(rays)
     live = np.arange(len(rays))
@@ -198,7 +199,9 @@ class _Passing:
     def cross(
         self, face: AnyFace, live: Rows, number: int, indices: tuple[float, float], entering: bool
     ) -> Rows:
-        """Move live rays (k,) to face `number` and refract them, between two refractive indices; those that go on."""
+        """Move live rays (k,) to face `number` and refract them, between two refractive indices; return those
+        that go on.
+        """
         distance, normal, on_land = _meet(face, self.position[live], self.direction[live], entering)
         met = np.isfinite(distance)
         self.aside[live[met & on_land]] = True

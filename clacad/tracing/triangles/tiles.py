@@ -1,8 +1,8 @@
 """A mesh in the numbers the tracer needs: one cell's facets as planes over its footprint, and where to find them.
 
 A sheet's mesh is a height field of one cell's triangles, repeated. In a cell the ray's facet is looked up in
-a regular grid of bins; which neighbour lies across an edge is known; what happens at the cell's border is the
-walk's business, exactly as for smooth lenses.
+a regular grid of bins, and the neighbour across each edge is known. The walk handles the cell's border,
+exactly as for smooth lenses.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Normals = Literal["facet", "vertex"]
 
 LENS, LAND, VOID = 0, 1, 2
 BEYOND = 2**59
-"""Levels beyond this stand for a face that is not there."""
+"""Levels beyond this represent a missing face."""
 
 # Columns of a tile's row: first facet, first bin, bins in x and y, corner of the grid, bins per length, diagonal.
 FIRST, BIN, BINS_X, BINS_Y, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, TILE_NUMBERS = range(10)
@@ -41,7 +41,7 @@ class Tiles(NamedTuple):
         Tile of a body's front and back.
     weight : (m, 3, 3)
         Barycentric coordinate k of facet i over (x, y) is a x + b y + c; inside where all three are ≥ 0.
-    beside : (m, 3) ints
+    `beside` : (m, 3) ints
         Facet across the edge opposite corner k, −1 at the tile's border.
     plane : (m, 2, 3)
         Height a x + b y + c of front and back over the body's level; NaN where there is no surface.
@@ -50,7 +50,7 @@ class Tiles(NamedTuple):
     start : (bins + 1,) ints, member : ints
         Facets of bin b are member[start[b] : start[b + 1]], those nearest its middle first.
     half : (2 bins,) ints
-        Facets that are just one half of a bin: 2 b below its diagonal, 2 b + 1 beyond; −1 for none.
+        Facets that are exactly one half of a bin: 2 b below its diagonal, 2 b + 1 beyond; −1 for none.
         Diagonals rise (SPLIT = −1) or fall (+1).
     lens : (2 bins, 2, 3)
         Planes of those facets where they belong to the lens, NaN elsewhere.
@@ -73,11 +73,11 @@ class Tiles(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TiledFace(FacePlan):
-    """A face that is the mesh's: bounds as of any face, the surface in the tiles.
+    """A face made of the mesh's facets: bounds as of any face, the surface in the tiles.
 
     tiles : Tiles
     tile : int
-        Which of them; of a plane face that of its body, whose facets are level.
+        Index of its tile; of a plane face that of its body, whose facets are level.
     side : 0 or 1
         Front or back.
     """
@@ -109,10 +109,10 @@ def lay_out_mesh(window: Window, mesh: Mesh, normals: Normals) -> tuple[Layout, 
     Parameters
     ----------
     window : Window
-        Cells, land and baffle are its; heights are the mesh's.
+        Window that defines cells, land and baffle; the mesh defines heights.
     mesh : Mesh
     normals : "facet" or "vertex"
-        The facets' own, or the exact ones at the vertices, interpolated.
+        Normals of the facets, or the exact normals at the vertices, interpolated.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def lay_out_mesh(window: Window, mesh: Mesh, normals: Normals) -> tuple[Layout, 
 
 
 def _tiled(plan: BodyPlan, tiles: Tiles, of: list[int]) -> BodyPlan:
-    """The body with faces that know their facets; `of` (2,): the tiles of front and back."""
+    """Body whose faces know their facets; `of` (2,): the tiles of front and back."""
     front, back = (
         TiledFace(
             **{one.name: getattr(face, one.name) for one in fields(face)},
@@ -174,7 +174,7 @@ def _vertex_normals(face: Face, xy: Floats) -> Floats:
 
 
 def _plan(plan: BodyPlan, tiles: list[_Tile], sides: list[int]) -> BodyPlan:
-    """The body with the mesh's bounds in place of the lenses'."""
+    """Body with the mesh's bounds in place of the lenses'."""
     front, back = (
         _plan_face(face, tiles[k], side)
         for side, (face, k) in enumerate(zip((plan.front, plan.back), sides, strict=True))
@@ -241,7 +241,7 @@ def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
     hair = 1e-9 * width  # a facet on a bin's border is in both bins
     first = np.clip(((corners.min(axis=1) - hair - low) / width).astype(np.int64), 0, count - 1)
     last = np.clip(((corners.max(axis=1) + hair - low) / width).astype(np.int64), 0, count - 1)
-    across = last - first + 1  # bins a facet lies in, along x and y
+    across = last - first + 1  # bins that contain a facet, along x and y
     facets, bins = over_bins(np.arange(len(corners)), first, across, count)
     middle = low + width * (np.stack([bins % count, bins // count], axis=1) + 0.5)
     weights = _weights(corners)[facets]
@@ -256,7 +256,7 @@ def over_bins(which: Ints, first: Ints, across: Ints, bins_x: int) -> tuple[Ints
     """Every pair of a facet of `which` (k,) and a bin it is over.
 
     first, across : (m, 2)
-        Of all facets: the first bin along x and y, and how many from there.
+        Of all facets: the first bin along x and y, and the number of bins from there.
     """
     each = across[which].prod(axis=1)
     facet = np.repeat(which, each)
@@ -266,7 +266,7 @@ def over_bins(which: Ints, first: Ints, across: Ints, bins_x: int) -> tuple[Ints
 
 
 def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
-    """Which way a grid's diagonals go, and the facet that fills each half of each bin."""
+    """Direction of a grid's diagonals, and the facet that fills each half of each bin."""
     nx, ny, low, per = int(table[0]), int(table[1]), np.array(table[2:4]), np.array(table[4:6])
     place = (corners - low) * per
     near = np.rint(place)
@@ -287,7 +287,7 @@ def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
 
 
 def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
-    """Tilings one after the other in the arrays of `Tiles`; `of` (bodies, 2): tile of each front and back."""
+    """Concatenate tilings in the arrays of `Tiles`; `of` (bodies, 2): tile of each front and back."""
     table: list[list[float]] = []
     starts, members, facets = [np.zeros(1, dtype=np.int64)], list[Ints](), 0
     beside, halves = [], list[Ints]()

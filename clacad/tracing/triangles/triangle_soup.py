@@ -1,7 +1,8 @@
-"""Triangles from anywhere, known by nothing but their corners: read, and told apart by body.
+"""Triangles from any source, known only by their corners: read, and assigned to bodies.
 
-A file that came back from a shop knows no cells, faces or bodies. Triangles are joined where they share a
-corner to the last bit; each connected piece belongs to the body of the window whose heights it lies nearest.
+A file of a part that a shop delivered contains no cells, faces or bodies. Triangles are joined where they
+share a corner to the last bit. Each connected piece belongs to the body of the window whose heights it lies
+nearest.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ MATCH = 0.02
 
 
 class UnusableMesh(ValueError):
-    """A mesh that light cannot be traced through as requested, or is none of this sheet; exit status 2."""
+    """A mesh that light cannot be traced through as requested, or that does not belong to this sheet; exit
+    status 2.
+    """
 
     exit_status = 2
 
@@ -44,8 +47,8 @@ class TriangleSoup:
     normals : (t, 3, 3) or None
         Unit outward normals at the corners, where the file has them.
     search : "tree" or "embree"
-        Who finds the triangle a ray meets: the own tree, or Embree (with facet normals, one wavelength
-        and nothing recorded; what is not plain goes to the tree). The results are the same.
+        Search for the triangle a ray meets: clacad's own tree, or Embree. Embree needs facet normals, one
+        wavelength and nothing recorded; unclear rays go to the tree. The results are the same.
     """
 
     corners: Floats
@@ -66,10 +69,10 @@ def read_soup(path: str | os.PathLike[str], window: Window, search: Search = "tr
     Raises
     ------
     ValueError
-        The file says no unit and its size fits the window in none, or in more than one; or Embree is asked for and
-        not installed.
+        The file states no unit and its size fits the window in none, or in more than one; or Embree is
+        requested and not installed.
     """
-    # readers live with the formats' writers; the tracer needs them only when it is handed a path
+    # readers are in the room of the formats' writers; the tracer needs them only when it is given a path
     from clacad.formats.mesh.readers import read_mesh
     from clacad.tracing.triangles.embree import installed
 
@@ -106,7 +109,7 @@ def _factor(corners: Floats, window: Window) -> float:
         x0, x1 = min(b[0] for b in boxes), max(b[1] for b in boxes)
         y0, y1 = min(b[2] for b in boxes), max(b[3] for b in boxes)
     elif len(window.bodies) > 1:
-        dx, dy = np.subtract(window.shifts[1], window.shifts[0])  # a field lens stands between
+        dx, dy = np.subtract(window.shifts[1], window.shifts[0])  # a field lens lies between
         x0, x1, y0, y1 = min(x0, x0 + dx), max(x1, x1 + dx), min(y0, y0 + dy), max(y1, y1 + dy)
     size = np.ptp(corners.reshape(-1, 3), axis=0)[:2]
     wanted = np.array([x1 - x0, y1 - y0])
@@ -120,12 +123,12 @@ def _factor(corners: Floats, window: Window) -> float:
 
 
 def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[Layout, Triangles]:
-    """Prepare a window and foreign triangles for tracing.
+    """Prepare a window and triangles from any source for tracing.
 
     Raises
     ------
     ValueError
-        A body of the window has no triangles, or vertex normals are asked of a file without them.
+        A body of the window has no triangles, or vertex normals are requested for a file without them.
     """
     if normals == "vertex" and soup.normals is None:
         raise UnusableMesh('normals = "vertex", but the mesh has none; they are never estimated')
@@ -148,7 +151,7 @@ def _upward(soup: TriangleSoup, which: Ints) -> Floats:
 
 
 def _bounded(plan: BodyPlan, corners: Floats) -> BodyPlan:
-    """The body with the triangles' heights as its bounds."""
+    """Body with the triangles' heights as its bounds."""
     low, high = float(corners[..., 2].min()) - plan.level, float(corners[..., 2].max()) - plan.level
     pad = 1e-9 * (plan.box[1] - plan.box[0])
     return replace(plan, low=low - pad, high=high + pad)
