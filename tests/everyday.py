@@ -232,7 +232,7 @@ EVERY_TIME: dict[str, dict[str, tuple[str, ...]]] = {
         "test_no_place_on_a_sheet_that_is_not_tilted_loses_the_piece": (),
         "test_bad_input_ends_with_status_2_and_one_sentence": (
             "arguments1-cannot read the scene",
-            "arguments2-it belongs in a design file",
+            "arguments2-is a design, which has no camera",
             "arguments3-camera.frame",
             "arguments4-there is no preset",
             "arguments5-PHOTO",

@@ -21,6 +21,9 @@ from clacad.sheet.plate import Plate
 from clacad.sheet.stack import BadStack
 from clacad.sheet.window import Window
 
+UNTINTED = (1.0, 1.0, 1.0)
+"""Tint of a sheet that takes no light of any colour."""
+
 
 def set_up(
     scene: Scene, window: Window, compiled: bool, passage: Passage | None = None, sheet: bool = True
@@ -58,11 +61,24 @@ def set_up(
         made = tables(stage)
         pane = (
             None
-            if planned.several
+            if planned.several or scene.sheet.tint != UNTINTED
             else pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
         )
     return Viewing(
-        stage, window, planned, colours, scale, box, front, opaque, sheet, before, compiled, made, pane
+        stage,
+        window,
+        planned,
+        colours,
+        scale,
+        box,
+        front,
+        opaque,
+        sheet,
+        before,
+        compiled,
+        made,
+        scene.sheet.tint,
+        pane,
     )
 
 
@@ -158,6 +174,8 @@ def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyo
     shines = np.flatnonzero((met & ~hidden)[beyond.parent])
     parent = beyond.parent[shines]
     found, _ = seen(viewing, beyond.position[shines] / viewing.scale, beyond.direction[shines], np.inf)
+    if viewing.tint != UNTINTED:
+        found = np.where(beyond.direction[shines, 2:] > 0.0, found * np.array(viewing.tint), found)
     if viewing.passage.plain:  # one ray beyond the sheet for each before it, its flux 1
         light[parent] = found
         return light

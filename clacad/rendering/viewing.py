@@ -9,6 +9,7 @@ from clacad.base.types import Floats
 from clacad.rendering.scene_arrays import SceneArrays
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.spectrum import SpectralLine
+from clacad.scene.colour import Rgb
 from clacad.sheet.window import Window
 
 
@@ -40,6 +41,8 @@ class Viewing:
         Compiled code or numpy.
     tables : Tables
         The stage for compiled code.
+    tint : (red, green, blue)
+        Linear transmission of what is seen through the sheet.
     pane : Pane or None
         The sheet for the kernel that does everything, where that can be.
     """
@@ -56,4 +59,5 @@ class Viewing:
     before: bool
     compiled: bool
     tables: Any
+    tint: Rgb
     pane: Any = None

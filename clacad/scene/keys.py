@@ -141,13 +141,14 @@ SHEET: Final[dict[str, Key]] = {
     "mesh": Key(_FILE, "rung mesh: triangles as written"),
     "quads": Key(Whole("a whole number from 1 to 256", 1, 256), "rung mesh without a file: quads a cell side", 16),
     "surround": Key(Word(("see-through", "opaque")), "what is seen beside the sheet", "see-through"),
+    "tint": Key(Several(_SMALL, ("red", "green", "blue")), "linear transmission per colour of what is seen through the only sheet", (1.0, 1.0, 1.0)),
     "continuous": Key(Flag(), "rung law of a law that varies: by the law at the very point, not of the cell hit", False),
 }  # fmt: skip
 STACKED: Final[dict[str, Key]] = {
     "id": Key(Text("a name of letters, digits, - and _, beginning with a letter", 60, pattern="[A-Za-z][A-Za-z0-9_-]*"),
               "name of the sheet, for animation, --set, plan and forecast", REQUIRED),
     "z": Key(_LENGTH_FROM_0, "where the sheet's own z = 0 stands; 0 for the first", 0.0),
-    **SHEET,
+    **{name: key for name, key in SHEET.items() if name != "tint"},
 }  # fmt: skip
 """Keys of a [[sheet]], of which a scene may hold several."""
 CAMERA: Final[dict[str, Key]] = {

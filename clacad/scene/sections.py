@@ -31,6 +31,8 @@ class SheetSpec:
         Quads a cell side, for rung mesh without a file.
     surround : {"see-through", "opaque"}
         What is seen beside the sheet.
+    tint : (red, green, blue)
+        Linear transmission, 0 to 1, of what is seen through the sheet; of a single sheet only.
     continuous : bool
         Rung law: by the law at the very point met, where it varies, instead of that of the cell hit.
     id : str
@@ -46,6 +48,7 @@ class SheetSpec:
     quads: int
     surround: Literal["see-through", "opaque"]
     continuous: bool = False
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
     id: str = ""
     z: float = 0.0
 

@@ -99,7 +99,7 @@ MUTATIONS = [
     Mutation("like a cell: cells 2 of thin lenses in the middle's place", LIKE, "shift=_pair(apart), pitch=None", "pitch=None", ALIKE),
     Mutation("like a cell: lenses where the middle has them", LIKE, "back=window.in_cell(body.back, index)", "back=replace(body.back, change=None)", ALIKE),
     Mutation("like a cell: partners in the middle's place", LIKE, "_pair(window.centres(k, index) - first)", "window.shifts[k]", ALIKE),
-    Mutation("like a cell: never wider", LIKE, "if factor <= 1.0:", "if True:", ALIKE),
+    Mutation("like a cell: never wider", LIKE, "max(scales) if widest", "1.0 if widest", ALIKE),
     Mutation("like a cell: always wider", LIKE, "if widest else 1.0", "if True else 1.0", ALIKE),
     Mutation("like a cell: one direction", LIKE, "(2.0 * np.pi / SIDES)", "0.0", ALIKE),
     Mutation("kernel: gradient transposed", OWN, "return xx * x + xy * y, yx * x + yy * y", "return xx * x + yx * y, xy * x + yy * y", ITS_KERNEL),

@@ -356,7 +356,7 @@ def test_render_writes_a_picture_says_how_and_refuses_to_overwrite(tmp_path):
     [
         (["render", "designs/scenes/fig3-z-8.toml", "-o", "x.jpg"], "a picture is one of"),
         (["render", "designs/scenes/nothing.toml", "-o", "x.png"], "cannot read the scene"),
-        (["render", "designs/paper-base.toml", "-o", "x.png"], "it belongs in a design file"),
+        (["render", "designs/paper-base.toml", "-o", "x.png"], "is a design, which has no camera"),
         (
             ["render", "designs/scenes/fig3-z-8.toml", "-o", "x.png", "--set", "camera.frame=-1"],
             "camera.frame",

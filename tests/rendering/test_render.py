@@ -569,3 +569,42 @@ def test_a_photograph_is_decoded_once_while_its_file_is_the_same(tmp_path):
     Image.new("RGBA", (6, 4), (0, 255, 0, 0)).save(place)
     assert read_picture(place).shape == (4, 6, 3)
     assert (read_picture(place) == 0.0).all()
+
+
+# -- the tint of a sheet -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_tint_takes_its_part_of_each_colour_seen_through_the_sheet_and_of_nothing_else(compiled):
+    """Light is linear: through the sheet each colour is the untinted one times the tint, beside and before it the same."""
+    tint = (0.42, 0.6, 0.86)
+    things = ({"kind": "checker", "height": -0.6}, BALL | {"at": [0, 0, -2]})
+    plain, tinted = (
+        view_through(
+            scene(
+                *things,
+                camera={"frame": 2.0, "pixels": [40, 40], "samples": 1},
+                sheet={"rung": "thin"} | more,
+            ),
+            compiled=compiled,
+        ).light
+        for more in ({}, {"tint": list(tint)})
+    )
+    side = (np.arange(40) + 0.5) / 20.0 - 1.0
+    through = np.abs(side)[:, None] < 0.5
+    through = through & through.T & ~((plain[..., 0] == 1.0) & (plain[..., 1] == 0.0))
+    np.testing.assert_allclose(tinted[through], plain[through] * tint, rtol=1e-12)
+    np.testing.assert_array_equal(tinted[~through], plain[~through])
+    assert plain[through].max() > 0.1
+
+
+def test_exact_surfaces_with_a_tint_are_drawn_alike_by_both_ways():
+    seen = scene({"kind": "checker", "height": -0.6}, camera={"pixels": [24, 24]}, sheet={"rung": "surfaces", "tint": [0.4, 0.6, 0.9]})  # fmt: skip
+    reference, compiled = (view_through(seen, compiled=way).light for way in (False, True))
+    assert np.abs(reference - compiled).max() <= 1.0 / 255.0
+
+
+@pytest.mark.parametrize("tint", [[0.5, 0.5, 1.1], [-0.1, 1, 1], [1, 1], "blue"])
+def test_a_tint_outside_0_to_1_is_refused(tint):
+    with pytest.raises(SceneError, match=r"sheet\.tint"):
+        scene(sheet={"tint": tint})

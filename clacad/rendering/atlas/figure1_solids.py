@@ -22,9 +22,6 @@ from clacad.scene import Scene
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.median_tree import grow
 
-TINT = (0.42, 0.60, 0.86)
-"""Linear colour of the glass."""
-
 CLEAR = 0.45
 """Share of the background that shows through one lit surface."""
 
@@ -33,14 +30,15 @@ QUADS = 8
 
 
 def solid_picture(scene: Scene) -> Bytes:
-    """Picture of a scene with its sheet drawn as tinted solids, encoded bytes (h, w, 3)."""
+    """Picture of a scene with its sheet drawn as solids of the colour `sheet.tint`, encoded bytes (h, w, 3)."""
     window = prescribe(scene.design())
+    tint = scene.sheet.tint
     scale = scene.unit_m / window.unit
     mesh = sheet_triangles(window)
     corners = np.concatenate([body.vertices[body.triangles] for body in mesh.bodies]) / scale
     background = tables(set_stage(scene))
     glass = tables(stage_of(
-        [[Primitive(MESH, np.eye(3), np.zeros(3), (0, 0, 0, 0), (TINT, TINT), tree=grow(corners))]],
+        [[Primitive(MESH, np.eye(3), np.zeros(3), (0, 0, 0, 0), (tint, tint), tree=grow(corners))]],
         replace(scene.light, ambient=0.25, key=0.9), scene.background,
     ))  # fmt: skip
     view = aim(scene.camera)
