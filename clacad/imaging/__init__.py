@@ -1,7 +1,7 @@
 """Imaging and beam shaping by a sheet: image points, and tables of cells that send light into a pattern.
 
-Contents: image points predicted and by rays, targets, the assignment of cells to them. The closed forms are in
-`clacad.optics.law.focusing`, pictures of scenes in `clacad.rendering`.
+Contents: image points predicted and by rays, targets, the assignment of cells to them. The closed forms are
+in `clacad.optics.law.focusing`, pictures of scenes in `clacad.rendering`.
 """
 
 from __future__ import annotations

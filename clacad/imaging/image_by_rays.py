@@ -113,11 +113,11 @@ class Image:
         As requested; with z = −inf, parallel light of the slopes x and y.
     rungs : tuple of RungImage
     width : (2,) lengths or None
-        Smallest full width of the image for cells of this size, along x and y: |η| p and more, 0 in the planes of
-        sharp pairs. None where a table gives each cell its own image.
+        Smallest full width of the image for cells of this size, along x and y: |η| p and more, 0 in the
+        planes of sharp pairs. None where a table gives each cell its own image.
     sampling : Sampling or None
-        Effect of the law's change from cell to cell. None where all cells share one law, or a table has no smooth
-        law.
+        Effect of the law's change from cell to cell. None where all cells share one law, or a table has no
+        smooth law.
     zone : Zone or None
         Set where array 2 has its own pitch, or is rotated.
     instead : Middle or None
@@ -261,7 +261,7 @@ def _astray(seen: TraceResult) -> tuple[int, int] | None:
 
 
 def _middle(window: Window, source: Floats, rung: Rung) -> Middle:
-    """Light along the middle of the field, parallel or from an equally distant point; share that gets through."""
+    """Light along the middle of the field, from an equally distant source, and the share that gets through."""
     slopes = np.mean(aperture_slopes(window, window.lattice.cells()), axis=0)
     far = np.isinf(source[2])
     place = np.array([*(slopes if far else source[2] * slopes), source[2]])
@@ -270,7 +270,7 @@ def _middle(window: Window, source: Floats, rung: Rung) -> Middle:
 
 
 def lens_plane(window: Window, rung: Rung) -> float:
-    """Height of array 2's lens centres over array 1's (length): the plane from which light leaves for its image."""
+    """Height of array 2's lens centres over array 1's (length); light leaves for its image from there."""
     if rung == "thin":
         return float(window.thin.offset[2])
     return float(next(face.vertex[2] for face in window.faces if face.array == 1))

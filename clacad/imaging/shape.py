@@ -1,7 +1,8 @@
 """A table of cells that sends parallel light into a picture or pattern on a screen.
 
-Cell (i, j) at C sends light of slope t to T on a screen Z behind array 2:  δ = t − η (T − C − s t)/Z. Cells are
-separate, so no integrable surface is needed. The trade-off: the picture has one spot for each cell, of the width
+Cell (i, j) at C sends light of slope t to T on a screen Z behind array 2:  δ = t − η (T − C − s t)/Z.
+Cells are separate, so no integrable surface is needed. The trade-off: the picture has one spot for each cell, of
+the width
 
     |η| p + 2 Z α/|η| + λ Z/(|η| p)      α: half angle of the source
 """
@@ -77,8 +78,8 @@ class Rendered:
     Parameters
     ----------
     seen, target, spots : (h, w) arrays
-        Light in each square of the screen, over all the light on the sheet: by rays; as requested, spread by the
-        width of a cell; and as one spot per cell of ideal lenses. Row 0 is the top.
+        Light in each square of the screen, over all the light on the sheet: by rays; as requested, spread by
+        the width of a cell; and as one spot per cell of ideal lenses. Row 0 is the top.
     corners : (x_min, x_max, y_min, y_max), lengths
     through : float
         Share of the light that goes through lenses of one telescopelet.
@@ -87,8 +88,8 @@ class Rendered:
     difference : float
         Half the sum of |seen − target|, each scaled to 1: the part of the light that is misplaced.
     by_lenses : float
-        The difference from `spots` instead: the part caused by the lenses. The remainder of `difference` is caused
-        by light coming in spots.
+        The difference from `spots` instead: the part caused by the lenses. The remainder of `difference` is
+        caused by light coming in spots.
     """
 
     seen: Floats
@@ -132,7 +133,7 @@ def shaped(design: Design, lattice: Lattice, target: Target, distance: float, so
 
 
 def blur_of(design: Design, distance: float, source: float) -> Blur:
-    """Widths of a cell's spot on a screen at `distance` (length), for a source of half angle `source` (radians)."""
+    """Widths of a cell's spot on a screen `distance` (length) away; `source`: half angle of the source (radians)."""
     waves = design.pair.wavelength / design.unit_m
     return Blur(*spot_widths(design.law, design.lattice.pitch, distance, source, waves))
 

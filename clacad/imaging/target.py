@@ -71,7 +71,7 @@ class Target:
         return made
 
     def places(self, count: int) -> Floats:
-        """Points (count, 2), lengths, in numbers proportional to the weights of the target points, to less than one.
+        """Points (count, 2), lengths: each target point's number is proportional to its weight, within less than one.
         Systematic sampling along the order of the points; within a pixel the samples are spread evenly.
 
         Raises
@@ -90,7 +90,7 @@ class Target:
 
 
 def _box_over_box(x: Floats, first: float, second: float) -> Floats:
-    """Share below x (lengths) of a box of width `first` blurred by a box of width `second` > 0, both centred on 0."""
+    """Share below x (lengths) of a box of width `first` blurred by one of width `second` > 0, both about 0."""
     if first == 0.0:
         return np.clip(x / second + 0.5, 0.0, 1.0)
 
@@ -162,7 +162,7 @@ def of_points(path: Path) -> Target:
 
 
 def _reduced(grey: Floats) -> Floats:
-    """Block means of a picture (h, w) with too many pixels; an incomplete edge block is averaged over its own pixels."""
+    """Block means of a picture (h, w) with too many pixels; edge blocks are averaged over their own pixels."""
     side = int(np.ceil(np.sqrt(grey.size / MOST_PIXELS)))
     if side <= 1:
         return grey

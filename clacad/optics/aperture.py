@@ -1,10 +1,10 @@
 """Diffraction at a lit zone: equivalent widths of a convex polygon and its Fraunhofer pattern.
 
-Along an axis the pattern is the Fourier transform of the zone's projection on that axis (its chord lengths). A
-rectangle along the axes is a slit: sinc²(π w ν), first zero at ν = 1/w. Two numbers describe any other zone.
-Its core is that of a slit of the *equivalent width* w = √12 σ, with σ the standard deviation of the projection.
-Both patterns begin as 1 − (2π σ ν)² . . ., so a rotated square keeps its own side. Its *first zero* lies between
-those of a slit and of a triangle of the zone's extent W: 1/W ≤ ν ≤ 2/W.
+Along an axis the pattern is the Fourier transform of the zone's projection on that axis (its chord lengths).
+A rectangle along the axes is a slit: sinc²(π w ν), first zero at ν = 1/w. Two numbers describe any other
+zone. Its core is that of a slit of the *equivalent width* w = √12 σ, with σ the standard deviation of the
+projection. Both patterns begin as 1 − (2π σ ν)² . . ., so a rotated square keeps its own side. Its *first
+zero* lies between those of a slit and of a triangle of the zone's extent W: 1/W ≤ ν ≤ 2/W.
 
 Multiplied by the wavelength these are angles: λ/w, λν.
 """

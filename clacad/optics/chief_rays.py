@@ -1,8 +1,8 @@
 """Chief rays through sheets and spaces in a row, one meridian at a time: matrices of position and slope.
 
-The chief ray of a cell passes through the middle of its lens 1. As long as cells are small, the chief rays of many
-cells represent the light. A sheet maps position and slope (x, t) to (x + s t, (t − δ − κ x)/η) from array 1 to
-array 2. The determinant of this map is 1/η; a sheet is no lens, so the determinant need not be 1.
+The chief ray of a cell passes through the middle of its lens 1. As long as cells are small, the chief rays of
+many cells represent the light. A sheet maps position and slope (x, t) to (x + s t, (t − δ − κ x)/η) from
+array 1 to array 2. The determinant of this map is 1/η; a sheet is no lens, so the determinant need not be 1.
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ def of_beams(
 ) -> ChiefRays:
     """A sheet described by the middle of the transmitted light, which for |η| > 1 is not a chief ray.
 
-    Lens 1 arrives at lens 2 as a copy η times as large, displaced by s t. If the copy is larger than lens 2, the
-    transmitted part is centred on lens 2's cell, at g X, with X the middle of lens 1. It entered at
-    (g X − X − s t)/η from X, and its slope is (t − δ − κ X)/η.
+    Lens 1 arrives at lens 2 as a copy η times as large, displaced by s t. If the copy is larger than lens 2,
+    the transmitted part is centred on lens 2's cell, at g X, with X the middle of lens 1. It entered at (g X
+    − X − s t)/η from X, and its slope is (t − δ − κ X)/η.
 
     scale : float
         g, the pitch of array 2 over that of array 1.

@@ -1,8 +1,8 @@
 """Least-squares search for the faces that follow a law best: residuals of fixed rays, and the minimiser.
 
-The residual of a ray is the deviation of its direction from the requested one, in two directions across the middle
-of the field. The law itself is not fitted, so a search cannot drift to another η. The rays stay the same
-throughout, and a lost ray counts as `LOST`: otherwise a search would lose rays to look sharp.
+The residual of a ray is the deviation of its direction from the requested one, in two directions across the
+middle of the field. The law itself is not fitted, so a search cannot drift to another η. The rays stay the
+same throughout, and a lost ray counts as `LOST`: otherwise a search would lose rays to look sharp.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ def law_residuals(sequence: Sequence[Interface], light: AskedLight) -> Floats:
 def minimise(residuals: Residuals, start: Floats) -> Floats:
     """Unknowns (k,) of the least sum of squares near `start` (k,), each of order 1.
 
-    Levenberg–Marquardt with Nielsen's damping, scaled by the largest slopes so far. Slopes are forward differences
-    in a fixed order, so the result is reproducible.
+    Levenberg–Marquardt with Nielsen's damping, scaled by the largest slopes so far. Slopes are forward
+    differences in a fixed order, so the result is reproducible.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def minimise(residuals: Residuals, start: Floats) -> Floats:
 def _step(
     residuals: Residuals, place: tuple[Floats, Floats], slopes: Floats, scale: Floats, damping: float
 ) -> tuple[Floats, Floats, float] | None:
-    """The next point (k,) with a smaller residual, its residuals (m,), and the new damping; None if there is none.
+    """The next point (k,) with a smaller residual, its residuals (m,) and the new damping; None if none exists.
 
     place : unknowns (k,) and residuals (m,); slopes : (m, k); scale : (k,)
     """

@@ -24,8 +24,8 @@ class Parabasal:
     direction : (3,) unit
         Exit direction of the axis ray, sheet frame.
     cosines, slopes : (2, 2), radians/length
-        Derivatives with respect to the entrance height (columns) of the exit ray's direction cosines and of its
-        slopes (rows), lens frame: zero for an afocal pair.
+        Derivatives with respect to the entrance height (columns) of the exit ray's direction cosines and of
+        its slopes (rows), lens frame: zero for an afocal pair.
     """
 
     direction: Floats

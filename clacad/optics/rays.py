@@ -96,8 +96,8 @@ class TraceResult:
     Attributes
     ----------
     position, direction : (n, 3) arrays
-        Last point hit and unit direction there, in the sheet frame. TIR, WALL, VIGNETTED: the last hit and the
-        direction before it. MISSED and INVALID: as launched.
+        Last point hit and unit direction there, in the sheet frame. TIR, WALL, VIGNETTED: the last hit and
+        the direction before it. MISSED and INVALID: as launched.
     fate : (n,) uint8 array of `Fate`
     optical_path : (n,) array, design units
         Sum of index times distance from the start to `position`.
@@ -108,8 +108,8 @@ class TraceResult:
     flux : (n,) array
         1 unless an effect changes it.
     hits, directions : (surfaces, n, 3) arrays or None
-        With ``record=True``: the point hit at each surface and the unit direction after it, sheet frame. A ray
-        that ended earlier repeats its last point and direction.
+        With ``record=True``: the point hit at each surface and the unit direction after it, sheet frame. A
+        ray that ended earlier repeats its last point and direction.
     """
 
     position: Floats

@@ -1,7 +1,7 @@
 """Rays through an explicit sequence of surfaces: `Interface`, `trace_sequence`.
 
-A ray is stored as its offset from the vertex it last left, in sheet axes, and passes from one surface's frame to
-the next by the difference of the vertices. Only the result is in sheet coordinates, so a cell 1e9 pitches
+A ray is stored as its offset from the vertex it last left, in sheet axes, and passes from one surface's frame
+to the next by the difference of the vertices. Only the result is in sheet coordinates, so a cell 1e9 pitches
 away is traced like the one at the origin.
 """
 
@@ -23,10 +23,14 @@ from clacad.optics.surface import ULP, Surface, meet_at, refract
 Aperture = tuple[Literal["ellipse", "rectangle"], float, float]
 
 UNIT = 4 * ULP
-"""Directions whose square is 1 within this are used unchanged: dividing by the length would only add rounding."""
+"""Directions whose square is 1 within this are used unchanged: dividing by the length would only add
+rounding.
+"""
 
 BEHIND = 8 * ULP
-"""Share of a ray's travel by which a surface may seem to lie behind it by rounding, as where two faces touch."""
+"""Share of a ray's travel by which a surface may seem to lie behind it by rounding, as where two faces
+touch.
+"""
 
 FAR = 1024.0
 """Travel over lateral distance from the vertex above which the plain step to the vertex plane loses digits."""
@@ -204,7 +208,7 @@ def launch(position: Floats, direction: Floats, vertex: tuple[float, float, floa
 
 
 def pass_on(offset: Floats, left: tuple[float, float, float], entered: tuple[float, float, float]) -> Floats:
-    """Convert offsets (m, 3), lengths, from vertex `left` to vertex `entered`, by the difference of the vertices."""
+    """Offsets (m, 3), lengths, from vertex `left` converted to vertex `entered`, by the vertices' difference."""
     high, low = two_sum(left, np.negative(entered))
     return np.asarray((offset + low) + high)
 

@@ -66,8 +66,8 @@ class Stretch:
     start, stop : float
         Parameters on the border, 0 … 1.
     sign : −1, 0 or +1
-        Sign of d = z_left − z_right. 0 where a side is void or the step never exceeds the merge height: the cells
-        then share ONE edge and have no wall.
+        Sign of d = z_left − z_right. 0 where a side is void or the step never exceeds the merge height: the
+        cells then share ONE edge and have no wall.
     left, right : "lens", "land" or "void"
         Kind of the face, left and right of the border. Both void: no edge at all.
     """
@@ -89,7 +89,8 @@ class Border:
     start, end : (2,) lengths
         In the left cell's frame (t = 0, 1).
     steps : side → tuple of Stretch
-        Stretches of each face that repeats on this tiling, with the sign of the step, from 0 to 1 without gaps.
+        Stretches of each face that repeats on this tiling, with the sign of the step, from 0 to 1 without
+        gaps.
     joints : ((t0, t1), ...) or None
         Stretches on which the two columns share material. None where the body's two faces repeat on different tilings
         (always joined).

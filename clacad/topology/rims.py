@@ -83,7 +83,7 @@ def _edge_roots(function: Gap, points: Floats, edges: Ints, positive: Bools) -> 
 
 
 def _following_edges(triangles: Ints, number: Ints, positive: Bools) -> dict[int, int]:
-    """Edge by which the curve enters a triangle → edge by which it leaves; `number` (t, 3) numbers the edges."""
+    """Edge by which the curve enters a triangle → edge by which it leaves; `number` (t, 3): edge numbers."""
     follows: dict[int, int] = {}
     for corner, edge in zip(triangles, number):
         sign = positive[corner]

@@ -1,4 +1,4 @@
-"""Walls: the strips where exactly one of two columns is solid, and which of them share a vertical edge at a node.
+"""Walls: strips where exactly one of two columns is solid, and those that share a vertical edge at a node.
 
 Mesh and B-Rep both use this module, with different heights: integer multiples of a step for triangles,
 millimetres for faces.
@@ -50,8 +50,8 @@ def solid_strips(
 def runs_round(solid: Sequence[bool]) -> list[int]:
     """Number the runs of adjacent solid sectors around a vertical line; −1 where a sector is not solid.
 
-    Counter-clockwise; run 0 is the first that begins after sector −1. The two walls of a run share one vertical edge.
-    Two runs are a saddle: columns that touch in a line.
+    Counter-clockwise; run 0 is the first that begins after sector −1. The two walls of a run share one
+    vertical edge. Two runs are a saddle: columns that touch in a line.
     """
     starts = [s for s in range(len(solid)) if solid[s] and not solid[s - 1]]
     runs = [0 if one else -1 for one in solid]

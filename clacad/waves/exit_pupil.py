@@ -1,11 +1,11 @@
 """Pupil method: exit points and phases of a telescopelet's light by exact trace, and its far field.
 
 A plane wave is incident on lens 1 of one cell on a regular grid. Every ray that leaves through the partner is
-carried on to one plane across the law's direction. Its optical path from a wave front of the incident light gives
-its phase, and the spread of the neighbouring rays its amplitude. Fraunhofer's integral over that plane is the far
-field. Rays do not arrive on a grid: each is distributed over the four grid points around it, and the transform is
-divided by that of the distribution (the type-1 transform of Dutt & Rokhlin, SIAM J. Sci. Comput. 14, 1368 (1993),
-with a triangle as the kernel).
+carried on to one plane across the law's direction. Its optical path from a wave front of the incident light
+gives its phase, and the spread of the neighbouring rays its amplitude. Fraunhofer's integral over that plane
+is the far field. Rays do not arrive on a grid: each is distributed over the four grid points around it, and
+the transform is divided by that of the distribution (the type-1 transform of Dutt & Rokhlin, SIAM J. Sci.
+Comput. 14, 1368 (1993), with a triangle as the kernel).
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ def _traced(
     window: Window, cell: tuple[int, int], points: Floats, direction: Floats, asked: Floats, across: Floats,
     wavelength: float,
 ) -> tuple[Floats, Floats, Floats, Bools]:  # fmt: skip
-    """Exit points (n, 2), optical paths (n,), direction cosines off the law (n, 2), and which rays (n,) obey it."""
+    """Exit points (n, 2), optical paths (n,), direction cosines off the law (n, 2), rays that obey it (n,)."""
     ways = np.broadcast_to(direction, (len(points), 3)).copy()
     lit = launched(window, points, ways, cell, direction).rays
     seen = trace(

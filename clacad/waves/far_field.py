@@ -14,12 +14,14 @@ from clacad.base.types import Floats, Pair2
 Complex = NDArray[np.complex128]
 
 FINE = 16
-"""Least number of points of a far field per λ/w: half-maximum points are then accurate to a thousandth of it."""
+"""Least number of points of a far field per λ/w: half-maximum points are then accurate to a thousandth of
+it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """Light against the angle off the law along one lens axis: sum over the other axis, or section through the peak.
+    """Light against the angle off the law along one lens axis: summed over the other, or cut through the peak.
 
     off : (k,) radians
         Direction cosine less that of the law, evenly spaced, ascending.
@@ -76,8 +78,8 @@ class FarField:
     marginals : (Marginal, Marginal)
         Along lens x and lens y, summed over the other axis.
     sections : (Marginal, Marginal)
-        Along lens x and lens y through the brightest direction. Equal to `marginals` for a cell with sides along the
-        lens axes.
+        Along lens x and lens y through the brightest direction. Equal to `marginals` for a cell with sides
+        along the lens axes.
     strehl : float
         Peak over that of the light through the partner with a flat wave front: at most 1.
     points : tuple of int
@@ -127,7 +129,7 @@ def marginal(field: Complex, axis: int, spacing: float, wavelength: float, width
 def section(
     field: Complex, axis: int, turns: Sequence[float], spacing: float, wavelength: float, width: float
 ) -> Marginal:
-    """Far field of an amplitude on a regular grid (n, n) along one axis, through the direction found by `brightest`."""
+    """Far field of an amplitude on a regular grid (n, n) along one axis, through the `brightest` direction."""
     other = 1 - axis
     wave = np.exp(-2j * np.pi * turns[other] * np.arange(field.shape[other]))
     return marginal(np.tensordot(field, wave, axes=(other, 0)), 0, spacing, wavelength, width)
@@ -141,8 +143,8 @@ def flatness(field: Complex) -> float:
 def brightest(field: Complex) -> tuple[float, tuple[float, ...]]:
     """Largest |Σ field|² over all directions of a pupil on a regular grid, and its direction.
 
-    The largest point of the fast transform is refined on a finer grid. The direction is given in turns per grid
-    point, one number for each axis.
+    The largest point of the fast transform is refined on a finer grid. The direction is given in turns per
+    grid point, one number for each axis.
     """
     dims = field.ndim
     size = [1 << int(np.ceil(np.log2(2 * n))) for n in field.shape]

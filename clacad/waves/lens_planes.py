@@ -1,13 +1,13 @@
 """Waves through ideal thin lenses with rims, plane by plane: band-limited angular spectrum.
 
-*Frame.* x is measured from the chief ray, the ray of the incident direction through the middle of the first lens.
-Phases are relative to the wave that the chief ray carries along: a decentred lens deflects that ray, and only the
-remainder bends the wave. So the grid is independent of the angle of incidence. The far field is centred on the chief
-ray's exit, which is the law's, and slopes add as in thin lenses (t' = t − x/f).
+*Frame.* x is measured from the chief ray, the ray of the incident direction through the middle of the first
+lens. Phases are relative to the wave that the chief ray carries along: a decentred lens deflects that ray,
+and only the remainder bends the wave. So the grid is independent of the angle of incidence. The far field is
+centred on the chief ray's exit, which is the law's, and slopes add as in thin lenses (t' = t − x/f).
 
-*Law.* Fresnel's propagation, exp(−iπλ z ν²), without the waves that would leave the grid on the way (Matsushima &
-Shimobaba, Opt. Express 17, 19662 (2009)). Axes are coupled by the rims alone: cells along the lens axes are computed
-axis by axis, others on a square grid.
+*Law.* Fresnel's propagation, exp(−iπλ z ν²), without the waves that would leave the grid on the way
+(Matsushima & Shimobaba, Opt. Express 17, 19662 (2009)). Axes are coupled by the rims alone: cells along the
+lens axes are computed axis by axis, others on a square grid.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ MOST = 4096
 """Largest number of points along each side of a square grid; a single axis may have MOST² points."""
 
 FEWEST = (256, 128)
-"""Least number of points across the first rim, in one dimension and in two, to resolve it and its diffraction."""
+"""Least number of points across the first rim, in one dimension and in two, to resolve it and its
+diffraction.
+"""
 
 ROOM = (16.0, 12.0)
 """Width of the grid over the half width of its content, in one dimension and in two.
@@ -90,8 +92,8 @@ def telescope(
     rim : (m, dims) lengths or None
         Of lens 2; None: as `zone`.
     field_lens : bool
-        Whether a lens at the common focus images lens 1 onto lens 2: 1/f = 1/f1 + 1/f2. Its own cells lie on the
-        lines from cell to partner.
+        Whether a lens at the common focus images lens 1 onto lens 2: 1/f = 1/f1 + 1/f2. Its own cells lie on
+        the lines from cell to partner.
 
     Raises
     ------
@@ -271,7 +273,8 @@ def coverage(stop: Floats, grid: Grid) -> Floats:
         low, high = float(stop.min()), float(stop.max())
         within = np.minimum(x + 0.5 * step, high) - np.maximum(x - 0.5 * step, low)
         return np.asarray(np.clip(within / step, 0.0, 1.0))
-    # depth inside each border, in points: exact but at corners, where up to half of the last point is uncertain
+    # depth inside each border, in points: exact but at corners, where up to half of the last point is
+    # uncertain
     corners = stop if _turns_left(stop) else stop[::-1]
     found = np.ones((grid.points, grid.points))
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):

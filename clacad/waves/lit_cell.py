@@ -1,7 +1,8 @@
 """A sheet's telescopelet in light of one direction, prepared for waves.
 
-In a non-uniform sheet it is the worst cell, by which the whole sheet is judged (`tracing/worst_cell.py`). It is lit
-along the middle of its own field. Its rays go through the whole sheet, and its lens 2 has the rim of its own array.
+In a non-uniform sheet it is the worst cell, by which the whole sheet is judged (`tracing/worst_cell.py`). It
+is lit along the middle of its own field. Its rays go through the whole sheet, and its lens 2 has the rim of
+its own array.
 """
 
 from __future__ import annotations

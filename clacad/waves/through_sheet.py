@@ -1,8 +1,9 @@
 """Waves through a sheet's telescopelet in one direction, compared with its rays.
 
-*Choice of method.* From Fresnel number 10 on, and with foci between the lenses, the pupil method: lens 1's rim is
-then imaged sharply enough on lens 2. Below, or where a virtual focus leaves lens 1's rim without an image, the
-angular spectrum of the ideal pair. Both are given where both can be computed; `far_field` is the valid one.
+*Choice of method.* From Fresnel number 10 on, and with foci between the lenses, the pupil method: lens 1's
+rim is then imaged sharply enough on lens 2. Below, or where a virtual focus leaves lens 1's rim without an
+image, the angular spectrum of the ideal pair. Both are given where both can be computed; `far_field` is the
+valid one.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ MOST_COLUMNS = 1000
 """Largest number of cells that light may pass over inside a body; the rays then take about ten seconds."""
 
 SECONDS_A_POINT = 0.25e-6
-"""Processor seconds per grid point on the reference machine, for both planes and the propagation between them."""
+"""Processor seconds per grid point on the reference machine, for both planes and the propagation between
+them.
+"""
 
 
 def wave(
@@ -49,8 +52,8 @@ def wave(
     ----------
     design : Design
     field : (x, y), radians
-        Angles of the incident light off the middle of the field, along the sheet's x and y. In a non-uniform sheet
-        the field is that of the worst cell.
+        Angles of the incident light off the middle of the field, along the sheet's x and y. In a non-uniform
+        sheet the field is that of the worst cell.
     wavelength : float or None, metres
         None: the design's, 550 nm where it gives a bare index.
     field_lens : bool
@@ -63,8 +66,8 @@ def wave(
     Raises
     ------
     BadRequest
-        A direction for which no light obeys the law, a wavelength outside the material's data, or a field lens where
-        the focus is virtual.
+        A direction for which no light obeys the law, a wavelength outside the material's data, or a field
+        lens where the focus is virtual.
     LimitRefused
         The valid method needs a larger grid than is computed; the message names the method.
     DesignError, NoSuchLens

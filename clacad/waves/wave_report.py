@@ -82,7 +82,8 @@ class WaveReport:
     def share(self) -> float:
         """Share of the light on lens 1's optical zone that leaves through the partner.
 
-        It includes aberration and diffraction: the share of rays through the exact surfaces times the change by waves through ideal lenses.
+        It includes aberration and diffraction: the share of rays through the exact surfaces times the change
+        by waves through ideal lenses.
         """
         change = self.thin_share / self.thin_share_of_rays if np.isfinite(self.thin_share) else 1.0
         return self.thin_share if self.exact is None else min(1.0, self.rays.share * change)

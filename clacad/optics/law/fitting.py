@@ -51,8 +51,9 @@ def fit_law(d_in: ArrayLike, d_out: ArrayLike, axes: LawParameters | None = None
 
     Notes
     -----
-    A linear start (free axes: direct linear transform, Hartley & Zisserman, Multiple View Geometry, ch. 4), then
-    Gauss–Newton in 1/η, δ/η and a small rotation of the lens frame, which stay regular where Euler angles do not.
+    A linear start (free axes: direct linear transform, Hartley & Zisserman, Multiple View Geometry, ch. 4),
+    then Gauss–Newton in 1/η, δ/η and a small rotation of the lens frame, which stay regular where Euler
+    angles do not.
     """
     a, b = usable_rays(d_in, d_out, 4 if axes is None else 2)
     found, free = (_free_fit(a, b), NAMES) if axes is None else (held_fit(a, b, axes), NAMES[:4])
@@ -269,7 +270,8 @@ def _covariance(law: LawParameters, a: Floats, b: Floats, count: int) -> tuple[F
     state = _state(law)
     jacobian, unit = _jacobian(state, a, turn=True)
     design = (jacobian @ _chain(law))[:, :, :count].reshape(-1, count)
-    # η and δ scaled by their effect on the rays, angles per radian: φ of an almost round lens is then undetermined.
+    # η and δ scaled by their effect on the rays, angles per radian: φ of an almost round lens is then
+    # undetermined.
     scale = np.full(count, np.sqrt(len(a)))
     scale[:4] = np.linalg.norm(design[:, :4], axis=0)
     scale[scale == 0.0] = 1.0

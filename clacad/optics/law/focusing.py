@@ -1,12 +1,13 @@
 """Images formed by a non-uniform sheet, per axis and in closed form.
 
-Chief rays run through the centres X of the lenses of array 1 and leave array 2 at X + s t with the slope
-t' = (t − δ₀ − κX)/η. Every point is therefore imaged to a point. Heights z count from array 1, image distances ζ from
-array 2, both towards +z, so a light source has z < 0. With η < 0 both foci lie on one side, unlike those of any lens:
-C. Hembd-Sölner, R. F. Stevens and M. C. Hutley, J. Opt. A 1, 94 (1999); D. Gabor, UK patent 541 753 (1940).
+Chief rays run through the centres X of the lenses of array 1 and leave array 2 at X + s t with the slope t' =
+(t − δ₀ − κX)/η. Every point is therefore imaged to a point. Heights z count from array 1, image distances ζ
+from array 2, both towards +z, so a light source has z < 0. With η < 0 both foci lie on one side, unlike those
+of any lens: C. Hembd-Sölner, R. F. Stevens and M. C. Hutley, J. Opt. A 1, 94 (1999); D. Gabor, UK patent 541
+753 (1940).
 
-All numbers of a sheet are computed as fractions and rounded once. No accuracy is lost for κ = 1e-12, for pitches
-that agree to 1e-12 or for objects close to a focus. A quotient that overflows is infinite.
+All numbers of a sheet are computed as fractions and rounded once. No accuracy is lost for κ = 1e-12, for
+pitches that agree to 1e-12 or for objects close to a focus. A quotient that overflows is infinite.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Glens:
         return _ratio(Exact(self.eta) - 1, Exact(self.kappa))
 
     def image_distance(self, z: float) -> float:
-        """ζ (length): image distance from array 2 of height z (length; −inf: parallel light); negative: virtual."""
+        """Image distance ζ (length) from array 2 for height z (length; −inf: parallel light); < 0: virtual."""
         if isinf(z):
             return self.f_image
         return _ratio(*self._distance(Exact(z)))
@@ -181,7 +182,10 @@ class Superlens:
 
     @property
     def moire_period(self) -> float:
-        """p1 p2/|p1 − p2| (length). With a rotation α, √((p1 − p2)² + 4 p1 p2 sin²(α/2)) replaces the difference."""
+        """Moiré period (length): p1 p2/|p1 − p2|.
+
+        With a rotation α, √((p1 − p2)² + 4 p1 p2 sin²(α/2)) replaces the difference.
+        """
         return self._over_distance(self.pitches[1])
 
     @property
@@ -276,11 +280,11 @@ class SharpPair:
 
 
 def cell_width(focal_lengths: Pair2, separation: float, planes: Pair2, pitch: float) -> float:
-    """Full width (length) of the light of a point on a plane behind array 2 when one cell of a pitch fills lens 1.
+    """Full width (length) of a point's light on a plane behind array 2 when one cell of a pitch fills lens 1.
 
     planes : (z, ζ), lengths
-        Height of the point from array 1, and of the plane from array 2. Either may be infinite (then: 0, or an
-        angle).
+        Height of the point from array 1, and of the plane from array 2. Either may be infinite (then: 0, or
+        an angle).
     """
     f1, f2 = map(Exact, focal_lengths)
     slope = -_reciprocal(planes[0]) - 1 / f1

@@ -157,7 +157,7 @@ def stretch_on_sheet(law: Law, z: ArrayLike, camera_distance: float) -> Floats:
 
 
 def _over(numerator: Floats, camera_distance: float, z: Floats, law: Law) -> Floats:
-    """numerator/(D + z/η), with η multiplied through and Dη + z rounded once, which keeps accuracy near the pole."""
+    """numerator/(D + z/η), with η multiplied through and Dη + z rounded once: accurate near the pole."""
     eta = np.array([law.eta_x, law.eta_y])
     product, low = two_product(camera_distance, eta)
     total, rest = two_sum(product, z)

@@ -1,8 +1,9 @@
 """Directions behind a sheet by the law, with δ and η common to all directions or one value for each.
 
-Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed, so nothing is
-divided by m_z. The differences are compensated: light that leaves along the axis because t ≈ δ keeps its
-relative accuracy. Powers of two are carried apart, so neither 1e±200 in d nor |δ| = 1e200 nor η = 1e±200 overflows.
+Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed, so nothing
+is divided by m_z. The differences are compensated: light that leaves along the axis because t ≈ δ keeps its
+relative accuracy. Powers of two are carried apart, so neither 1e±200 in d nor |δ| = 1e200 nor η = 1e±200
+overflows.
 """
 
 from __future__ import annotations

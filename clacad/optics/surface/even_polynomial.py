@@ -2,15 +2,17 @@
 
 Notation as in `clacad.optics.surface.sag_and_normal`.
 
-Along the ray, taken upwards, F = z − sag must change from − to +. The search stays on the stretch of the ray over
-which the base is real: the one with the base point, else the nearest. It keeps the signs it has found as a bracket
-and takes Newton's step wherever that step is usable. Otherwise it halves the bracket, or doubles its stride until it
-has one. A ray steeper than the surface has one such crossing. A grazing ray may cross upwards more than once; the
-crossing found first is then taken. A search that does not converge is a miss: NaN.
+Along the ray, taken upwards, F = z − sag must change from − to +. The search stays on the stretch of the ray
+over which the base is real: the one with the base point, else the nearest. It keeps the signs it has found as
+a bracket and takes Newton's step wherever that step is usable. Otherwise it halves the bracket, or doubles
+its stride until it has one. A ray steeper than the surface has one such crossing. A grazing ray may cross
+upwards more than once; the crossing found first is then taken. A search that does not converge is a miss:
+NaN.
 
-Error of the point along z: at most 8 ulp of |Q|/(1 + w) and the sizes of all terms over |H|/(w |N|), the factor by
-which the ray grazes (1 at right angles); largest seen 3.3, tests/optics/test_even_polynomial.py. Where the base is
-steep, the w of a hit's normal is computed from the height: 1 − w² from (x, y) has lost accuracy that z still has.
+Error of the point along z: at most 8 ulp of |Q|/(1 + w) and the sizes of all terms over |H|/(w |N|), the
+factor by which the ray grazes (1 at right angles); largest seen 3.3, tests/optics/test_even_polynomial.py.
+Where the base is steep, the w of a hit's normal is computed from the height: 1 − w² from (x, y) has lost
+accuracy that z still has.
 """
 
 from __future__ import annotations
@@ -29,13 +31,16 @@ from clacad.optics.surface.sag_and_normal import (
 )
 
 POLYNOMIAL_STEPS = 120
-"""Four steps suffice for lens-like hits; the rest is for grazing rays, and for halvings down to the last bit."""
+"""Four steps suffice for lens-like hits; the rest is for grazing rays, and for halvings down to the last
+bit.
+"""
 
 SETTLED = 2.0**-34
 """Relative step after which Newton's next error, its square, is below rounding."""
 
 CLOSE = 2.0**-24
-"""Height over the surface, relative to the sizes of its terms, above which a small step does not count as a root.
+"""Height over the surface, relative to the sizes of its terms, above which a small step does not count as a
+root.
 
 Near the equator of the base the surface is vertical, and every step is small.
 """
@@ -48,7 +53,7 @@ TIGHT = 4 * ULP
 
 
 def polynomial_root(surface: EvenPolynomial, base: Columns, ray: Columns) -> Floats:
-    """Distance (n,), length, from base points to where rays cross the surface towards their far side; NaN: none.
+    """Distance (n,), length, from base points to the crossing towards the side the rays go to; NaN: none.
 
     base, ray : three columns (n,): base point, direction
     """
@@ -126,8 +131,8 @@ class _Search:
 def _real_stretch(surface: EvenPolynomial, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
     """Ends (n,), distances from the base point, of the stretch where 1 − a x² − b y² ≥ 0; none if first > last.
 
-    Outside the roots of a quadratic that opens upwards there are two stretches. The one with 0 in it is taken, else
-    the nearer.
+    Outside the roots of a quadratic that opens upwards there are two stretches. The one with 0 in it is
+    taken, else the nearer.
     """
     (a, _), (b, _) = slope_terms(surface)
     (x, y, _), (L, M, _) = base, ray

@@ -20,7 +20,9 @@ CANCELS = 1e3
 
 
 STEEPEST = 0.25
-"""|N| below which rays are not carried to the vertex plane, which may lie far off, but to the apex's level."""
+"""|N| below which rays are not carried to the vertex plane, which may lie far off, but to the apex's
+level.
+"""
 
 
 def carry(start: Columns, ray: Columns) -> tuple[Floats, Columns]:
