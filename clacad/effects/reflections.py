@@ -4,7 +4,7 @@
 exactly (`clacad.effects.engine.nonsequential`), with Fresnel's share at every face; it implies the losses of `fresnel` on the
 straight path. In a trace, one row a ray, only those losses appear; the split paths are rows of
 `clacad.effects.light_reaching_camera`.
-*Law.* Shares of all paths, what was cut off beyond the order included, sum to 1 without noise.
+*Law.* Shares of all paths, including those cut off beyond the order, sum to 1 without noise.
 *On when* N(N − 1)/2 r0² D (forward, D the scene's contrast) or N r0 times the front world's brightness exceeds the
 radiance that matters. *Cost* 1.75 N², compiled.
 """
@@ -33,7 +33,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def bound(situation: Situation) -> Bound:
-    """First order in r0: forward pairs of faces, and every face once backwards; steeper rays reflect more."""
+    """First order in r0: forward pairs of faces, and every face once backwards; more for steeper rays."""
     n = situation.faces
     r = mean_loss(situation) / n
     if situation.setting.coating == "none":

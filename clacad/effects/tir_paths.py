@@ -19,7 +19,7 @@ NAME = "tir_paths"
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """Follow what was reflected totally; see `clacad.effects.walls.effect`."""
+    """Follow totally reflected rays; see `clacad.effects.walls.effect`."""
 
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         from clacad.effects.engine.nonsequential_rows import trace_ended_rays
