@@ -277,7 +277,10 @@ def lens_plane(window: Window, rung: Rung) -> float:
 
 
 def _predicted(window: Window, source: Floats, cells: Ints, level: float) -> BestPoint:
-    """Point where the chief rays of cells (n, 2) meet; array 2 is at height `level`, optically s behind array 1."""
+    """Point where the chief rays of cells (n, 2) meet.
+
+    Array 2 is at height `level`, optically s behind array 1.
+    """
     centre = window.centres(0, cells)
     way = _towards(source, centre)
     laws = window.cell_laws
@@ -303,7 +306,10 @@ def _sampling(window: Window, sent: Rays) -> Sampling | None:
 
 
 def _width(window: Window, source: Floats) -> Pair2 | None:
-    """Full width along the lens axes of the image of a point formed by cells of finite size; None for a table."""
+    """Full width along the lens axes of the image of a point formed by cells of finite size.
+
+    None for a table.
+    """
     laws = CellLaws(window.law) if window.cell_laws is None else window.cell_laws
     if laws.smooth is None:
         return None

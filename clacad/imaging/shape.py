@@ -133,7 +133,10 @@ def shaped(design: Design, lattice: Lattice, target: Target, distance: float, so
 
 
 def blur_of(design: Design, distance: float, source: float) -> Blur:
-    """Widths of a cell's spot on a screen `distance` (length) away; `source`: half angle of the source (radians)."""
+    """Widths of a cell's spot on a screen `distance` (length) away.
+
+    `source`: half angle of the source (radians).
+    """
     waves = design.pair.wavelength / design.unit_m
     return Blur(*spot_widths(design.law, design.lattice.pitch, distance, source, waves))
 

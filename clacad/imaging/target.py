@@ -71,7 +71,7 @@ class Target:
         return made
 
     def places(self, count: int) -> Floats:
-        """Points (count, 2), lengths: each target point's number is proportional to its weight, within less than one.
+        """Points (count, 2), lengths; each target point gets a number proportional to its weight, within one.
         Systematic sampling along the order of the points; within a pixel the samples are spread evenly.
 
         Raises
@@ -162,7 +162,10 @@ def of_points(path: Path) -> Target:
 
 
 def _reduced(grey: Floats) -> Floats:
-    """Block means of a picture (h, w) with too many pixels; edge blocks are averaged over their own pixels."""
+    """Block means of a picture (h, w) with too many pixels.
+
+    Edge blocks are averaged over their own pixels.
+    """
     side = int(np.ceil(np.sqrt(grey.size / MOST_PIXELS)))
     if side <= 1:
         return grey

@@ -108,7 +108,9 @@ def minimise(residuals: Residuals, start: Floats) -> Floats:
 def _step(
     residuals: Residuals, place: tuple[Floats, Floats], slopes: Floats, scale: Floats, damping: float
 ) -> tuple[Floats, Floats, float] | None:
-    """The next point (k,) with a smaller residual, its residuals (m,) and the new damping; None if none exists.
+    """The next point (k,) with a smaller residual, its residuals (m,) and the new damping.
+
+    None if none exists.
 
     place : unknowns (k,) and residuals (m,); slopes : (m, k); scale : (k,)
     """

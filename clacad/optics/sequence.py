@@ -208,7 +208,7 @@ def launch(position: Floats, direction: Floats, vertex: tuple[float, float, floa
 
 
 def pass_on(offset: Floats, left: tuple[float, float, float], entered: tuple[float, float, float]) -> Floats:
-    """Offsets (m, 3), lengths, from vertex `left` converted to vertex `entered`, by the vertices' difference."""
+    """Convert offsets (m, 3), lengths, from vertex `left` to `entered` by the difference of the vertices."""
     high, low = two_sum(left, np.negative(entered))
     return np.asarray((offset + low) + high)
 

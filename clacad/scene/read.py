@@ -1,4 +1,7 @@
-"""Read a file, a dictionary or changed keys into the checked sections of a scene; report every mistake at once."""
+"""Read a file, a dictionary or changed keys into the checked sections of a scene.
+
+Report every mistake at once.
+"""
 
 from __future__ import annotations
 

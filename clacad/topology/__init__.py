@@ -1,1 +1,4 @@
-"""Topology of neighbouring cells: borders, nodes and rims of one cell. `mesh` and `solid` both build from it."""
+"""Topology of neighbouring cells: borders, nodes and rims of one cell.
+
+`mesh` and `solid` both build from it.
+"""

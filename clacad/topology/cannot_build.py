@@ -20,7 +20,9 @@ CODES: dict[str, str] = {
 
 
 class CannotBuild(ValueError):
-    """A body of this design cannot be made. The message begins with the code and names a remedy; exit status 2.
+    """A body of this design cannot be made. The message begins with the code and names a remedy.
+
+    Exit status 2.
 
     Parameters
     ----------

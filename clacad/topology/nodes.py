@@ -15,7 +15,10 @@ from clacad.topology.wall_strips import linked
 def make_nodes(
     window: Window, body: Body, array: int, faces: tuple[Side, ...], merge: float
 ) -> tuple[Node, ...]:
-    """Build the node classes of a body's tiling on `array`; `faces`: those repeating on it; `merge`: a length."""
+    """Build the node classes of a body's tiling on `array`; `faces`: those repeating on it.
+
+    `merge`: a length.
+    """
     tile = window.lattice_of(array).tile()
     zone = window.land.seam == 0.0
     nodes = []

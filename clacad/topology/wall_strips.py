@@ -15,7 +15,10 @@ from clacad.base.types import Floats, Ints
 
 
 class BorderCurve(NamedTuple):
-    """A column's face over a border. `column`: 0 left, 1 right; `opens`: material begins above it (a front)."""
+    """A column's face over a border. `column`: 0 left, 1 right.
+
+    `opens`: material begins above it (a front).
+    """
 
     column: int
     opens: bool

@@ -151,7 +151,7 @@ class LitSheet:
 
     @property
     def share(self) -> float:
-        """Share of the light on lens 1's optical zone that reaches the partner, for rays through ideal lenses."""
+        """Share of the light on lens 1's optical zone that reaches the partner, by rays and ideal lenses."""
         return area(self.lit) / area(self.cells.image) if len(self.lit) else 0.0
 
     @cached_property

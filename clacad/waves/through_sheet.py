@@ -46,7 +46,7 @@ them.
 def wave(
     design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
 ) -> WaveReport:
-    """Light as a wave through one telescopelet of a design: far field, Strehl ratio, share, compared with rays.
+    """Wave through one telescopelet of a design: far field, Strehl ratio, share, compared with rays.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Report of waves through one telescopelet: numbers, JSON, and a picture with the rays along both lens axes."""
+"""Report of waves through one telescopelet: numbers, JSON, picture with the rays along both lens axes."""
 
 from __future__ import annotations
 

@@ -21,7 +21,10 @@ _KNOWN = 1e-10  # least relative singular value that counts: below it 1e-16 of l
 
 
 class FittedParameters(NamedTuple):
-    """Parameters of a law fitted to directions, and how well the directions determine them; see `clacad.Fit`."""
+    """Parameters of a law fitted to directions, and how well the directions determine them.
+
+    See `clacad.Fit`.
+    """
 
     law: LawParameters
     rms: float

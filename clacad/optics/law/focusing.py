@@ -58,7 +58,10 @@ class Glens:
         return _ratio(Exact(self.eta) - 1, Exact(self.kappa))
 
     def image_distance(self, z: float) -> float:
-        """Image distance ζ (length) from array 2 for height z (length; −inf: parallel light); < 0: virtual."""
+        """Image distance ζ (length) from array 2 for height z (length; −inf: parallel light).
+
+        < 0: virtual.
+        """
         if isinf(z):
             return self.f_image
         return _ratio(*self._distance(Exact(z)))
@@ -99,7 +102,9 @@ class Glens:
 
 
 def along_axes(law: VaryingLaw, separation: float) -> tuple[Glens, Glens]:
-    """Images along each lens axis of an upright sheet with a varying law; terms that mix the axes are left out.
+    """Images along each lens axis of an upright sheet with a varying law.
+
+    Terms that mix the axes are left out.
 
     separation : length, of the arrays
     """

@@ -140,7 +140,10 @@ class Material:
 
     @property
     def abbe_number(self) -> float | None:
-        """V_d = (n_d - 1)/(n_F - n_C); None where the index is not known at one of these lines, or is constant."""
+        """V_d = (n_d - 1)/(n_F - n_C).
+
+        None where the index is not known at one of these lines, or is constant.
+        """
         low, high = self.range_m or (D_LINE, D_LINE)
         if low > F_LINE or high < C_LINE:
             return None

@@ -1,4 +1,7 @@
-"""Optical surfaces: shape, intersection with rays, Snell's law. Notation: `clacad.optics.surface.sag_and_normal`."""
+"""Optical surfaces: shape, intersection with rays, Snell's law.
+
+Notation: `clacad.optics.surface.sag_and_normal`.
+"""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ class _Search:
 
     def gap(self, base: list[Floats], ray: list[Floats], t: Floats
             ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
-        """Height over the surface, G·D, w (0 where rounding passes the equator) and size of the subtracted terms.
+        """Height over the surface, G·D, w (0 where rounding passes the equator), size of the subtracted terms.
 
         All at distances t (m,).
         """
@@ -129,7 +129,9 @@ class _Search:
 
 
 def _real_stretch(surface: EvenPolynomial, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
-    """Ends (n,), distances from the base point, of the stretch where 1 − a x² − b y² ≥ 0; none if first > last.
+    """Ends (n,), distances from the base point, of the stretch where 1 − a x² − b y² ≥ 0.
+
+    None if first > last.
 
     Outside the roots of a quadratic that opens upwards there are two stretches. The one with 0 in it is
     taken, else the nearer.

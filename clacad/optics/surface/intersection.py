@@ -42,7 +42,10 @@ class Meeting(NamedTuple):
 
 
 def meet(surface: Surface, position: Floats, direction: Floats) -> Meeting:
-    """Intersect rays, (n, 3) points (lengths) and unit directions, with a surface's apex half; see `meet_at`."""
+    """Intersect rays, (n, 3) points (lengths) and unit directions, with a surface's apex half.
+
+    See `meet_at`.
+    """
     return meet_at(surface, position, direction)[0]
 
 

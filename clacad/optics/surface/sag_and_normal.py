@@ -175,7 +175,7 @@ def resized(surface: Surface, size: float) -> Surface:
 
 
 def sharpest_bend(surface: Surface, reach: float) -> float:
-    """Bound (1/length) of a face's second derivatives: its apex curvatures plus its even terms within `reach`."""
+    """Bound (1/length) of a face's second derivatives: apex curvatures plus even terms within `reach`."""
     bend = abs(surface.curvature_x) + abs(surface.curvature_y)
     if isinstance(surface, EvenPolynomial):
         bend += sharpest_of_terms(surface.a4, surface.a6, surface.a8, reach)
