@@ -112,7 +112,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "process": ("Who makes the part: none, diamond-turning, two-photon, greyscale, moulding or sla, each with limits and materials. `explain PROCESS` prints them.", "check.process"),
     "material": ("What the part is made of: a name of the table, or ri:… of the refractiveindex.info database. `explain MATERIAL` prints index, V_d, dn/dT and expansion.", "pair.material"),
     "infrared": ("Light of 0.8 to 14 µm. Germanium, Silicon, ZnSe, IRG26 and AMTIR-1 pass it; set pair.wavelength, such as \"10.6 um\".", "pair.wavelength"),
-    "interferogram": ("Measured map of a made face. `verify --files` reads points and height maps and judges their light.", "verify DESIGN --files scan.xyz"),
+    "interferogram": ("Measured map of a made face. `verify --role scan` judges a mesh of the measured part that holds both faces.", "verify DESIGN --files part.stl --role scan"),
     "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""

@@ -224,7 +224,7 @@ MUTATIONS = [
     Mutation("search: higher orders stay whatever they give", SEARCH, "self.best.rms > WORTH * before.rms", "self.best.rms > 2.0 * before.rms",
              f"{ASKED} -m '' -k less_than_a_tenth"),
     Mutation("search: seconds in the history", SEARCH, "(self.evaluation, self.rms)", "(int(1e3 * monotonic()), self.rms)", f"{ASKED} -k change_no_byte"),
-    Mutation("search: the walls only where the best was sought", SEARCH, "if slack[tightest] < 0.0 or (self.best", "if slack[tightest] < -inf or (self.best", f"{TRAPS} -k no_room"),
+    Mutation("search: no walls at all", SEARCH, "if slack[tightest] < 0.0:", "if slack[tightest] < -inf:", f"{TRAPS} -k no_room"),
 ]  # fmt: skip
 
 

@@ -432,3 +432,19 @@ def test_every_scene_of_the_field_lens_figure_is_there_and_differs_by_it_alone()
         assert design.pair.field_lens == ("with a" in label)
         other = load(stem.replace("no-", "")).design()
         assert design.replace("pair.field_lens", True) == other
+
+
+def test_a_circle_marks_the_piece_of_figure_8_where_the_paper_has_it():
+    """The axis point at z = 60 is seen at (0.381, 0.143) tiles; the picture is 1.1 tiles wide and left-handed."""
+    from clacad.rendering.atlas.make_atlas import circled
+    from clacad.rendering.atlas.paper_figures import piece_on_sheet
+
+    scene = load_scene(SCENES / "fig8-z-60.toml").replace("object.knight.at", [0.0, 0.0, 60.0])
+    place, half = piece_on_sheet(scene)
+    assert np.abs(place - [0.381, 0.143]).max() < 5e-3
+    assert 0.5 * 0.42 * 0.45 < half < 0.5 * 0.42 * 0.55  # the larger stretch is -1/2
+    blank = np.zeros((440, 440, 3), np.uint8)
+    rows, columns = np.nonzero(circled(blank, scene)[..., 0])
+    assert abs(0.5 * (columns.min() + columns.max()) - 440 * (0.5 + 0.381 / 1.1)) < 4
+    assert abs(0.5 * (rows.min() + rows.max()) - 440 * (0.5 - 0.143 / 1.1)) < 4
+    assert blank.max() == 0

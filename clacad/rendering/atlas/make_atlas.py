@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from clacad.base.types import Bytes
 from clacad.design import Design
 from clacad.design.law_in_words import law_words
@@ -18,7 +20,8 @@ from clacad.rendering.atlas.figure1 import section_findings, solid_findings
 from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.index_page import page_of
 from clacad.rendering.atlas.paper_figures import FIGURES as PAPER
-from clacad.rendering.atlas.paper_figures import MOVIES, Figure
+from clacad.rendering.atlas.paper_figures import MOVIES, Figure, piece_on_sheet
+from clacad.rendering.camera import aim
 from clacad.rendering.picture import Picture, Progress, checked_frames, view_through
 from clacad.rendering.picture_files import animate, label_lines, labelled, metadata_of, pixels_of, save
 from clacad.scene import Scene, load_scene
@@ -182,7 +185,10 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
                 still = job.stills[stem]
                 picture = ghosts_marked(still) if figure.ghosts_marked else view_through(still, compiled=True)
                 text = f"{figure.row}: {label if figure.ghosts_marked else parameters(still)}"
-                save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), metadata_of(picture))
+                pixels = pixels_of(picture)
+                if stem in figure.circled:
+                    pixels = circled(pixels, still)
+                save(labelled(pixels, text), stage.path(f"{stem}.png"), metadata_of(picture))
             for stem, label, draw in figure.drawn:
                 tell(f"{figure.row}: {label}", None)
                 stage.path(f"{stem}.png").write_bytes(draw())
@@ -197,6 +203,30 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
         stage.path("atlas.json").write_text(canonical_json(_record(findings)), encoding="utf-8")
         stage.publish(manifest_of(stage, "atlas"))
     return Atlas(stage.folder, findings, (*names, "index.html", "atlas.json"))
+
+
+CIRCLE = 1.2
+"""Radius of a circle round a piece over half the piece's length; at least a fortieth of the picture's width."""
+
+
+def circled(pixels: Bytes, scene: Scene) -> Bytes:
+    """Draw a red circle round the place where the law shows the piece on the sheet; (h, w, 3) stays the size."""
+    from PIL import Image, ImageDraw
+
+    place, half = piece_on_sheet(scene)
+    view = aim(scene.camera)
+    height, width = pixels.shape[:2]
+    across, down = np.linalg.norm(view.right), np.linalg.norm(view.down)
+    ahead = view.ahead / np.linalg.norm(view.ahead)
+    way = np.array([*place, 0.0]) - view.position
+    way = way * (np.linalg.norm(view.ahead) / (way @ ahead)) - view.ahead  # on the plane through the target
+    x = width * (0.5 + float(way @ view.right) / across**2)
+    y = height * (0.5 + float(way @ view.down) / down**2)
+    radius = max(CIRCLE * half * width / across, width / 40.0)
+    picture = Image.fromarray(pixels)
+    box = (x - radius, y - radius, x + radius, y + radius)
+    ImageDraw.Draw(picture).ellipse(box, outline=(214, 40, 40), width=max(1, round(width / 220)))
+    return np.asarray(picture)
 
 
 def _sized(scene: Scene, size: int, samples: int) -> Scene:

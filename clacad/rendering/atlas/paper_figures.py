@@ -44,6 +44,8 @@ class Figure:
         Whether ghosts are drawn in one colour, and its pictures labelled with what they show.
     drawn : tuple of (file stem, label, callable that gives a PNG)
         Pictures that are no view of a scene.
+    circled : tuple of str
+        Stems of the scenes in whose pictures a circle marks the piece, as the paper does where it is very small.
     """
 
     row: str
@@ -54,6 +56,7 @@ class Figure:
     movie: bool = False
     ghosts_marked: bool = False
     drawn: tuple[tuple[str, str, Callable[[], bytes]], ...] = ()
+    circled: tuple[str, ...] = ()
 
     def owns(self, movie: str) -> bool:
         """Whether a movie of this title belongs to the figure: both begin with its number."""
@@ -329,10 +332,7 @@ def unseen_zones(scene: Scene) -> list[float]:
 
     Rays through points x₀ leave with the law's slopes, X = x₀ + z · slope; their fit is affine in z.
     """
-    side = np.linspace(-HALF_SIDE, HALF_SIDE, 9)
-    x0 = np.stack(np.meshgrid(side, side), axis=2).reshape(-1, 2)
-    out = scene.design().law.refract(np.column_stack([x0, np.full(len(x0), D)]))
-    offset, matrix, _, _ = fitted(x0, out[:, :2] / out[:, 2:])
+    offset, matrix = _slopes_of_law(scene)
 
     def reach(z: Floats) -> Floats:
         at = [np.linalg.solve(np.eye(2) + one * matrix, -one * offset) for one in z]
@@ -341,6 +341,25 @@ def unseen_zones(scene: Scene) -> list[float]:
     grid = np.arange(0.55, 60.0, 0.1)
     changes = np.flatnonzero(np.diff(np.sign(reach(grid))))
     return [float(z) for z in bisect(reach, grid[changes], grid[changes + 1])]
+
+
+def _slopes_of_law(scene: Scene) -> tuple[Floats, Floats]:
+    """Slopes behind the sheet of light from the camera, (2,) + (2, 2) x₀, fitted over the places x₀ that it crosses."""
+    side = np.linspace(-HALF_SIDE, HALF_SIDE, 9)
+    x0 = np.stack(np.meshgrid(side, side), axis=2).reshape(-1, 2)
+    out = scene.design().law.refract(np.column_stack([x0, np.full(len(x0), D)]))
+    offset, matrix, _, _ = fitted(x0, out[:, :2] / out[:, 2:])
+    return offset, matrix
+
+
+def piece_on_sheet(scene: Scene) -> tuple[Floats, float]:
+    """Where (2,) on the sheet the law shows the middle of the knight, and half the length of its larger image axis there."""
+    piece = next(thing for thing in scene.objects if thing.id == "knight")
+    offset, matrix = _slopes_of_law(scene)
+    x, y, z = piece.at
+    shown = np.linalg.inv(np.eye(2) + z * matrix)
+    reach = float(np.linalg.svd(shown, compute_uv=False)[0])
+    return np.asarray(shown @ (np.array([x, y]) - z * offset)), 0.5 * reach * float(np.max(piece.size))
 
 
 FIGURES: tuple[Figure, ...] = (
@@ -358,7 +377,8 @@ FIGURES: tuple[Figure, ...] = (
     Figure("F7", "Fig. 7: psi from 0 to 360 degrees", "The view turns about the sheet's axis and distorts; it closes at 360 degrees.",
            tuple((f"fig7-psi-{p}", f"psi = {p}") for p in ("45", "90", "180", "270")), _swing),
     Figure("F8", "Fig. 8: distance behind the more complex sheet", "At z = 60 the piece is very small.",
-           tuple((f"fig8-z-{z}", f"z = {z}") for z in ("3", "8", "38", "60")), _vanish),
+           tuple((f"fig8-z-{z}", f"z = {z}") for z in ("3", "8", "38", "60")), _vanish,
+           circled=("fig8-z-60",)),
 )  # fmt: skip
 """Figures 2 to 8 of the paper."""
 
