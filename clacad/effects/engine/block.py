@@ -112,7 +112,10 @@ def crossings(block: RayBlock) -> Iterator[FaceCrossing]:
 
 
 def crossed(result: TraceResult, face: int, point: Floats) -> Bools:
-    """Rays (n,) that crossed a face at `point` (n, 3): it differs from their last point; they did not end there."""
+    """Rays (n,) that crossed a face at `point` (n, 3): it differs from their last point.
+
+    They did not end there.
+    """
     assert result.hits is not None
     ended = (result.fate >= Fate.TIR) & (result.surface == face)
     met = (result.surface >= face) & (result.fate < Fate.MISSED)
