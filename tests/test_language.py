@@ -38,7 +38,7 @@ LEFT_OUT = {
 }
 """Words, as regular expressions → what is written instead."""
 
-STRICT: tuple[str, ...] = ("optics", "topology", "scene", "imaging", "waves", "effects", "solid")
+STRICT: tuple[str, ...] = ("optics", "topology", "scene", "imaging", "waves", "effects", "solid", "mesh")
 """Folders and files of the package whose comments and docstrings are free of them."""
 
 
