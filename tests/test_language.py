@@ -38,7 +38,21 @@ LEFT_OUT = {
 }
 """Words, as regular expressions → what is written instead."""
 
-STRICT: tuple[str, ...] = ("optics", "topology", "scene", "imaging", "waves", "effects", "solid", "mesh")
+STRICT: tuple[str, ...] = (
+    "optics",
+    "topology",
+    "scene",
+    "imaging",
+    "waves",
+    "effects",
+    "solid",
+    "mesh",
+    "base",
+    "sheet",
+    "prescription",
+    "design",
+    "config",
+)
 """Folders and files of the package whose comments and docstrings are free of them."""
 
 

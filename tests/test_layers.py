@@ -57,11 +57,7 @@ EXCEPTIONS = {
 RINGS = {
     ("advice/proposal.py", "advice/proposal_text.py"): "a proposal has its text",
     ("design/asked_cells.py", "design/canonical_text.py", "design/model.py"): "a design has its text and its cells",
-    ("exporting/fixtures/fixture_files.py", "exporting/fixtures/marked_meshes.py", "exporting/format_table.py",
-     "exporting/step_record.py"): "type of a job",
-    ("exporting/forecast.py", "exporting/limits.py"): "type of a forecast",
     ("prescription/assemble.py", "prescription/best_recipe.py", "prescription/field_lens.py"): "type of an intent",
-    ("verification/evidence.py", "verification/verification_report.py"): "a report has its evidence",
 }  # fmt: skip
 """Modules that import one another in a ring, imports inside functions and for type checkers counted: why. One that is gone fails."""
 

@@ -1,4 +1,4 @@
-"""Arithmetic, tables and services without optics: anything may use them, they use nothing of clacad.
+"""Arithmetic, tables and services without optics; this package imports nothing else of clacad.
 
-No geometry lives here, no file format, and nothing that knows a design.
+It contains no geometry, no file format and no code that knows a design.
 """

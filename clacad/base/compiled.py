@@ -1,8 +1,10 @@
-"""How kernels are compiled: cached on disk, without exceptions for division, without the interpreter's lock.
+"""Decorators that compile kernels: cached on disk, no exception on division, global interpreter lock
+released.
 
-No compiler may fuse a multiply with an add here (``fastmath={"contract"}``). Where it does hangs on what was compiled
-into what, which differs between the run that compiles and those that load its kernels: the last bits of directions
-would, too. It gains nothing measurable, and would break the exact products of `clacad.base.pairs`.
+Fused multiply-add (``fastmath={"contract"}``) is forbidden here. Where the compiler fuses depends on which
+functions are compiled into which, and that differs between the run that compiles and the runs that load its
+kernels. The last bits of directions would differ, too. Fusing gains nothing measurable and breaks the exact
+products of `clacad.base.pairs`.
 """
 
 from __future__ import annotations
@@ -25,37 +27,39 @@ _PART: dict[str, Any] = {
 
 
 def exact(function: Function) -> Function:
-    """Compile a part of kernels, every operation rounded as written; the function may make no array.
+    """Compile a part of kernels with every operation rounded as written; the part may not allocate arrays.
 
-    Without arrays of its own a function need not count who holds those it is given. That counting, an
-    atomic instruction for every array of every call, takes ten times as long as a walk's arithmetic, and
-    threads wait for one another's. A part is called by compiled code only; see `PartCompiler`.
+    A part that allocates no arrays needs no reference counting of its arguments. Reference counting is an
+    atomic instruction for every array of every call: ten times as slow as a walk's arithmetic, and threads
+    wait for one another. Only compiled code calls a part; see `PartCompiler`.
     """
     return cast(Function, numba.njit(_nrt=False, **_PART)(function))
 
 
 def inlined(function: Function) -> Function:
-    """Compile like `exact`, into its callers: handing over a dozen arrays costs more than what it does."""
+    """Compile like `exact` and inline: passing a dozen arrays costs more than the function's own work."""
     return cast(Function, numba.njit(_nrt=False, forceinline=True, **_PART)(function))
 
 
 def making(function: Function) -> Function:
-    """Compile like `exact` a part that makes arrays."""
+    """Compile like `exact` a part that allocates arrays."""
     return cast(Function, numba.njit(_nrt=True, **_PART)(function))
 
 
 def entry(function: Function) -> Function:
-    """Compile a kernel that Python calls: with all its parts, kept on disk; it may make no array."""
+    """Compile a kernel that Python calls, with all its parts, and cache it on disk;
+    it may not allocate arrays.
+    """
     return cast(Function, keep(numba.njit(_nrt=False, **_PLAIN)(function)))
 
 
 def owning(function: Function) -> Function:
-    """Compile like `entry` a kernel that makes arrays of its own, in expressions too."""
+    """Compile like `entry` a kernel that allocates arrays, including temporaries of array expressions."""
     return cast(Function, keep(numba.njit(_nrt=True, **_PLAIN)(function)))
 
 
 def _multiply_add(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """Give the machine's multiply-add: a b + c, rounded once."""
+    """Return the machine's fused multiply-add: a b + c, rounded once."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
@@ -64,10 +68,10 @@ def _multiply_add(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 multiply_add: Callable[[float, float, float], float] = numba.extending.intrinsic(_multiply_add)
-"""a b + c with one rounding, so that multiply_add(a, b, −(a b)) is exactly what the product lost."""
+"""a b + c with one rounding: multiply_add(a, b, −(a b)) is exactly the rounding error of the product."""
 
 
 @exact
 def least(a: float, b: float) -> float:
-    """Give the lesser of two numbers, a where b is NaN: one machine instruction."""
+    """Return the lesser of two numbers, a where b is NaN: one machine instruction."""
     return b if b < a else a

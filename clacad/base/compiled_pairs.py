@@ -1,4 +1,4 @@
-"""Error-free sums and products of single numbers, compiled: the twins of `clacad.base.pairs`."""
+"""Error-free sums and products of single numbers, compiled: counterparts of `clacad.base.pairs`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _SPLITTER = 134217729.0  # 2**27 + 1 halves a 53-bit significand
 
 @exact
 def two_sum(a: float, b: float) -> tuple[float, float]:
-    """Rounded sum and what rounding took away."""
+    """Rounded sum and its exact rounding error."""
     s = a + b
     v = s - a
     return s, (a - (s - v)) + (b - v)
@@ -17,7 +17,7 @@ def two_sum(a: float, b: float) -> tuple[float, float]:
 
 @exact
 def two_product(a: float, b: float) -> tuple[float, float]:
-    """Rounded product and what rounding took away."""
+    """Rounded product and its exact rounding error."""
     p = a * b
     t = _SPLITTER * a
     ah = t - (t - a)
@@ -44,6 +44,6 @@ def pair_sum(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
 
 @exact
 def less_multiple(x: float, k: float, step: float) -> float:
-    """Give x − k·step with the product unrounded."""
+    """Return x − k·step without rounding the product."""
     high, low = two_product(k, step)
     return (x - high) - low

@@ -1,8 +1,10 @@
-"""Parts of kernels: functions that only compiled code calls, made into machine code once, within the kernel they serve.
+"""Parts of kernels: functions that only compiled code calls, turned into machine code once, within their
+kernel.
 
-A compiler of functions optimises each one with all it calls and makes machine code of the whole: a walk of six levels is
-made six times, and only the outermost is ever run. A part stops at its own intermediate code, which its callers take in;
-what Python calls (`clacad.base.compiled.entry`) is optimised and made once, as a whole. That takes half of the time.
+The usual compiler optimises each function together with all its callees and makes machine code of the whole.
+A walk of six call levels is compiled six times, and only the outermost version ever runs. A part stops at
+intermediate code, which its callers link in. Only a function that Python calls (`clacad.base.compiled.entry`)
+is optimised and compiled to machine code, once, as a whole. This halves the compilation time.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ NativeLowering: Any = numba.core.typed_passes.NativeLowering
 
 
 class _WithoutEnvironments:
-    """A code generator that keeps no constants for a function Python cannot call."""
+    """A code generator that stores no constants for a function that Python cannot call."""
 
     def __init__(self, generator: Any) -> None:
         self._generator = generator
@@ -28,30 +30,30 @@ class _WithoutEnvironments:
         return getattr(self._generator, name)
 
     def set_env(self, name: str, environment: object) -> None:
-        """Do nothing: there is no machine code that would look for it."""
+        """Do nothing: no machine code reads the constant."""
 
 
 class PartLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Intermediate code of a part and of all that it calls; never optimised, never machine code."""
+    """Intermediate code of a part and of all its callees; never optimised, never machine code."""
 
     @property
     def codegen(self) -> Any:
-        """The generator, without a place for constants of this function."""
+        """The generator, without storage for constants of this function."""
         return _WithoutEnvironments(self._codegen)
 
     def _optimize_functions(self, module: Any) -> None:
-        """Take a module as it is."""
+        """Accept a module without optimising it."""
         module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
-        """Leave that to the kernel."""
+        """Do nothing: the kernel optimises."""
 
     def _finalize_final_module(self) -> None:
         """Make no machine code."""
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Give what Python runs if it calls the part after all: a refusal."""
+        """Return the address that Python runs if it calls the part: a function that refuses."""
         self._ensure_finalized()
         return _REFUSAL
 
@@ -69,10 +71,10 @@ class _LoweredAsPart(NativeLowering):  # type: ignore[misc]
 
 
 class PartCompiler(CompilerBase):  # type: ignore[misc]
-    """The usual passes, the last of which stops at intermediate code."""
+    """The usual compiler passes; the last one stops at intermediate code."""
 
     def define_pipelines(self) -> list[Any]:
-        """Give the passes."""
+        """Return the list with one pass manager."""
         usual = DefaultPassBuilder.define_nopython_pipeline(self.state)
         usual.passes = [
             (_LoweredAsPart if each is NativeLowering else each, why) for each, why in usual.passes
@@ -82,4 +84,4 @@ class PartCompiler(CompilerBase):  # type: ignore[misc]
 
 
 _REFUSAL = ctypes.cast(ctypes.pythonapi.PyVectorcall_Call, ctypes.c_void_p).value or 0
-"""A C function of the kind Python calls here; it says with a TypeError that what it was given cannot be called."""
+"""Address of a C function with Python's call signature; it raises TypeError: the object is not callable."""

@@ -1,7 +1,8 @@
-"""Columns of vectors (n, 3) taken apart and put together eight at a time, compiled.
+"""Columns of vectors (n, 3) split into components and joined again, eight vectors at a time, compiled.
 
-Three numbers apart is what compilers move one by one; here eight vectors are three loads and six permutations. Any processor
-has them: what a machine cannot do in eight it does in fours or twos.
+Compilers move numbers with a stride of three one by one; here eight vectors are three loads and six
+permutations. The code runs on any processor: one without registers of eight numbers uses registers of four or
+two.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ LANES = ir.VectorType(ir.DoubleType(), EIGHT)
 
 
 def _mask(picks: list[int]) -> Any:
-    """Which elements of two vectors a third is made of."""
+    """Indices of the elements of two vectors that form a third."""
     return ir.Constant(ir.VectorType(ir.IntType(32), EIGHT), picks)
 
 
 def _places(context: Any, builder: Any, signature: Any, arguments: Any) -> tuple[Any, list[Any]]:
-    """Pointers to eight vectors of the column, and to eight numbers of each of the three rows."""
+    """Pointers to eight vectors of the column, and to eight elements of each of x, y, z."""
     column, row, x, y, z, k = arguments
     types = signature.args
     first = builder.mul(row, context.get_constant(numba.types.intp, 3))
@@ -80,7 +81,7 @@ def _together(typing_context: Any, column: Any, row: Any, x: Any, y: Any, z: Any
 Moved = Callable[[Floats, int, Floats, Floats, Floats, int], None]
 
 eight_apart: Moved = numba.extending.intrinsic(_apart)
-"""Copy the eight vectors of a column (n, 3) from a row on to x, y, z, from their element k on."""
+"""Copy eight vectors of a column (n, 3), starting at a row, to x, y, z, starting at element k."""
 
 eight_together: Moved = numba.extending.intrinsic(_together)
-"""Copy eight elements of x, y, z, from k on, to the vectors of a column (n, 3) from a row on."""
+"""Copy eight elements of x, y, z, starting at k, to the vectors of a column (n, 3), starting at a row."""

@@ -1,4 +1,4 @@
-"""Numbers as text for people: values of a design, and a value beside the limit it is held against."""
+"""Numbers as text for people: values of a design, and a value with the limit it is compared with."""
 
 from __future__ import annotations
 
@@ -10,28 +10,30 @@ from numbers import Real
 from typing import Any, NamedTuple
 
 ROUNDING = 1e-12
-"""Below this a number of a design, in a unit near its sizes, is what rounding leaves of an exact 0."""
+"""Magnitude below which a number of a design, in a unit near its sizes,
+is the rounding error of an exact 0.
+"""
 
 NOTHING = 1e-8
-"""Part of its limit below which a value beside it is shown as 0; what it is exactly stands in JSON."""
+"""Fraction of its limit below which a value is shown as 0; JSON has the exact value."""
 
 SHOWN_IN = {"rad": (1000, "mrad")}
-"""Units that are shown in another one: factor and name."""
+"""Units that are shown in another unit: factor and name."""
 
 DIGITS = 5
-"""Significant digits of a value beside its limit, unless more are needed to tell them apart."""
+"""Significant digits of a value and its limit, unless more are needed to distinguish them."""
 
 NO_LIMIT = "no limit"
 """Text of an infinite limit."""
 
 MOST = 17
-"""Digits that tell any two float64 numbers apart."""
+"""Significant digits that distinguish any two float64 numbers."""
 
 
 def digits(value: float, infinite: str = "unlimited", count: int = 6) -> str:
-    """Significant digits of a number of a design; what rounding leaves of 0 is 0.
+    """Significant digits of a number of a design; a rounding error of 0 is written as 0.
 
-    infinite : what is said of +∞ (a radius: flat); −∞ and NaN are "none".
+    infinite : text of +∞ (a radius: flat); −∞ and NaN are "none".
     """
     if not isfinite(value):
         return infinite if value > 0.0 else "none"
@@ -39,13 +41,13 @@ def digits(value: float, infinite: str = "unlimited", count: int = 6) -> str:
 
 
 def rounded_up(length: float) -> str:
-    """Four digits that are no less than a positive length, and a millionth to spare."""
+    """Four digits of a positive length, rounded up, with at least 1e-6 of the length to spare."""
     digit = 10.0 ** (floor(log10(length)) - 3)
     return f"{ceil(length / digit * (1.0 + 1e-6)) * digit:.4g}"
 
 
 class Shown(NamedTuple):
-    """A value and its limit as text, the unit of both, and what stands beside a limit that does not explain the state."""
+    """A value and its limit as text, their unit, and a note on a limit that does not explain the state."""
 
     value: str
     limit: str
@@ -67,14 +69,14 @@ def shown(
     value, limit : float, text or None
         None is "–"; an infinite limit is "no limit". Angles in rad are shown in mrad.
     relation : "<=", "<", ">=", ">" or a word
-        The sense in which the value is held against the limit.
+        How the value is compared with the limit.
     state : "pass", "fail", another, or ""
-        What was judged. Where a limit is kept and the state is "fail" all the same, that is said beside the limit.
+        Verdict on the value. Where the limit is kept but the state is "fail", the note records it.
 
     Returns
     -------
     Shown
-        Printed numbers stand to one another in `relation` exactly if value and limit do.
+        The printed numbers fulfil `relation` exactly if value and limit do.
     """
     factor, name = SHOWN_IN.get(unit, (1, unit))
     holds = HOLDS.get(relation)
@@ -95,10 +97,10 @@ def shown(
 
 
 ELSEWHERE = " (kept; it failed for what the text says)"
-"""Beside a limit that is kept by what failed."""
+"""Note on a limit that is kept by a check that failed."""
 
 UNBOUND = " (for comparison)"
-"""Beside a limit that is not kept by what passed."""
+"""Note on a limit that is not kept by a check that passed."""
 
 
 def _finite(value: object) -> bool:
@@ -110,7 +112,7 @@ def _infinite(value: object) -> bool:
 
 
 def bound(relation: str, limit: str, unit: str = "") -> str:
-    """Write a limit as `shown` has it with its sense and unit: "<= 3 mrad", "no limit"."""
+    """Write a limit, as text of `shown`, with its relation and unit: "<= 3 mrad", "no limit"."""
     return limit if limit == NO_LIMIT else f"{relation} {limit} {unit}".rstrip()
 
 
@@ -121,11 +123,11 @@ def _exactly(value: Any, factor: int) -> str:
 HOLDS: Mapping[str, Callable[[Any, Any], bool]] = {
     "<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt,
 }  # fmt: skip
-"""Relations between a value and its limit."""
+"""Relation between a value and its limit → comparison function."""
 
 
 def plainly(value: float | str | None, unit: str = "") -> tuple[str, str]:
-    """Write a value that stands by itself: its text, and the unit it is shown in."""
+    """Write a value that has no limit: its text, and the unit it is shown in."""
     factor, name = SHOWN_IN.get(unit, (1, unit))
     return _text(value, factor, DIGITS), name
 

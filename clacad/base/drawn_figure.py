@@ -1,4 +1,4 @@
-"""A matplotlib figure as bytes: no global state, nobody's settings, the same bytes for the same numbers."""
+"""A matplotlib figure as bytes: no global state, no user settings, the same bytes for the same numbers."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ Draw = Callable[["Figure"], None]
 
 
 def no_formula(text: str) -> str:
-    """Give a stranger's text as a label shows it: matplotlib would set what stands between dollar signs as a formula."""
+    """Escape untrusted text for a label: matplotlib would typeset text between dollar signs as a formula."""
     return text.replace("$", r"\$")
 
 
 @contextmanager
 def _style(changes: Mapping[str, Any]) -> Iterator[None]:
-    """Within the block matplotlib's own defaults hold, but for the changes: no matplotlibrc of folder or user."""
+    """Apply matplotlib's own defaults and the changes within the block;
+    ignore matplotlibrc of folder and user.
+    """
     matplotlib = without_settings("matplotlib")
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
@@ -34,7 +36,7 @@ def drawn(
     format: Literal["svg", "png"], size: tuple[float, float], draw: Draw, style: Mapping[str, Any],
     creator: str | None = "clacad", placed: bool = False,
 ) -> bytes:  # fmt: skip
-    """Draw a figure and give its file's bytes.
+    """Draw a figure and return the bytes of its file.
 
     Parameters
     ----------
@@ -43,11 +45,11 @@ def drawn(
     draw : callable
         Draws on the figure it is given.
     style : mapping
-        What differs from matplotlib's defaults.
+        Changes to matplotlib's defaults.
     creator : str or None
-        Named in the file; None names nobody.
+        Program named in the file; None writes no name.
     placed : bool
-        Whether `draw` says where everything stands; else room is found by drawing twice.
+        Whether `draw` positions everything itself; otherwise the layout is found by drawing twice.
     """
     with _style(style):
         from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -1,4 +1,6 @@
-"""The orders of terms that a face may have on top of its conic: what their coefficients stand before, and in which unit."""
+"""Even-order terms that a face may have in addition to its conic:
+monomials and units of their coefficients.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +11,13 @@ MONOMIALS: Final = {
     "a6": ("x⁶", "x⁴ y²", "x² y⁴", "y⁶"),
     "a8": ("x⁸", "x⁶ y²", "x⁴ y⁴", "x² y⁶", "y⁸"),
 }
-"""What the coefficients of each order stand before."""
+"""Key of an order → monomials that its coefficients multiply."""
 
 POWER: Final = {"a4": 3, "a6": 5, "a8": 7}
-"""The power of 1/length that the coefficients of each order have."""
+"""Key of an order → unit of its coefficients as a power of 1/length."""
 
 RAISED: Final = {3: "³", 5: "⁵", 7: "⁷"}
-"""These powers as they are printed."""
+"""Power of 1/length → printed exponent."""
 
 A4 = tuple[float, float, float]
 A6 = tuple[float, float, float, float]

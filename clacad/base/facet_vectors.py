@@ -1,4 +1,4 @@
-"""Vectors of many triangles at once: their normals, the lengths of those, their middles."""
+"""Vectors of many triangles at once: normals, lengths of vectors, centroids."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from clacad.base.types import Floats
 
 
 def doubled_normals(corners: Floats) -> Floats:
-    """Normals (k, 3) of triangles (k, 3, 3) by the right hand, as long as twice their areas (length²).
+    """Right-hand normals (k, 3) of triangles (k, 3, 3), with twice the triangle's area as length (length²).
 
-    A column at a time: what ``numpy.cross`` gives of two edges, in a third of its time.
+    Computed column by column: the result of ``numpy.cross`` of two edges in a third of its time.
     """
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.ascontiguousarray(np.moveaxis(corners, 0, -1))
     ux, uy, uz = bx - ax, by - ay, bz - az
@@ -25,6 +25,6 @@ def lengths(vectors: Floats) -> Floats:
 
 
 def middles(corners: Floats) -> Floats:
-    """Middles (k, 3) of triangles (k, 3, 3)."""
+    """Centroids (k, 3) of triangles (k, 3, 3)."""
     a, b, c = np.moveaxis(corners, 1, 0)
     return np.asarray((a + b + c) / 3.0)

@@ -1,7 +1,7 @@
-"""Libraries that obey a settings file of the current folder, imported so that they do not see it.
+"""Import of libraries that read a settings file of the current folder, without that file.
 
-A design's folder may come from anybody. numba reads `.numba_config.yaml` there, which can name the folder that compiled
-code is loaded from; matplotlib reads `matplotlibrc`, which changes pictures.
+A design's folder is untrusted. numba reads `.numba_config.yaml` there, which can name the folder that
+compiled code is loaded from; matplotlib reads `matplotlibrc`, which changes pictures.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from importlib import import_module
 from types import ModuleType
 
 SETTINGS = {"numba": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
-"""Library and the file that it looks for."""
+"""Library → settings file that it looks for."""
 
 
 def without_settings(library: str) -> ModuleType:
-    """Import a library of `SETTINGS`; one that somebody else imported before has read what it reads.
+    """Import a library of `SETTINGS`; a library imported before keeps the settings it has read.
 
-    Only where such a file lies in the current folder another one is the current folder meanwhile.
+    The current folder changes during the import, but only where it contains such a file.
     """
     if library in sys.modules:
         return import_module(library)
@@ -27,5 +27,5 @@ def without_settings(library: str) -> ModuleType:
     with chdir(os.path.dirname(__file__)) if hidden else nullcontext():
         module = import_module(library)
     if library == "numba":
-        module.core.config._config_fname = ""  # it would look again whenever something is compiled
+        module.core.config._config_fname = ""  # numba looks again at each compilation
     return module

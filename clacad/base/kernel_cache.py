@@ -1,10 +1,10 @@
-"""Compiled kernels on disk, sealed: what was cut, changed or left there by others is compiled again, never loaded.
+"""Compiled kernels on disk, sealed: a truncated, changed or foreign file is compiled again, never loaded.
 
-The compiler's own cache unpickles what it finds and runs the machine code in it, so a bit that fell over is a wrong
-direction or a crash, and a file of another function or version is, too. Here each compiled signature is one file: a
-checksum over where it stands, what it was made from, and its content. There is no index that two processes could
-leave disagreeing with the files. Whoever may write to this user's files can forge a seal, but also the sources beside it;
-files that belong to other users are not opened.
+The compiler's own cache unpickles any file it finds and runs the machine code in it. A flipped bit, or a file
+of another function or version, gives a wrong direction or a crash. Here each compiled signature is one file
+with a checksum over its name, its sources and its content. There is no index that two processes could leave
+inconsistent with the files. A program that may write this user's files can forge a seal, but could also
+change the sources next to it. Files that belong to other users are not loaded.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ SOURCES = (
     "tracing/reference/*.py", "tracing/triangles/*.py", "tracing/layout.py", "tracing/ledger.py", "**/*compiled*.py", "**/compiled/*.py",
     "optics/*.py", "optics/surface/*.py", "sheet/window.py", "sheet/edge_columns.py", "rendering/scene_arrays.py",
 )  # fmt: skip
-"""Files that kernels are made of: their own, and those whose constants are compiled in."""
+"""Source files of kernels: the kernels' own, and those whose constants are compiled in."""
 
 SEAL = 32
-"""Bytes of the checksum at the head of a file."""
+"""Bytes of the checksum at the start of a file."""
 
 PACKAGE = Path(__file__).parent.parent
 
@@ -43,7 +43,7 @@ class KernelsNotKept(UserWarning):
 
 @cache
 def sources_digest() -> bytes:
-    """Digest of all kernel sources: a kernel keeps the callees it was compiled with, so each hangs on all of them."""
+    """Digest of all kernel sources: a kernel contains its callees, so each kernel depends on all sources."""
     digest = sha256(numba.__version__.encode())
     for path in sorted({path for pattern in SOURCES for path in PACKAGE.glob(pattern)}):
         digest.update(
@@ -53,27 +53,27 @@ def sources_digest() -> bytes:
 
 
 class SealedFiles:
-    """Files of the compiled signatures of one function.
+    """Cache files of the compiled signatures of one function.
 
     Parameters
     ----------
     folder : str
     name : str
-        What the names of its files begin with.
+        Prefix of the names of its files.
     stamp : bytes
-        What compiled code of this function hangs on besides its signature.
+        What compiled code of this function depends on besides its signature.
     """
 
     def __init__(self, folder: str, name: str, stamp: bytes) -> None:
         self._folder, self._name, self._stamp = folder, name, stamp
 
     def path(self, key: Any) -> str:
-        """Where a signature is kept; `key`: (signature, machine, digests of the function)."""
+        """Path of the file of a signature; `key`: (signature, machine, digests of the function)."""
         told = sha256(repr(key[:2]).encode()).hexdigest()[:16]
         return os.path.join(self._folder, f"{self._name}.{told}.nbc")
 
     def load(self, key: Any) -> Any:
-        """What was saved under this very key, None where nothing whole is found."""
+        """Data saved under exactly this key; None where no intact file is found."""
         path = self.path(key)
         with suppress(OSError), open(path, "rb") as stream:
             if not _trusted(stream.fileno()):
@@ -85,7 +85,7 @@ class SealedFiles:
         return None
 
     def holds(self, key: Any) -> bool:
-        """Whether a whole file stands where such a signature is kept."""
+        """Whether an intact file exists at the path of such a signature."""
         path = self.path(key)
         with suppress(OSError), open(path, "rb") as stream:
             if _trusted(stream.fileno()):
@@ -93,7 +93,9 @@ class SealedFiles:
         return False
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep compiled code; where it cannot be written that is said once, and it is compiled again next time."""
+        """Save compiled code; a folder that cannot be written causes one warning,
+        and each process compiles again.
+        """
         path = self.path(key)
         content = numba.core.serialize.dumps((key, data))
         draft = f"{path}.{token_hex(8)}"
@@ -107,7 +109,7 @@ class SealedFiles:
             tell_not_kept()
 
     def flush(self) -> None:
-        """Forget every signature of this function."""
+        """Delete every signature of this function."""
         for path in Path(self._folder).glob(f"{self._name}.*.nbc"):
             path.unlink(missing_ok=True)
 
@@ -118,14 +120,14 @@ class SealedFiles:
 
 
 def _trusted(descriptor: int) -> bool:
-    """Whether an open file is of this user, of root, or of the owner of this package."""
+    """Whether an open file belongs to this user, to root, or to the owner of this package."""
     if not hasattr(os, "geteuid"):
         return True
     return os.fstat(descriptor).st_uid in (os.geteuid(), 0, os.stat(__file__).st_uid)
 
 
 class SealedCache(FunctionCache):  # type: ignore[misc]
-    """The compiler's cache of one function, over sealed files.
+    """The compiler's cache of one function, stored in sealed files.
 
     Raises
     ------
@@ -140,18 +142,18 @@ class SealedCache(FunctionCache):  # type: ignore[misc]
 
 
 def keep(kernel: Any) -> Any:
-    """Let a kernel that was declared, not yet compiled, keep what will be compiled of it; return it."""
-    if numba.config.DISABLE_JIT:  # it is the plain function
+    """Enable the cache of a kernel that was declared but not yet compiled; return the kernel."""
+    if numba.config.DISABLE_JIT:  # the kernel is the plain function
         return kernel
     try:
         kernel._cache = SealedCache(kernel.py_func)
-    except RuntimeError:  # the compiler found no folder it may write to
+    except RuntimeError:  # the compiler found no writable folder
         tell_not_kept()
     return kernel
 
 
 def is_kept(kernel: Any, arguments: tuple[Any, ...]) -> bool:
-    """Whether code for arguments of these types is on disk, so that calling the kernel loads and does not compile it."""
+    """Whether code for arguments of these types is on disk, so that a call loads it instead of compiling."""
     cached = getattr(kernel, "_cache", None)
     if not isinstance(cached, SealedCache):
         return False
@@ -161,6 +163,6 @@ def is_kept(kernel: Any, arguments: tuple[Any, ...]) -> bool:
 
 @cache
 def tell_not_kept() -> None:
-    """Warn, once, that kernels are compiled again by every process."""
+    """Warn, once, that every process compiles its kernels again."""
     text = "compiled kernels cannot be kept: they are compiled again each time; set NUMBA_CACHE_DIR to a folder that can be written"
     warnings.warn(text, KernelsNotKept, stacklevel=2)

@@ -1,21 +1,20 @@
-"""A log of what is done: one JSON object a line on the error stream, and nothing unless it was asked for.
+"""An event log: one JSON object per line on the error stream, only when requested.
 
-`clacad -v` turns it on. Every line has `t` (seconds since the log began) and `event`; the other keys belong to
-the event:
-
+`clacad -v` turns it on. Every line has `t` (seconds since the log began) and `event`; the other keys depend
+on the event:
 =========  ================================================================
 event      keys
 =========  ================================================================
 start      version, python, system, arguments, folder
-stage      name: what is being done now
+stage      name: the stage that begins
 file       name, format, bytes, sha256, checks, seconds: written and read back
-failure    format, sentence, details: one output that could not be made
+failure    format, sentence, details: one output that could not be written
 error      kind, sentence, status, traceback (list of lines), details
 end        status, seconds, memory (greatest, bytes)
 =========  ================================================================
 
-Lines of the log begin with `{`; other talk on the error stream never does. The log names folders and the
-arguments of the call, and is therefore kept out of every file that is written.
+Lines of the log begin with `{`; other messages on the error stream never do. The log contains folder names
+and the arguments of the call. It is therefore kept out of every written file.
 """
 
 from __future__ import annotations
@@ -36,31 +35,31 @@ def start(stream: TextIO | None = None) -> None:
     Parameters
     ----------
     stream : text stream or None
-        Where lines go; None is the error stream.
+        Destination of the lines; None is the error stream.
     """
     global _stream, _began  # one process, one error stream
     _stream, _began = stream if stream is not None else sys.stderr, time.monotonic()
 
 
 def stop() -> None:
-    """End the log; events are dropped again."""
+    """End the log; later events are dropped."""
     global _stream
     _stream = None
 
 
 def on() -> bool:
-    """Tell whether anybody reads the log: facts that cost something to gather are gathered only then."""
+    """Whether the log is on: facts that are costly to gather are gathered only then."""
     return _stream is not None
 
 
 def note(event: str, **facts: Any) -> None:
-    """Write one line; does nothing without a log, and never raises: a log must not be what breaks the work.
+    """Write one line; without a log do nothing. Never raise: the log must not interrupt the work.
 
     Parameters
     ----------
     event : str
     **facts
-        Whatever JSON holds; anything else is written as its text.
+        Any JSON value; another object is written as its text.
     """
     if _stream is None:
         return
@@ -68,7 +67,7 @@ def note(event: str, **facts: Any) -> None:
     with suppress(OSError, ValueError):
         _stream.write(
             json.dumps(line, default=str) + "\n"
-        )  # ASCII: nothing in it steers a terminal or ends the line
+        )  # ASCII: no character controls a terminal or ends the line
         _stream.flush()
 
 
@@ -78,7 +77,7 @@ def seconds() -> float:
 
 
 def memory() -> int | None:
-    """Greatest memory of this process so far, bytes; None where the system does not tell."""
+    """Peak memory of this process so far, bytes; None where the system does not report it."""
     try:
         import resource
     except ImportError:

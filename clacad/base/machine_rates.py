@@ -1,9 +1,9 @@
-"""What work costs on this machine: seconds it took here before, kept in the user's cache, and forecasts made of them.
+"""Run times measured on this machine, kept in the user's cache, and forecasts computed from them.
 
-A task's seconds are first modelled from its size with the constants of one reference machine. What the task
-then really took, divided by that model, is noted; the next forecast is the model times what was noted for
-tasks of about its size. Only talk and forecasts read this file, no written byte depends on it; a file that
-is missing, broken or not writable costs the forecast its narrowness and nothing else.
+A task's seconds are first modelled from its size with the constants of one reference machine. The seconds the
+task took, divided by the modelled seconds, are recorded. The next forecast is the model times the recorded
+ratio of tasks of about its size. Only messages and forecasts read the cache file; no written byte depends on
+it. A file that is missing, broken or not writable only widens the forecast.
 """
 
 from __future__ import annotations
@@ -25,27 +25,29 @@ from clacad.base.regular_file import read_regular
 
 FORMAT = 1
 KEPT = 12
-"""Observations kept a task, the newest; older ones tell of another state of the machine."""
+"""Observations kept per task, the newest; older ones describe another state of the machine."""
 
 LEAST = 0.02
-"""Seconds below which the clock and the first call of everything decide, not the work: not noted."""
+"""Seconds below which a run is not recorded: the clock and first calls dominate the work."""
 
 MOST_BYTES = 200_000
 UNSEEN = math.log(2.5)
-"""Half width of a forecast of a task never seen here, in logarithm: machines in use differ by about that."""
+"""Half width (natural logarithm) of a forecast for a task never run here:
+about how much machines in use differ.
+"""
 
 OTHERS_SEEN = math.log(1.7)
-"""The same where the machine's speed is known from other tasks."""
+"""Half width (natural logarithm) where the machine's speed is known from other tasks only."""
 
 SEEN = math.log(1.28)
-"""Least half width: runs of one task on one machine differ by this much."""
+"""Least half width (natural logarithm): runs of one task on one machine differ by this factor."""
 
 FAR = 0.12
-"""Half width added for each factor e between the size asked and the nearest size seen."""
+"""Half width added per factor e between the requested size and the nearest recorded size."""
 
 Clock = Callable[[], float]
 Noted = tuple[float, float]
-"""Modelled seconds, and seconds it took."""
+"""Modelled seconds and measured seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class Span:
     ----------
     low, high : float, processor seconds
     seen : int
-        Runs of this task on this machine that it rests on.
+        Number of recorded runs of this task on this machine.
     """
 
     low: float
@@ -65,16 +67,16 @@ class Span:
 
     @property
     def middle(self) -> float:
-        """Geometric middle, seconds."""
+        """Geometric mean of low and high, seconds."""
         return math.sqrt(self.low * self.high)
 
     def __str__(self) -> str:
-        """Give the range as a person says it: "12–20 s", "3–5 min"."""
+        """Return the range as text: "12–20 s", "3–5 min"."""
         return span_text(self.low, self.high)
 
 
 def span_text(low: float, high: float) -> str:
-    """Range of seconds for a person: two digits at most, in s, min or h.
+    """Range of seconds as text: at most two digits, in s, min or h.
 
     >>> span_text(12.3, 20.4), span_text(0.31, 0.62), span_text(200.0, 310.0)
     ('12–20 s', '0.31–0.62 s', '3.3–5.2 min')
@@ -91,7 +93,7 @@ def _two_digits(value: float) -> str:
 
 
 def total(spans: Sequence[Span]) -> Span:
-    """Range of several tasks one after the other; seen as often as the one seen least."""
+    """Range of several tasks in sequence; `seen` is that of the task seen least."""
     return Span(
         sum(s.low for s in spans), sum(s.high for s in spans), min((s.seen for s in spans), default=0)
     )
@@ -99,12 +101,12 @@ def total(spans: Sequence[Span]) -> Span:
 
 @dataclass(frozen=True, eq=False)
 class Rates:
-    """What tasks took on one machine.
+    """Recorded run times of tasks on one machine.
 
     Parameters
     ----------
     path : Path or None
-        Where it is kept; None keeps nothing.
+        Cache file; None keeps nothing.
     tasks : mapping of task to a sequence of (modelled, taken) seconds, oldest first
     """
 
@@ -121,7 +123,7 @@ class Rates:
         return cls(path, _read(path))
 
     def span(self, task: str, modelled: float) -> Span:
-        """Forecast a task from the seconds its model gives (> 0)."""
+        """Forecast the time of a task from its modelled seconds (> 0)."""
         noted = self.tasks.get(task, ())
         if not noted:
             others = [math.log(took / model) for rows in self.tasks.values() for model, took in rows]
@@ -137,23 +139,23 @@ class Rates:
         return _around(modelled, factor, min(width, UNSEEN), len(noted))
 
     def note(self, task: str, modelled: float, took: float) -> None:
-        """Keep what a task took; nothing happens where the cache cannot be written."""
+        """Record the time of a task; do nothing where the cache cannot be written."""
         if self.path is None or not (_positive(modelled) and _positive(took)) or took < LEAST:
             return
-        tasks = dict(_read(self.path))  # another process may have noted something meanwhile
+        tasks = dict(_read(self.path))  # another process may have recorded a run since
         tasks[task] = (*tasks.get(task, ()), (float(modelled), float(took)))[-KEPT:]
         _write(self.path, tasks)
 
     @contextmanager
     def noting(self, task: str, modelled: float, clock: Clock | None = None) -> Iterator[None]:
-        """Note the processor seconds of the block, if it ends well."""
+        """Record the processor seconds of the block, unless it raises."""
         tick = clock or processor_seconds
         began = tick()
         yield
         self.note(task, modelled, tick() - began)
 
     def calibrate(self, clock: Clock | None = None) -> float:
-        """Time a fixed piece of work, best of 3, and note it: a task never seen here is then forecast by it."""
+        """Time a fixed piece of work (best of 3) and record it: forecasts of tasks never run here use it."""
         tick = clock or time.process_time
         best = math.inf
         for _ in range(3):
@@ -169,7 +171,7 @@ def _around(modelled: float, factor: float, width: float, seen: int) -> Span:
 
 
 def _median(values: Sequence[float], weights: Sequence[float] | None = None) -> float:
-    """Value with half of the weight below it: one odd run among several does not count."""
+    """Weighted median: one outlier among several runs does not count."""
     each = [1.0] * len(values) if weights is None else list(weights)
     order = sorted(range(len(values)), key=lambda k: values[k])
     half, below = 0.5 * sum(each), 0.0
@@ -188,13 +190,15 @@ def _positive(value: object) -> bool:
 
 
 def processor_seconds() -> float:
-    """Processor seconds of this process and of its children that ended: what work costs however busy the machine."""
+    """Processor seconds of this process and of its ended children:
+    the cost of work on a machine of any load.
+    """
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
 
 
 def processor_seconds_now() -> float:
-    """As `processor_seconds`, with the children that still run, where the system tells of them."""
+    """`processor_seconds` plus those of children that still run, where the system reports them."""
     running = 0.0
     with suppress(OSError, ValueError):
         for listed in Path("/proc/self/task").glob("*/children"):
@@ -203,7 +207,7 @@ def processor_seconds_now() -> float:
 
 
 def seconds_of(pid: int | None, otherwise: float) -> float:
-    """Processor seconds of a running process so far; `otherwise` where the system does not tell."""
+    """Processor seconds of a running process so far; `otherwise` where the system does not report them."""
     with suppress(OSError, ValueError, IndexError, AttributeError):
         text = Path(f"/proc/{pid}/stat").read_text()
         fields = text.rpartition(")")[2].split()
@@ -215,11 +219,11 @@ def seconds_of(pid: int | None, otherwise: float) -> float:
 
 
 def cache_folder() -> Path | None:
-    """Folder of the user's cache; CLACAD_CACHE_DIR names another, and empty keeps nothing."""
+    """Folder of the user's cache; CLACAD_CACHE_DIR names another; empty disables the cache."""
     named = os.environ.get("CLACAD_CACHE_DIR")
     if named is not None:
         return Path(named) if named else None
-    with suppress(RuntimeError):  # no home
+    with suppress(RuntimeError):  # no home folder
         if sys.platform == "win32":
             return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "clacad"
         if sys.platform == "darwin":
@@ -229,7 +233,7 @@ def cache_folder() -> Path | None:
 
 
 def machine() -> dict[str, str]:
-    """What rates depend on: version, processor, cores, threads asked for."""
+    """Facts that rates depend on: version, processor, cores, requested threads."""
     from clacad import __version__
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -253,7 +257,7 @@ def machine_key() -> str:
 
 
 def _read(path: Path) -> dict[str, tuple[Noted, ...]]:
-    """Observations of a file; none where it is missing, too large or not what it should be."""
+    """Observations of a file; none where it is missing, too large or malformed."""
     try:
         found = json.loads(read_regular(path, MOST_BYTES))
     except (OSError, ValueError, RecursionError):
@@ -293,11 +297,11 @@ def _write(path: Path, tasks: Mapping[str, tuple[Noted, ...]]) -> None:
 
 MACHINE = "machine"
 REFERENCE = 0.033
-"""Processor seconds of `_reference_work` on the machine whose constants the models hold."""
+"""Processor seconds of `_reference_work` on the reference machine of the models."""
 
 
 def _reference_work() -> int:
-    """Dictionary, float and text work, as exports mostly are."""
+    """Dictionary, float and text work, similar to most exports."""
     kept: dict[str, float] = {}
     for k in range(60_000):
         kept[f"{k % 997} {k * 0.1!r}"] = math.sqrt(k) / (k + 1.0)

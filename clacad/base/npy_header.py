@@ -1,4 +1,4 @@
-"""The head of one array of an .npz archive, as a stranger may have written it."""
+"""Header of one array of an untrusted .npz archive."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from clacad.base.whole_numbers import array_lengths
 
 
 def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, Fortran order and type of the array whose bytes follow in the stream.
+    """Shape, Fortran order and type of the array that follows in the stream.
 
     Raises
     ------
     ValueError
-        It is no such head; the message is one line.
+        The stream holds no such header; the message is one line.
     """
     try:
         version = np.lib.format.read_magic(stream)

@@ -1,9 +1,9 @@
-"""Error-free sums and products of float64 arrays, and arithmetic on the pairs they give.
+"""Error-free sums and products of float64 arrays, and arithmetic on the pairs they return.
 
-A pair ``(high, low)`` stands for the unrounded number high + low with about 106 significant bits.
-This is the one module of the mathematics layer that its neighbours may import: arithmetic, no optics.
+A pair ``(high, low)`` represents the unrounded number high + low with about 106 significant bits.
+Of the mathematics layer it is the only module that neighbours may import: arithmetic, no optics.
 After T. J. Dekker, Numer. Math. 18, 224 (1971) and D. E. Knuth, The Art of Computer Programming, vol. 2,
-4.2.2. A compiler that fuses multiply and add breaks these identities: keep such copies out of
+4.2.2. A compiler that fuses multiply and add breaks these identities: compile no copy of them with
 ``fastmath={"contract"}``.
 """
 
@@ -20,7 +20,7 @@ _SPLITTER = 134217729.0  # 2**27 + 1 halves a 53-bit significand
 
 
 def two_sum(a: ArrayLike, b: ArrayLike) -> Pair:
-    """Rounded sum of a and b (arrays that broadcast), and exactly what rounding took away."""
+    """Rounded sum of a and b (arrays that broadcast), and its exact rounding error."""
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     total = np.asarray(a + b)
     part_b = total - a
@@ -28,7 +28,7 @@ def two_sum(a: ArrayLike, b: ArrayLike) -> Pair:
 
 
 def two_product(a: ArrayLike, b: ArrayLike) -> Pair:
-    """Rounded product of a and b, and exactly what rounding took away.
+    """Rounded product of a and b, and its exact rounding error.
 
     Exact while both are below 2**996 and the product is above 2**-969, where its tail would underflow.
     """
@@ -41,13 +41,13 @@ def two_product(a: ArrayLike, b: ArrayLike) -> Pair:
 
 
 def pair(a: ArrayLike) -> Pair:
-    """An exact float64 array as a pair of its shape."""
+    """Exact float64 array as a pair of its shape."""
     high = np.asarray(a, dtype=np.float64)
     return high, np.zeros_like(high)
 
 
 def pair_sum(*terms: Pair) -> Pair:
-    """Sum of pairs, to 2**-104 of the sum of their magnitudes."""
+    """Sum of pairs, with an error of at most 2**-104 of the sum of their magnitudes."""
     high, low = terms[0]
     for other_high, other_low in terms[1:]:
         high, rest = two_sum(high, other_high)
@@ -56,7 +56,7 @@ def pair_sum(*terms: Pair) -> Pair:
 
 
 def pair_product(*factors: Pair) -> Pair:
-    """Product of pairs, to about 2**-102 of itself."""
+    """Product of pairs, with a relative error of about 2**-102."""
     high, low = factors[0]
     for other_high, other_low in factors[1:]:
         product, rest = two_product(high, other_high)

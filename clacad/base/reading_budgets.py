@@ -1,6 +1,6 @@
-"""What each reader may take of a file from elsewhere: bytes, items and processor seconds, in one table.
+"""Limits of each reader of untrusted files: bytes, items and processor seconds, in one table.
 
-Readers hold themselves to it (`clacad.storage.spending`) and `clacad doctor` states it.
+Readers enforce them (`clacad.storage.spending`) and `clacad doctor` prints them.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ GIGABYTE = 1000 * MEGABYTE
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What one reader may take.
+    """Limits of one reader.
 
     Parameters
     ----------
     files : str
         Files it reads, in words.
     bytes : int
-        Size of the file; of a packed one also of what it unpacks to.
+        Size of the file; for a packed file also the unpacked size.
     items : int or None
-        Most things of the kind `item` in one file; None where a library reads it, which counts nothing.
+        Most items of the kind `item` in one file; None where a library reads the file and counts nothing.
     item : str
-        What is counted, in the plural.
+        Kind of the counted items, in the plural.
     seconds : float or None
-        Processor seconds of reading that any file may take; None where they follow from bytes and items, because the
-        file is read in one go or row by row as it is used.
+        Processor seconds that reading any file may take. None where bytes and items limit the time, because
+        the file is read in one go or row by row as it is used.
     seconds_per_megabyte : float
-        Processor seconds that each megabyte of the file adds.
+        Additional processor seconds per megabyte of the file.
     memory : int or None, bytes
-        Address space of the process that reads, for a reader that has one of its own.
+        Address space of the reading process, for a reader that runs in its own process.
     memory_per_byte : int
-        Bytes of address space that each byte of the file adds.
+        Additional bytes of address space per byte of the file.
     """
 
     files: str
@@ -49,13 +49,13 @@ class Budget:
     memory_per_byte: int = 0
 
     def seconds_for(self, size: int) -> float:
-        """Processor seconds that a file of `size` bytes may take; infinite where nothing is said."""
+        """Processor seconds that a file of `size` bytes may take; infinite where there is no limit."""
         if self.seconds is None:
             return inf
         return self.seconds + self.seconds_per_megabyte * size / MEGABYTE
 
     def memory_for(self, size: int) -> int | None:
-        """Address space in bytes that reading a file of `size` bytes may take, None where nothing is said."""
+        """Address space in bytes for reading a file of `size` bytes; None where there is no limit."""
         return None if self.memory is None else self.memory + self.memory_per_byte * size
 
 
@@ -86,4 +86,7 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType({
     "cell-table": Budget("tables of cells (CSV, NPZ)", GIGABYTE, 10_000_000, "cells", None),
     "manifest": Budget("manifests (JSON)", 16 << 20, 20_000, "files", None),
 })  # fmt: skip
-"""Reader → its budget. Bytes and items refuse alike on every machine; seconds are many times what an honest file takes."""
+"""Reader → its limits.
+
+Limits of bytes and items are the same on every machine; seconds are many times the need of a legitimate file.
+"""

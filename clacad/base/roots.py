@@ -1,9 +1,9 @@
-"""Every real root of a smooth function on [0, 1], by monotone pieces: nothing is missed between samples.
+"""All real roots of a smooth function on [0, 1], by monotone pieces: no root between samples is missed.
 
-The function is replaced by Chebyshev interpolants that agree with it to rounding; the real roots of
-their derivative cut [0, 1] into pieces on which the function is monotone, so a piece holds one root
-if its ends differ in sign and none otherwise. Each root is then bisected on the function itself, never
-on the interpolant. (Trefethen, Approximation Theory and Approximation Practice, chapter 18.)
+Chebyshev interpolants replace the function and agree with it to rounding error. The real roots of their
+derivative cut [0, 1] into pieces on which the function is monotone. A piece contains one root if the values
+at its ends differ in sign, otherwise none. Each root is bisected on the function itself, never on the
+interpolant. (Trefethen, Approximation Theory and Approximation Practice, chapter 18.)
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from clacad.base.unique_rows import distinct
 Function = Callable[[Floats], Floats]
 
 _DEGREES = (16, 32, 64)
-_MAX_DEPTH = 30  # a square-root end (equator) halves towards it; 2^-30 of a border is nothing
-_PLATEAU = 1e-8  # a tail this small that no longer falls is rounding
+_MAX_DEPTH = 30  # intervals halve towards a square-root end (equator); 2^-30 of a border is negligible
+_PLATEAU = 1e-8  # a coefficient tail this small that no longer falls is rounding error
 
 
 def sign_changes(function: Function, noise: float) -> Floats:
@@ -37,8 +37,8 @@ def sign_changes(function: Function, noise: float) -> Floats:
     Returns
     -------
     (n,) array, ascending
-        Odd roots. A root where the function only touches zero is none; a stretch of zeros between
-        opposite signs counts once, at its middle. Zeros at 0 and 1 themselves are not sign changes.
+        Roots of odd order. A root where the function only touches zero is omitted. A stretch of zeros between
+        opposite signs counts once, at its middle. Zeros at 0 and 1 themselves are omitted.
     """
     if _keeps_away(function, noise):
         return np.empty(0)
@@ -60,7 +60,7 @@ def sign_changes(function: Function, noise: float) -> Floats:
 
 
 def bisect(function: Function, low: Floats, high: Floats) -> Floats:
-    """Halve brackets (n,) of opposite sign until they cannot be halved any more."""
+    """Halve brackets (n,) with ends of opposite sign down to the resolution of float64."""
     low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
     if low.size == 0:
         return low
@@ -75,7 +75,7 @@ def bisect(function: Function, low: Floats, high: Floats) -> Floats:
 
 
 def _monotone_knots(function: Function, noise: float) -> tuple[Floats, Floats]:
-    """Give parameters between which the function is monotone, with its values there (NaN: no function)."""
+    """Parameters between which the function is monotone, and its values there (NaN: undefined)."""
     knots: list[Floats] = [np.array([0.0])]
     stack = [(0.0, 1.0, 0)]
     while stack:
@@ -91,7 +91,7 @@ def _monotone_knots(function: Function, noise: float) -> tuple[Floats, Floats]:
 
 
 def _critical_points(function: Function, low: float, high: float, noise: float, last: bool) -> Floats | None:
-    """Roots of the derivative inside (low, high); None where the function must be split to be resolved."""
+    """Roots of the derivative inside (low, high); None where the interval must be split for resolution."""
     before = np.inf
     for degree in _DEGREES:
         nodes = _nodes(degree)
@@ -101,7 +101,7 @@ def _critical_points(function: Function, low: float, high: float, noise: float, 
         if np.isnan(values).any():
             return np.empty(0) if last else None
         coefficients = _interpolant(nodes, values)
-        # The lens heights carry rounding of `noise`; a tail at that level is all that can be resolved.
+        # The lens heights have rounding errors of `noise`; coefficients at that level cannot be resolved.
         tail = np.abs(coefficients[-4:]).max()
         largest = np.abs(coefficients).max()
         plateau = tail <= _PLATEAU * largest and tail > 0.1 * before
@@ -118,7 +118,7 @@ def _critical_points(function: Function, low: float, high: float, noise: float, 
 
 
 def _keeps_away(function: Function, noise: float) -> bool:
-    """Whether an interpolant that agrees to rounding is farther from zero everywhere than it ever varies."""
+    """Whether a resolved interpolant has no zero: its mean exceeds the sum of all its variation."""
     nodes = _nodes(_DEGREES[0])
     values = function(0.5 * (nodes + 1.0))
     if not np.isfinite(values).all():
@@ -137,12 +137,12 @@ def _nodes(degree: int) -> Floats:
 
 @lru_cache(maxsize=len(_DEGREES))
 def _transform(count: int) -> Floats:
-    """Values at first-kind points → sums of them over the polynomials, (count, count)."""
+    """Matrix (count, count) that sums values at first-kind points over each Chebyshev polynomial."""
     return np.asarray(chebyshev.chebvander(_nodes(count - 1), count - 1).T)
 
 
 def _interpolant(nodes: Floats, values: Floats) -> Floats:
-    """Chebyshev coefficients of the interpolant at first-kind points (discrete orthogonality)."""
+    """Chebyshev coefficients of the interpolant through first-kind points (discrete orthogonality)."""
     n = len(nodes)
     transform = _transform(n) @ values * (2.0 / n)
     transform[0] *= 0.5

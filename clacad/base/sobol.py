@@ -1,8 +1,8 @@
-"""Sobol points: the one deterministic, evenly spread source of test rays.
+"""Sobol points: the only source of deterministic, evenly spread test rays.
 
 Unscrambled, in Gray-code order, direction numbers of S. Joe and F. Y. Kuo, SIAM J. Sci. Comput. 30, 2635
-(2008), "new-joe-kuo-6". Any 2^k first points fill every elementary interval; the first point is the
-origin and is left out by default, so that no ray starts exactly in a corner.
+(2008), "new-joe-kuo-6". Any 2^k first points fill every elementary interval. The first point is the
+origin; it is left out by default, so that no ray starts exactly in a corner.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ def sobol(count: int, dimension: int, skip: int = 1) -> NDArray[np.float64]:
     count : int
     dimension : int, 1 to 10
     skip : int
-        Points left out at the start (1: the origin). Chunks with rising `skip` continue one sequence.
+        Points left out at the start (1: the origin). Consecutive chunks with rising `skip` continue one
+        sequence.
 
     Returns
     -------
@@ -51,7 +52,7 @@ def sobol(count: int, dimension: int, skip: int = 1) -> NDArray[np.float64]:
 
 
 def _directions(dimension: int, bits: int) -> list[int]:
-    """Direction numbers scaled to 52 bits, at least `bits` of them."""
+    """Direction numbers scaled to 52 bits; at least `bits` numbers."""
     if dimension == 0:
         return [1 << (_BITS - 1 - k) for k in range(bits)]
     degree, coefficients, initial = _JOE_KUO[dimension - 1]

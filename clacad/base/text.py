@@ -1,4 +1,4 @@
-"""Words and values as text: which word was probably meant, and any value as plain JSON."""
+"""Words and values as text: suggestions for misspelt words, and any value as plain JSON."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from math import isfinite
 from typing import Any
 
 DEEPEST = 64
-"""Levels of nesting that files may have and values are followed to: what holds itself ends here."""
+"""Greatest nesting depth of files and of converted values: it ends self-referencing values."""
 
 
 def near(word: str, words: Iterable[str], cutoff: float = 0.6, most: int = 1) -> list[str]:
-    """Give the words that look like another one, the likest first.
+    """Return the words most similar to a given word, the most similar first.
 
     Parameters
     ----------
     word : str
-        What was written.
+        Word as written.
     words : iterable of str
-        What could have been meant.
+        Valid words.
     cutoff : float
-        Least likeness, 0 … 1.
+        Least similarity, 0 … 1.
     most : int
-        Number of words at most.
+        Greatest number of words returned.
     """
     from difflib import get_close_matches
 
@@ -35,35 +35,35 @@ def count_text(number: float, noun: str) -> str:
 
 
 def did_you_mean(words: Sequence[str], quote: str = "", before: str = "") -> str:
-    """Ask whether one of some words was meant; "" if there is none.
+    """Return a question whether one of some words was meant; "" for no words.
 
     Parameters
     ----------
     words : sequence of str
     quote : str
-        Put round each word.
+        Quotation mark around each word.
     before : str
-        Put before the question, such as "; ".
+        Text before the question, such as "; ".
     """
     return f"{before}did you mean {' or '.join(f'{quote}{word}{quote}' for word in words)}?" if words else ""
 
 
 def null(number: float) -> None:
-    """Stand in for a number that is not finite: JSON has no other word for it."""
+    """Return None in place of a number that is not finite: JSON has no other representation."""
     return None
 
 
 def plain(value: Any, not_finite: Callable[[float], Any] = null, depth: int = 0) -> Any:
-    """Give a value as JSON can hold it: no numpy, no tuples, no keys but text; what is of no such type stays.
+    """Return a value as JSON types: no numpy, no tuples, text keys only; objects of other types stay.
 
     Parameters
     ----------
     value : any
         Nested mappings, lists, tuples, arrays and scalars.
     not_finite : callable
-        Gives what stands for NaN and infinities; default null, `float` leaves them.
+        Returns the replacement of NaN and infinities; default null, `float` leaves them.
     depth : int
-        How deep the value lies; beyond 64 levels it stays as it is.
+        Nesting depth of the value; below 64 levels it stays as it is.
     """
     if depth > DEEPEST:
         return value
@@ -71,7 +71,7 @@ def plain(value: Any, not_finite: Callable[[float], Any] = null, depth: int = 0)
         return {str(key): plain(item, not_finite, depth + 1) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item, not_finite, depth + 1) for item in value]
-    if hasattr(value, "tolist"):  # numpy's scalars and arrays
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
         return plain(value.tolist(), not_finite, depth + 1)
     if isinstance(value, float) and not isfinite(value):
         return not_finite(value)
@@ -79,7 +79,7 @@ def plain(value: Any, not_finite: Callable[[float], Any] = null, depth: int = 0)
 
 
 def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
-    """Align the columns of some rows of text; the last column is not padded."""
+    """Align the columns of rows of text; the last column is not padded."""
     rows = [[str(cell) for cell in row] for row in rows]
     if not rows:
         return ""
@@ -96,13 +96,13 @@ def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
 
 
 def printable_lines(text: str) -> str:
-    """Return a text of several lines without what could move the cursor; see `printable`."""
+    """Return a text of several lines without characters that could move the cursor; see `printable`."""
     return "\n".join(map(printable, text.rstrip("\n").split("\n")))
 
 
 def printable(text: str) -> str:
     """Return the text with every character that could move the cursor replaced by a space or a '?'.
 
-    A stranger's file must not steer the terminal. The length is kept, so that carets stay in place.
+    An untrusted file must not control the terminal. The length is kept, so that carets stay in place.
     """
     return "".join(" " if c == "\t" else c if c.isprintable() else "?" for c in text)

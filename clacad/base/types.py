@@ -1,4 +1,4 @@
-"""Types that every room speaks of: arrays by what they hold, rungs of the ladder, progress."""
+"""Types used by all packages: arrays by their content, rungs of the ladder, progress."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 Rows = NDArray[np.intp]
-"""Numbers of rays or rows in an array."""
+"""Indices of rays or rows in an array."""
 
 Cells = NDArray[np.int32]
 """Cell indices as the compiled code stores them."""
@@ -25,17 +25,17 @@ Bytes = NDArray[np.uint8]
 """Fates, states and pixels."""
 
 Singles = NDArray[Any]
-"""Compiled passes over float32 take either precision."""
+"""Arrays of either precision: compiled passes over float32 accept both."""
 
 Pair2 = tuple[float, float]
-"""A number for each of two axes or lenses."""
+"""One number for each of two axes or lenses."""
 
 Rung = Literal["law", "thin", "surfaces", "mesh"]
-"""Step of the ladder of exactness that a trace runs on."""
+"""Step of the ladder of exactness on which a trace runs."""
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done, and the part of it that is done (0 … 1; NaN: not known)."""
+"""Called with the current stage and the fraction of it that is done (0 … 1; NaN: not known)."""
 
 
 def silent(_stage: str, _done: float) -> None:
-    """Progress that nobody wants to hear of."""
+    """Ignore progress."""

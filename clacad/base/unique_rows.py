@@ -1,4 +1,4 @@
-"""Distinct numbers, and distinct rows of whole numbers, told apart as single numbers where they fit into one."""
+"""Distinct numbers, and distinct rows of integers, compared as single numbers where a row fits into one."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Number = TypeVar("Number", bound=np.number[Any])
 
 
 def distinct(numbers: NDArray[Number]) -> NDArray[Number]:
-    """Distinct numbers (k,) of those (n,), in ascending order; none may be NaN.
+    """Distinct values (k,) of numbers (n,), in ascending order; none may be NaN.
 
-    What ``numpy.unique`` gives, which loads masked arrays to see that these are none: 0.03 s.
+    Same result as ``numpy.unique``, without its 0.03 s for loading masked arrays.
     """
     ordered = np.sort(numbers)
     first = np.ones(len(ordered), dtype=np.bool_)
@@ -25,10 +25,10 @@ def distinct(numbers: NDArray[Number]) -> NDArray[Number]:
 
 
 def unique_rows(rows: Ints) -> tuple[Ints, Ints]:
-    """Distinct rows in ascending order (k, c), and the number of each row's own (n,).
+    """Distinct rows in ascending order (k, c), and for each row the index of its distinct row (n,).
 
-    What ``numpy.unique(rows, axis=0, return_inverse=True)`` gives, which compares rows as bytes and takes twenty times
-    as long.
+    Same result as ``numpy.unique(rows, axis=0, return_inverse=True)``, which compares rows as bytes and takes
+    twenty times as long.
 
     Parameters
     ----------

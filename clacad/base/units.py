@@ -1,8 +1,8 @@
-"""The one conversion between what a person writes and what the program computes with.
+"""The only conversion between quantities as people write them and numbers the program computes with.
 
 Design lengths become multiples of the design's unit, angles degrees or radians, wavelengths metres.
-A quantity with a unit is converted exactly (rational arithmetic) and rounded once, so "250 um" in a
-design in mm is the float 0.25 and nothing else.
+A quantity with a unit is converted exactly (rational arithmetic) and rounded once: "250 um" in a
+design in mm is exactly the float 0.25.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LENGTHS: Final[dict[str, Fraction]] = {
     "m": Fraction(1),
     "in": Fraction(254, 10000),
 }
-"""Length units in metres. The micro sign and the Greek mu are two characters that look alike."""
+"""Length units in metres. The micro sign and the Greek mu are two different characters that look alike."""
 
 DEGREES: Final[dict[str, Fraction]] = {
     "deg": Fraction(1),
@@ -45,7 +45,7 @@ RADIANS: Final[dict[str, Fraction]] = {
 """Angle units that are rational multiples of a radian."""
 
 MILLIMETRE: Final = 1e-3
-"""In metres: the unit of most files."""
+"""Millimetre in metres: the unit of most files."""
 
 PERCENT: Final[dict[str, Fraction]] = {"%": Fraction(1, 100)}
 
@@ -55,9 +55,9 @@ SHOWN: Final[dict[Family, str]] = {
     "wavelength": "nm um mm m",
     "ratio": "%",
 }
-"""Units of each family as messages list them (without the spellings that only look different)."""
+"""Units of each family as messages list them (without alternative spellings that look the same)."""
 
-# Three digits of exponent: enough for every float, and a string cannot ask for a gigabyte of zeros.
+# Three digits of exponent are enough for every float; a string cannot request a gigabyte of zeros.
 _QUANTITY = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?)\s*(\S*)\s*", re.ASCII)
 _LONGEST = 64
 
@@ -90,7 +90,7 @@ def family_of(unit: str) -> Family | None:
 def split(text: str) -> tuple[Fraction, str] | None:
     """Split a quantity into its exact number and its unit word ("" if there is none).
 
-    Returns None where the text does not start with a number, is longer than any quantity, or its
+    Returns None where the text does not start with a number, is longer than 64 characters, or its
     number is beyond float64.
     """
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
@@ -110,7 +110,7 @@ def design_unit(text: str) -> Unit | None:
 
 
 def _nearest(number: Fraction) -> float:
-    """Round to a double; what is beyond the largest is infinite."""
+    """Round to a double; a number beyond the largest double becomes infinite."""
     try:
         return float(number)
     except OverflowError:
@@ -128,7 +128,7 @@ def in_metres(number: Fraction, word: str) -> float:
 
 
 def in_degrees(number: Fraction, word: str) -> float:
-    """Convert an angle with a unit word to degrees; exact before the one rounding for deg and its parts."""
+    """Convert an angle with a unit word to degrees; for deg and its parts exact before the one rounding."""
     return (
         _nearest(number * DEGREES[word])
         if word in DEGREES
@@ -137,7 +137,7 @@ def in_degrees(number: Fraction, word: str) -> float:
 
 
 def in_radians(number: Fraction, word: str) -> float:
-    """Convert an angle with a unit word to radians; exact before the one rounding for rad and its parts."""
+    """Convert an angle with a unit word to radians; for rad and its parts exact before the one rounding."""
     return (
         _nearest(number * RADIANS[word])
         if word in RADIANS
@@ -146,18 +146,18 @@ def in_radians(number: Fraction, word: str) -> float:
 
 
 def millimetres(metres: float) -> float:
-    """Return a length in millimetres whose decimal digits are those of the value in metres.
+    """Return a length in millimetres with the decimal digits of the value in metres.
 
-    Of a design unit in metres: the millimetres that one unit is, the scale of every file.
+    For a design unit in metres: the number of millimetres per unit, the scale of every file.
     """
     return float(Fraction(repr(metres)) * 1000)
 
 
 def nanometres(metres: float) -> float:
-    """Return a wavelength in nm whose decimal digits are those of the value in metres."""
+    """Return a wavelength in nm with the decimal digits of the value in metres."""
     return float(Fraction(repr(metres)) * 10**9)
 
 
 def metres_from_nanometres(number: float) -> float:
-    """Return a wavelength in metres from bare nm, rounded once from the decimal digits written."""
+    """Return a wavelength in metres from bare nm, rounded once from the written decimal digits."""
     return float(Fraction(repr(float(number))) / 10**9)

@@ -1,4 +1,4 @@
-"""Whole numbers in texts from outside, with as many digits as a 64-bit number always has room for."""
+"""Integers in untrusted text, with at most as many digits as always fit into 64 bits."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ _WHOLE = re.compile(rf"-?[0-9]{{1,{MOST_DIGITS}}}", re.ASCII)
 
 
 def whole_number(text: str, *, signed: bool = False) -> int | None:
-    """Read a whole number.
+    """Read an integer.
 
     Parameters
     ----------
     text : str
         Such as "12", without spaces.
     signed : bool
-        Whether "-5" is read, too.
+        Whether a minus sign is accepted, as in "-5".
 
     Returns
     -------
     int or None
-        None where the text is anything else: digits that are not 0 … 9, or more than 18 of them.
+        None for any other text, for digits other than 0 … 9, and for more than 18 digits.
 
     Examples
     --------
@@ -34,7 +34,7 @@ def whole_number(text: str, *, signed: bool = False) -> int | None:
 
 
 def array_lengths(shape: object) -> tuple[int, ...] | None:
-    """Read the lengths of an array as a file states them: whole numbers >= 0; None where they are anything else."""
+    """Read the lengths of an array from a file's header: integers >= 0 and below 2^63; otherwise None."""
     if not isinstance(shape, tuple) or not all(
         type(length) is int and 0 <= length < 2**63 for length in shape
     ):
@@ -43,7 +43,7 @@ def array_lengths(shape: object) -> tuple[int, ...] | None:
 
 
 def beyond_64_bits(value: Any) -> bool:
-    """Tell whether a value, or one in its lists and tables, is a whole number of more than 64 bits."""
+    """Whether a value, or one in its lists and tables, is an integer of more than 64 bits."""
     if isinstance(value, dict):
         return any(map(beyond_64_bits, value.values()))
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""What design and scene files share: text, places of keys, kinds of value, mistakes, overrides.
+"""Common parts of design and scene files: text, positions of keys, kinds of value, mistakes, overrides.
 
-The keys themselves live with `design` and `scene`.
+The keys themselves are defined in `design` and `scene`.
 """

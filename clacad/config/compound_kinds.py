@@ -1,4 +1,4 @@
-"""Kinds of value made of other kinds: lists, small tables, a word or something else."""
+"""Kinds of value composed of other kinds: lists, small tables, a word or another value."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from clacad.config.value_kinds import JsonSchema, Kind, Refusal, not_this, shown
 
 @dataclass(frozen=True, slots=True)
 class Several:
-    """A list of exactly `count` values of one kind; with `single`, one value stands for all of them.
+    """A list of one value per name, all of one kind; with `single`, one value may represent all of them.
 
-    not_all : values that may not stand in every place; where one is found instead of a list, `example` is what is hinted.
+    not_all : values that may not occupy every position; given such a value in place of a list, the hint is
+    `example`.
     """
 
     kind: Kind
@@ -40,7 +41,7 @@ class Several:
         return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
 
     def _listed(self, value: object, unit: Unit) -> str:
-        """Hint of a list that will do instead of one number; "" where the number itself would be refused in it."""
+        """Hint of a valid list in place of one number; "" where the number would be refused in a list too."""
         if not isinstance(value, int | float) or isinstance(value, bool):
             return ""
         if value in self.not_all:
@@ -57,7 +58,7 @@ class Several:
         return f"{one}, or {self._list()}" if self.single else f"{self._list()}, each {one}"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of an array of fixed length (or one value)."""
+        """Return the JSON Schema of an array of fixed length (or one value)."""
         n = len(self.names)
         array: JsonSchema = {"type": "array", "items": self.kind.schema(), "minItems": n, "maxItems": n}
         return {"anyOf": [self.kind.schema(), array]} if self.single else array
@@ -67,7 +68,7 @@ class Several:
 
 
 def each(readers: Iterable[tuple[int | str, Kind, object]], unit: Unit) -> list[Any]:
-    """Read the elements of a list or table; the refusal raised carries all that is wrong, not only the first.
+    """Read the elements of a list or table; the raised refusal carries all faults, not only the first.
 
     Parameters
     ----------
@@ -100,17 +101,17 @@ class WordOr:
         """Return the word or the other value."""
         if not isinstance(value, str) or value in self.words:
             return value if isinstance(value, str) else self._other(value, unit)
-        if units.split(value) is None:  # a text that is no quantity was meant as a word
+        if units.split(value) is None:  # a text that is no quantity is a misspelt word
             hint = did_you_mean(near(value.lower(), self.words, 0.5), quote='"')
             raise Refusal("CL107", "is not a word known here", value, self.allowed(unit), hint)
         return self._other(value, unit)
 
     def allowed(self, unit: Unit) -> str:
-        """Return the words, then what the other kind allows."""
+        """Return the words, then the values that the other kind allows."""
         return " | ".join(f'"{word}"' for word in self.words) + f" | {self.other.allowed(unit)}"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of either."""
+        """Return the JSON Schema of either."""
         return {"anyOf": [{"enum": list(self.words)}, self.other.schema()]}
 
     def _other(self, value: object, unit: Unit) -> Any:
@@ -124,7 +125,7 @@ class WordOr:
 
 @dataclass(frozen=True, slots=True)
 class InlineTable:
-    """A small inline table; `exactly_one` for one key out of several."""
+    """A small inline table; `exactly_one` requires one key out of several."""
 
     kinds: tuple[tuple[str, Kind], ...]
     required: tuple[str, ...] = ()
@@ -162,7 +163,7 @@ class InlineTable:
         return "{" + ", ".join(f"{key} = ..." for key, _ in self.kinds) + "}"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of an object without other keys."""
+        """Return the JSON Schema of an object without other keys."""
         made: JsonSchema = {
             "type": "object",
             "properties": {key: kind.schema() for key, kind in self.kinds},
@@ -180,7 +181,7 @@ class ListOrTable:
     table: InlineTable
 
     def read(self, value: object, unit: Unit) -> tuple[Any, ...]:
-        """Return what the list or the table gives."""
+        """Return the value of the list or of the table."""
         try:
             return self.table.read(value, unit) if isinstance(value, dict) else self.listed.read(value, unit)
         except Refusal as refusal:
@@ -189,17 +190,17 @@ class ListOrTable:
             raise
 
     def allowed(self, unit: Unit) -> str:
-        """Return what the list, then what the table allows."""
+        """Return the values that the list allows, then those that the table allows."""
         return f"{self.listed.allowed(unit)} | {self.table.allowed(unit)}"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of either."""
+        """Return the JSON Schema of either."""
         return {"anyOf": [self.listed.schema(), self.table.schema()]}
 
 
 @dataclass(frozen=True, slots=True)
 class ListOf:
-    """A list of any number of values of one kind, up to 1000."""
+    """A list of up to 1000 values of one kind."""
 
     kind: Kind
     what: Literal["texts", "tables", "pairs"]
@@ -213,9 +214,9 @@ class ListOf:
         return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
 
     def allowed(self, unit: Unit) -> str:
-        """Return what the list holds."""
+        """Return the content of the list."""
         return f"a list of {self.what}: [{self.kind.allowed(unit)}, ...]"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of an array."""
+        """Return the JSON Schema of an array."""
         return {"type": "array", "items": self.kind.schema(), "maxItems": 1000}

@@ -1,4 +1,4 @@
-"""The error of a design that cannot be accepted: every mistake at once, each at its place."""
+"""Error of a design that is refused: every mistake at once, each with its position."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from clacad.config.mistakes import Mistake
 
 
 class FromText(Protocol):
-    """What was read from a text, such as a `Design`: the text or None, and the name of its file or ""."""
+    """An object read from a text, such as a `Design`: the text or None, and the name of its file or ""."""
 
     @property
     def source(self) -> str | None:
-        """Text that it was read from, None where there is none."""
+        """Text that the object was read from, None where there is none."""
 
     @property
     def path(self) -> str:
-        """Name of the file as the user gave it, "" without a file."""
+        """Name of the file as given by the user, "" without a file."""
 
 
 class DesignError(ValueError):
-    """A design that cannot be accepted; holds every mistake that was found.
+    """A design is refused; holds every mistake that was found.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class DesignError(ValueError):
         super().__init__(self.mistakes)
 
     def __str__(self) -> str:
-        """Return all mistakes, one block each, in the order of their places."""
+        """Return all mistakes, one block each, in the order of their positions."""
         blocks = [str(mistake) for mistake in self.mistakes]
         if len(blocks) > 1:
             blocks.append(f"{len(blocks)} mistakes")
@@ -48,29 +48,29 @@ class DesignError(ValueError):
         cls, design: FromText, key: str, message: str, *, code: str = "CL120", found: str = "", allowed: str = "",
         hint: str = "",
     ) -> DesignError:  # fmt: skip
-        """Refuse a design for a reason found after reading, at the place of one of its keys.
+        """Refuse a design for a reason found after reading, at the position of one of its keys.
 
         Parameters
         ----------
         design : Design
-            The design that is refused; its file text gives line and column.
+            The refused design; its file text gives line and column.
         key : str
-            Dotted key the reason belongs to, such as "pair.thickness".
+            Dotted key at fault, such as "pair.thickness".
         message : str
-            What is wrong, with the computed numbers.
+            The fault, with the computed numbers.
         code, found, allowed, hint : str
-            As in `Mistake`.
+            As for `Mistake`.
 
         Returns
         -------
         DesignError
-            With one mistake; raise it.
+            Error with one mistake, for the caller to raise.
         """
         mistake = Mistake(code, message, key=key, found=found, allowed=allowed, hint=hint)
         return cls(located([mistake], design.source, design.path, ()))
 
 
 class DesignTooLarge(DesignError):
-    """A file with more bytes than are read of a design or scene: refused by that limit, whatever is in it."""
+    """A design or scene file is refused because it exceeds the size limit, regardless of its content."""
 
     exit_status = 3

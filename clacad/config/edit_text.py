@@ -1,4 +1,4 @@
-"""A file's text with some keys changed: comments, order and everything else as it was."""
+"""Change of some keys in a file's text; comments, order and everything else stay as they are."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def value_text(value: Any) -> str:
-    """Return a value as TOML writes it; a table in one line."""
+    """Return a value in TOML syntax; a table in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -28,7 +28,7 @@ def value_text(value: Any) -> str:
 
 
 def with_values(text: str, changes: Mapping[str, Any], *, is_json: bool = False) -> str:
-    """Change values in a valid text, and add those that are not there.
+    """Change values in a valid text, and add missing ones.
 
     Parameters
     ----------
@@ -37,12 +37,12 @@ def with_values(text: str, changes: Mapping[str, Any], *, is_json: bool = False)
     changes : mapping
         Value by dotted key; applied in order.
     is_json : bool
-        Then the text is written anew in the same order, indented as it was.
+        Whether the text is JSON, which is written from scratch in the same order, with its indent.
 
     Raises
     ------
     LookupError
-        A key that leads through a value, past the end of a list, or to a table that has lines of its own.
+        A key leads through a value, past the end of a list, or to a table that has lines of its own.
     """
     if is_json:
         data = json.loads(text)
@@ -64,14 +64,14 @@ def _with_value(text: str, path: KeyPath, value: Any) -> str:
     if any(head[: len(path)] == path for head in (*places.heads, *places.dotted)):
         raise LookupError(f"{'.'.join(map(str, path))} is a table with lines of its own")
     table, name = path[:-1], str(path[-1])
-    if table in places.values:  # an inline table, or a value that has no such part
+    if table in places.values:  # an inline table, or a value without such a part
         return _replaced(
             raw, places.values[table], value_text(put(_read(places.values[table]), (path[-1],), value))
         )
     line = f"{_bare(name)} = {value_text(value)}\n".encode()
     if table in places.ends:
         return _inserted(raw, places.ends[table], line)
-    if table in places.dotted:  # the table is there as dotted keys only
+    if table in places.dotted:  # the table exists as dotted keys only
         prefix, end = places.dotted[table]
         return _inserted(raw, end, prefix + line)
     if len(table) > 1:
@@ -91,7 +91,7 @@ def _read(node: Node) -> Any:
 
 
 def _replaced(raw: bytes, node: Node, new: str) -> str:
-    """The text with a value replaced; a comment behind it keeps its column where there is room."""
+    """Text with a value replaced; a comment behind it keeps its column where there is room."""
     head, tail = raw[: node.start_byte].decode(), raw[node.end_byte :].decode()
     gap = re.match(r"( +)#", tail)
     if gap is not None and "\n" not in (node.text or b"").decode():
@@ -101,7 +101,7 @@ def _replaced(raw: bytes, node: Node, new: str) -> str:
 
 
 def _inserted(raw: bytes, at: int, line: bytes) -> str:
-    """The text with a line put in where one ends."""
+    """Text with a line inserted at a line end."""
     head = raw[:at]
     if head and not head.endswith(b"\n"):
         head += b"\n"
@@ -109,7 +109,7 @@ def _inserted(raw: bytes, at: int, line: bytes) -> str:
 
 
 class _Places:
-    """Where values stand in a text, where its tables begin and end, and which tables it has as dotted keys only."""
+    """Positions of values and tables in a text, and tables that exist as dotted keys only."""
 
     def __init__(self, raw: bytes) -> None:
         self.raw = raw
@@ -155,6 +155,6 @@ class _Places:
                     self._value(child.named_children[1], (*path, *key_names(child.named_children[0])))
 
     def _line_end(self, node: Node) -> int:
-        """Just behind the line that a node ends in."""
+        """Position just behind the line in which a node ends."""
         end = self.raw.find(b"\n", node.end_byte)
         return len(self.raw) if end < 0 else end + 1

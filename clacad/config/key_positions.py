@@ -1,4 +1,4 @@
-"""Where keys and values stand in a file. Used only once something is wrong."""
+"""Positions of keys and values in a file. Computed only when there is a mistake to report."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class KeyPlaces:
-    """Places of the keys and of the values of a file, by key path; JSON: also of keys that stand twice."""
+    """Positions of the keys and of the values of a file, by key path; JSON: also of duplicate keys."""
 
     keys: dict[KeyPath, Place]
     values: dict[KeyPath, Place]
     twins: list[Place] = field(default_factory=list)
 
     def of_value(self, path: KeyPath) -> Place | None:
-        """Return the place of a value, or of the nearest thing round it."""
+        """Return the position of a value, or of the nearest element that encloses it."""
         return next((p for n in range(len(path), 0, -1) if (p := self._either(path[:n])) is not None), None)
 
     def _either(self, path: KeyPath) -> Place | None:
         return self.values.get(path) or self.keys.get(path)
 
     def of_key(self, path: KeyPath) -> Place | None:
-        """Return the place of a key's name, or of the nearest thing round it."""
+        """Return the position of a key's name, or of the nearest element that encloses it."""
         return self.keys.get(path) or self.of_value(path)
 
 
 def split_key(key: str) -> KeyPath:
-    """Split a dotted key; whole numbers become list indices."""
+    """Split a dotted key; integers become list indices."""
     return (
         tuple(part if (number := whole_number(part)) is None else number for part in key.split("."))
         if key
@@ -58,12 +58,12 @@ def split_key(key: str) -> KeyPath:
 def located(
     mistakes: Iterable[Mistake], text: str | None, path: str, overrides: Sequence[tuple[KeyPath, str]]
 ) -> list[Mistake]:
-    """Give each mistake its place: the override that set its key, else the file.
+    """Add its position to each mistake: the override that set its key, else the file.
 
     Parameters
     ----------
     mistakes : iterable of Mistake
-        Found so far, with keys.
+        Mistakes found so far, with keys.
     text : str or None
         The file's text; None for a design given as a dictionary.
     path : str
@@ -80,7 +80,9 @@ def located(
 def _one(
     mistake: Mistake, places: KeyPlaces | None, lines: list[str], path: str, overrides: Sequence[tuple[KeyPath, str]]
 ) -> Mistake:  # fmt: skip
-    """The mistake at its place: the last override that set its key, else the key or the value in the file."""
+    """Mistake with its position: the last override that set its key,
+    else the key or the value in the file.
+    """
     if mistake.line is not None or mistake.path == "--set":
         return mistake
     key = split_key(mistake.key)
@@ -101,7 +103,7 @@ def _one(
 
 
 def find(text: str, path: str) -> KeyPlaces:
-    """Return the places of everything in a valid TOML text (or JSON, by the file's name)."""
+    """Return the positions of all keys and values in a valid TOML text (or JSON, by the file's name)."""
     return _json_places(text) if path.lower().endswith(".json") else _toml_places(text)
 
 
@@ -109,7 +111,7 @@ def find(text: str, path: str) -> KeyPlaces:
 
 
 def syntax_tree(raw: bytes) -> Node:
-    """Root of the tree of a TOML text's syntax."""
+    """Root of the syntax tree of a TOML text."""
     import tree_sitter_toml
     from tree_sitter import Language, Parser
 
@@ -117,7 +119,7 @@ def syntax_tree(raw: bytes) -> Node:
 
 
 def _toml_places(text: str) -> KeyPlaces:
-    """Places in a valid TOML text, by the tree of its syntax."""
+    """Positions in a valid TOML text, by its syntax tree."""
     found = KeyPlaces({}, {})
     lines = text.encode().split(b"\n")
     arrays: dict[KeyPath, int] = {}
@@ -142,7 +144,7 @@ def _toml_places(text: str) -> KeyPlaces:
 
 
 KEY_NODES = ("bare_key", "quoted_key", "dotted_key")
-"""Kinds of node that name a key."""
+"""Types of syntax nodes that name a key."""
 
 
 def _indexed(names: list[str], arrays: dict[KeyPath, int]) -> KeyPath:
@@ -222,7 +224,7 @@ def _spot(starts: list[int], begin: int, end: int, text: str) -> Place:
 
 
 def _json_value(text: str, at: int, path: KeyPath, found: KeyPlaces, starts: list[int]) -> int:
-    """Walk one value of a text that json.loads accepted; return where it ends."""
+    """Walk one value of a text that json.loads accepted; return the index of its end."""
     decoder = json.JSONDecoder()
     begin = at
     if text[at] == "{" or text[at] == "[":
@@ -247,7 +249,7 @@ def _json_value(text: str, at: int, path: KeyPath, found: KeyPlaces, starts: lis
 
 
 def syntax_place(error: Any, text: str) -> Place:
-    """Return the place a TOML or JSON parser complained about."""
+    """Return the position of a syntax error of the TOML or JSON parser."""
     if isinstance(error, json.JSONDecodeError):
         return Place(error.lineno, error.colno, 1)
     lines = re.split("\r\n|\n", text)

@@ -1,7 +1,7 @@
-"""What is wrong with a design, said the way a compiler says it.
+"""Mistakes of a design, formatted like a compiler's messages.
 
-A `Mistake` is one finding with its place. Codes are stable words for programs: CL100 … CL129 are mistakes of a
-design file, listed in `CODES`.
+A `Mistake` is one finding with its position. Codes are stable words for programs: `CODES` lists those of
+mistakes of a design file.
 """
 
 from __future__ import annotations
@@ -47,32 +47,32 @@ CODES: dict[str, str] = {
 """Meaning of each stable code of a design mistake."""
 
 WIDTH = 110
-"""Longest piece of a source line that is shown, in characters."""
+"""Greatest length of a displayed piece of a source line, in characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """One thing that is wrong, and where.
+    """One fault and its position.
 
     Parameters
     ----------
     code : str
         Stable code, a key of `CODES`.
     message : str
-        What is wrong, in one line.
+        The fault, in one line.
     key : str
         Dotted path of the key, "" for the file as a whole.
     path : str
-        File name as the user gave it, "--set" for an override, "" for a dictionary.
+        File name as given by the user, "--set" for an override, "" for a dictionary.
     line, column : int or None
-        Place in the file, both from 1, in characters.
+        Position in the file, both from 1, in characters.
     width : int
         Number of characters the caret line marks.
     found, allowed, hint : str
-        What stood there, what may stand there, the nearest way out (for an unknown key: the key probably
-        meant); "" if there is nothing to say.
+        Value found, values allowed, the nearest way out (for an unknown key: the key probably
+        meant); "" where there is none.
     source_line : str
-        The line of the file (or the override) the mistake is in.
+        The line of the file (or the override) with the mistake.
     """
 
     code: str
@@ -88,10 +88,10 @@ class Mistake:
     source_line: str = ""
 
     def __str__(self) -> str:
-        """Return the finding as a compiler would print it, with a caret line where a place is known."""
+        """Return the finding as a compiler would print it, with a caret line where the position is known."""
         lines = [f"{self._where()}error {self.code}: {self.message}", *self._excerpt()]
         for word, text in (("found", self.found), ("allowed", self.allowed), ("hint", self.hint)):
-            if text and not (word != "allowed" and text in self.message):  # said once
+            if text and not (word != "allowed" and text in self.message):  # do not repeat the message
                 lines.append(f"  {word}: {text}")
         return "\n".join(map(printable, lines))
 
@@ -114,6 +114,6 @@ class Mistake:
 
 
 def in_order(mistakes: Iterable[Mistake]) -> list[Mistake]:
-    """Return the mistakes sorted by place, then key; those without a place last; no duplicates."""
+    """Return the mistakes sorted by position, then key; those without a position last; no duplicates."""
     unique = dict.fromkeys(mistakes)
     return sorted(unique, key=lambda m: (m.path == "--set", m.line or 10**9, m.column or 0, m.key, m.code))

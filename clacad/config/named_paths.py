@@ -1,4 +1,4 @@
-"""Files that a design or scene names: relative to its folder, and not to lead out of it."""
+"""Files named in a design or scene: paths are relative to its folder and must not lead out of it."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import os
 
 
 def folder_of(path: str) -> str:
-    """Folder that the files named in a file at this path are relative to."""
+    """Folder to which file names in the file at `path` are relative."""
     return os.path.dirname(path) or "."
 
 
 def outside(folder: str, name: str, levels: int = 0, whose: str = "design") -> str:
-    """Return why a name may not be used ("" if it may): relative, inside the folder or `levels` above it.
+    """Return why a name is refused ("" if it is allowed): relative, inside the folder or `levels` above it.
 
-    Links are followed first, so that none leads out.
+    Links are resolved first, so that none leads out.
 
     Parameters
     ----------
     folder, name : str
     levels : int
-        0, 1 or more folders above may be reached.
+        Number of parent folders that may be reached.
     whose : str
-        Word of the message: the file that names it.
+        Kind of the file that contains the name, for the message.
     """
     if os.path.isabs(name) or "\0" in name or (len(name) > 1 and name[1] == ":"):
         return "is not a relative path"

@@ -1,4 +1,4 @@
-"""Overrides: one key of a design changed from outside the file (--set "law.eta=[-1.4,-1]")."""
+"""Overrides: change of one key of a design from outside the file (--set "law.eta=[-1.4,-1]")."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clacad.config.value_kinds import kind_of
 
 
 def parse(text: str) -> tuple[str, Any] | Mistake:
-    """Split "key.path=value"; the value is read as TOML, and as plain text where it is no TOML.
+    """Split "key.path=value"; the value is read as TOML, or as plain text where it is not TOML.
 
     Returns
     -------
@@ -41,9 +41,9 @@ def apply(
     Returns
     -------
     data : dict
-        A new dictionary; the given one is left alone.
+        A new dictionary; the given one is not changed.
     places : list of (key path, override text)
-        To name the override in later messages.
+        For naming the override in later messages.
     mistakes : list of Mistake
         Overrides that cannot be applied.
     """
@@ -69,12 +69,12 @@ def apply(
 
 
 def changed_keys(changes: Mapping[str, Any] | str, value: Any) -> Mapping[str, Any]:
-    """Changes of keys as a mapping, given as one already or as one dotted key and its value.
+    """Changes of keys as a mapping, from a mapping or from one dotted key and its value.
 
     Raises
     ------
     TypeError
-        Neither.
+        The arguments are neither.
     """
     if isinstance(changes, str):
         return {changes: value}
@@ -84,12 +84,12 @@ def changed_keys(changes: Mapping[str, Any] | str, value: Any) -> Mapping[str, A
 
 
 def put(data: Any, path: KeyPath, value: Any, done: KeyPath = ()) -> Any:
-    """Return the data with one value replaced; missing tables are made, lists are never extended.
+    """Return the data with one value replaced; missing tables are created, lists are never extended.
 
     Raises
     ------
     LookupError
-        With a sentence, if the path leads through something that has no such part.
+        The path leads through a value without such a part; the message is one sentence.
     """
     if not path:
         return value

@@ -13,7 +13,9 @@ from clacad.base.units import Unit
 from clacad.config.value_kinds import JsonSchema, Refusal, not_this, shown
 
 SMALLEST_M: Final = 1e-12
-"""Lengths between 0 and this, metres, are slips; what is computed from them leaves the range of the numbers."""
+"""Smallest length except 0, metres: smaller ones are typing errors,
+and results would leave the range of floats.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,13 +26,13 @@ class Quantity:
     ----------
     family : {"length", "angle", "wavelength", "ratio"}
     what : str
-        The words of the message: "a length > 0".
+        Text for messages: "a length > 0".
     above, least, most : float
         The value must be > `above`, >= `least` and <= `most` (in the units of the result).
     degrees : bool
         Angles only: the result is in degrees, not radians.
     bare : bool
-        Whether a number without a unit is taken.
+        Whether a number without a unit is accepted.
     """
 
     family: units.Family
@@ -61,7 +63,7 @@ class Quantity:
         return number + 0.0  # -0.0 becomes 0.0: equal designs must have equal texts
 
     def allowed(self, unit: Unit) -> str:
-        """Return the range and the way to write a unit."""
+        """Return the range and the allowed units."""
         bare = {
             "length": f"a bare number is in units of {unit.name}" if unit.name[0].isdigit() else unit.name,
             "angle": "deg",
@@ -74,7 +76,7 @@ class Quantity:
         return f"{self.what} ({start}text with a unit: {units.SHOWN[self.family]})"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a number or text, without the range where it depends on the unit."""
+        """Return the JSON Schema of a number or text, without the range where it depends on the unit."""
         number: JsonSchema = {"type": "number"}
         if self.family == "ratio" or (self.family == "angle" and self.degrees):
             number |= (
@@ -103,7 +105,7 @@ class Quantity:
         return number
 
     def _with_unit(self, value: str, unit: Unit) -> float:
-        """Value of a number with a unit word, as `read` gives it."""
+        """Value of a number with a unit word, as returned by `read`."""
         parts = units.split(value)
         if parts is None:
             raise self._refused("CL104", "is not a number with a unit", value, unit)
@@ -122,7 +124,7 @@ class Quantity:
         return self._converted(number, word, unit)
 
     def _scale_hint(self, value: object) -> str:
-        """A wavelength written in metres or micrometres is a slip worth naming."""
+        """Hint for a wavelength that was written in metres or micrometres."""
         if self.family != "wavelength" or isinstance(value, str):
             return ""
         assert isinstance(value, int | float)
@@ -171,5 +173,5 @@ def _nearest_unit(word: str, family: units.Family) -> str:
 
 
 def _one_slip(name: str, word: str) -> bool:
-    """Whether two words of equal length differ in one letter, or in two that changed places."""
+    """Whether two words of equal length differ in one letter, or in the order of their letters."""
     return sorted(name) == sorted(word) or sum(a != b for a, b in zip(name, word, strict=True)) == 1

@@ -1,6 +1,6 @@
-"""Text of a file → nested dictionaries, with every slip in the syntax named and placed.
+"""Parser from the text of a file to nested dictionaries; every syntax error is described and located.
 
-Design files and scene files are read here alike; `what` is the word the messages use.
+Design files and scene files are read in the same way; `what` is the word that messages use for the file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def read_text(name: str, what: str = "design") -> str:
     Raises
     ------
     DesignError
-        With one mistake: no such file, no file at all but a pipe, device or folder, not UTF-8.
+        With one mistake: no such file; a pipe, device or folder in place of a file; not UTF-8.
     DesignTooLarge
     """
     try:
@@ -81,12 +81,12 @@ def _nearest_file(name: str) -> str:
 
 
 def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
-    """Turn TOML (JSON, if the name ends in .json) into nested dictionaries.
+    """Parse TOML (JSON, if the name ends in .json) into nested dictionaries.
 
     Raises
     ------
     DesignError
-        With one mistake: the first slip in the syntax, nesting beyond 64, a JSON key that stands twice.
+        With one mistake: the first syntax error, nesting beyond 64 levels, a duplicate JSON key.
     """
     is_json = name.lower().endswith(".json")
     _refuse_deep_keys(text, name)
@@ -116,12 +116,12 @@ def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
 
 
 def toml_value(text: str) -> Any:
-    """Read one value as TOML writes it; 0 may be left out before a point.
+    """Read one value in TOML syntax; a leading 0 before the decimal point may be left out.
 
     Raises
     ------
     ValueError
-        It is none, or holds a whole number of more than 64 bits, which TOML does not have.
+        The text is no value, or holds an integer of more than 64 bits, which TOML does not have.
     """
     try:
         text = re.sub(r"^([+-]?)[.](?=[0-9])", r"\g<1>0.", text)
@@ -134,7 +134,7 @@ def toml_value(text: str) -> Any:
 
 
 def top_keys(name: str) -> frozenset[str]:
-    """Keys and sections at the top of a file, none where it cannot be read: whoever reads it says why."""
+    """Keys and sections at the top of a file; empty where it cannot be read: its reader reports why."""
     try:
         return frozenset(parse(read_text(name), name))
     except DesignError:
@@ -148,7 +148,7 @@ def _refuse_syntax(message: str, name: str, text: str, place: Place) -> NoReturn
 
 
 def _syntax_hint(line: str) -> str:
-    """Name the three slips people make in TOML: a unit or a word without quotes, a decimal comma."""
+    """Hint for the three most common errors in TOML: a unit or a word without quotes, a decimal comma."""
     _, equals, value = line.partition("=")
     value = value.split("#")[0].strip()
     if not equals or not value:
@@ -163,7 +163,9 @@ def _syntax_hint(line: str) -> str:
 
 
 def _refuse_deep_keys(text: str, name: str) -> None:
-    """Refuse dotted keys of more than 64 parts before parsing: the time to parse them grows as their square."""
+    """Refuse dotted keys of more than 64 parts before parsing:
+    parsing time grows as the square of the parts.
+    """
     for number, line in enumerate(text.split("\n"), 1):
         if line.count(".", 0, 100_000) > DEEPEST and re.match(r"\s*\[*\s*(?:[^.=#\"'\[\]]*\.){65}", line):
             _refuse(Mistake("CL100", f"a key nested more than {DEEPEST} deep", path=name, line=number, column=1,
@@ -171,7 +173,7 @@ def _refuse_deep_keys(text: str, name: str) -> None:
 
 
 def too_deep(data: Any) -> bool:
-    """Whether tables and lists are nested more than 64 deep."""
+    """Whether tables and lists are nested more than 64 levels deep."""
     level, depth = [data], 0
     while level:
         depth += 1

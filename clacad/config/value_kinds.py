@@ -1,7 +1,7 @@
-"""Kinds of value a design key can have: each reads one value, says what it allows, and knows its JSON Schema.
+"""Kinds of value of design keys: each reads one value, describes what it allows, and has a JSON Schema.
 
-A kind is a frozen dataclass with `read(value, unit)`, which returns the converted value or raises
-`Refusal`, `allowed(unit)`, the words of the message, and `schema()`.
+A kind is a frozen dataclass with three methods. `read(value, unit)` returns the converted value or raises
+`Refusal`; `allowed(unit)` returns the text for messages; `schema()` returns the JSON Schema.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ LARGEST_COUNT: Final = 2**63 - 1
 
 
 class Refusal(ValueError):
-    """A value that its key does not take.
+    """A value is refused by the kind of its key.
 
     Parameters
     ----------
     code : str
         Stable code of the mistake.
     complaint : str
-        What is wrong, to stand after "pair.index = 0.9 ".
+        The fault, worded to follow "pair.index = 0.9 ".
     value : object
-        The value found (an element of a list where only that element is wrong).
+        The value found (an element of a list if only that element is wrong).
     allowed, hint : str
-        What may stand there; the nearest way out.
+        Allowed values; the nearest way out.
 
     Attributes
     ----------
     where : tuple of int or str
-        Element of the list, or key of the table, that is wrong; filled in on the way out.
+        Path to the wrong element of a list or key of a table; extended while the exception propagates.
     others : tuple of Refusal
-        What else is wrong in the same list or table.
+        Further faults in the same list or table.
     """
 
     def __init__(self, code: str, complaint: str, value: object, allowed: str, hint: str = "") -> None:
@@ -47,26 +47,26 @@ class Refusal(ValueError):
         self.others: tuple[Refusal, ...] = ()
 
     def within(self, step: int | str) -> None:
-        """Note that this refusal happened in one element of a list or one key of a table."""
+        """Record that this refusal occurred in one element of a list or one key of a table."""
         for refusal in (self, *self.others):
             refusal.where = (step, *refusal.where)
 
 
 class Kind(Protocol):
-    """What every kind of value can do."""
+    """Interface of all kinds of value."""
 
     def read(self, value: object, unit: Unit) -> Any:
         """Return the converted value, or raise `Refusal`."""
 
     def allowed(self, unit: Unit) -> str:
-        """Return what may stand there, in words."""
+        """Return the allowed values, in words."""
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of the written value."""
+        """Return the JSON Schema of the written value."""
 
 
 def shown(value: object) -> str:
-    """Return a value as it would stand in the file, shortened to 60 characters."""
+    """Return a value as written in a file, shortened to 60 characters."""
     if isinstance(value, bool):
         text = "true" if value else "false"
     elif isinstance(value, str):
@@ -85,7 +85,7 @@ def shown(value: object) -> str:
 
 
 def kind_of(value: object) -> str:
-    """Return the kind of a TOML value in words a person uses."""
+    """Return the kind of a TOML value in plain words."""
     names: tuple[tuple[type, str], ...] = (
         (bool, "a truth value"), (int, "a whole number"), (float, "a number"), (str, "a text"),
         (list, "a list"), (dict, "a table"), (type(None), "nothing"),
@@ -100,14 +100,16 @@ def not_this(value: object, wanted: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """A whole number from `least` to 2⁶³ − 1 (what an index can hold; limits on size come later)."""
+    """A whole number from `least` to `most`, at most 2⁶³ − 1, the range of an index;
+    sizes are checked later.
+    """
 
     what: str
     least: int = 1
     most: int = LARGEST_COUNT
 
     def read(self, value: object, unit: Unit) -> int:
-        """Return the number; refuse fractions, truth values and what is out of range."""
+        """Return the number; refuse fractions, truth values and numbers out of range."""
         if isinstance(value, bool) or not isinstance(value, int):
             whole = isinstance(value, float) and value.is_integer() and abs(value) < LARGEST_COUNT
             hint = f"write {int(value)} without a decimal point" if whole and isinstance(value, float) else ""
@@ -121,7 +123,7 @@ class Whole:
         return self.what
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of an integer with a minimum."""
+        """Return the JSON Schema of an integer with a minimum."""
         return {"description": self.what, "type": "integer", "minimum": self.least, "maximum": self.most}
 
 
@@ -132,7 +134,7 @@ class Word:
     words: tuple[str, ...]
 
     def read(self, value: object, unit: Unit) -> str:
-        """Return the word; refuse another with the nearest one known."""
+        """Return the word; refuse another one, with the nearest allowed word as hint."""
         if not isinstance(value, str):
             raise Refusal("CL104", not_this(value, "a text"), value, self.allowed(unit))
         if value not in self.words:
@@ -146,7 +148,7 @@ class Word:
         return " | ".join(f'"{word}"' for word in self.words)
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of an enumeration."""
+        """Return the JSON Schema of an enumeration."""
         return {"enum": list(self.words)}
 
     def _nearest(self, value: str) -> str:
@@ -168,13 +170,15 @@ class Flag:
         return "true | false"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a boolean."""
+        """Return the JSON Schema of a boolean."""
         return {"type": "boolean"}
 
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A text of limited length; `plain` allows only what is safe in a file name, `pattern` is a full match."""
+    """A text of limited length; `plain` allows only characters that are safe in file names,
+    `pattern` is a full match.
+    """
 
     what: str
     longest: int
@@ -182,7 +186,7 @@ class Text:
     pattern: str = ""
 
     def read(self, value: object, unit: Unit) -> str:
-        """Return the text; refuse an empty or too long one, and characters it may not hold."""
+        """Return the text; refuse an empty or too long one, and characters that are not allowed."""
         if not isinstance(value, str):
             raise Refusal("CL104", not_this(value, "a text"), value, self.what)
         if not 1 <= len(value) <= self.longest:
@@ -202,5 +206,5 @@ class Text:
         return self.what
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a string with its length."""
+        """Return the JSON Schema of a string with its length."""
         return {"description": self.what, "type": "string", "minLength": 1, "maxLength": self.longest}

@@ -1,6 +1,6 @@
-"""The design file: what a person asks for, read, checked and explained.
+"""The design file: a person's request, read, checked and explained.
 
-`load` a file or `Design.from_dict` a dictionary; a `DesignError` tells every mistake with its place.
+`load` a file or `Design.from_dict` a dictionary; a `DesignError` lists every mistake with its position.
 Nothing heavy is imported until something is validated.
 """
 

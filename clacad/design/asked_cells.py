@@ -1,4 +1,4 @@
-"""The cells that a design asks for, and the law of each."""
+"""Cells that a design requests, and the law of each cell."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def refuse_beside_etas(design: Design) -> None:
-    """Refuse what is not built of cells with η of their own; CL125."""
+    """Refuse features that are not built with an η per cell; CL125."""
     values = values_of(design.given)
     for feature in FEATURES:
         reason = why_not(ETAS, feature.name)
@@ -29,7 +29,7 @@ def refuse_beside_etas(design: Design) -> None:
 
 
 def lattice_of(design: Design) -> Lattice:
-    """The pattern of its cells."""
+    """Pattern of the design's cells."""
     spec = design.lattice
     outline: Circle | Rectangle | None = None
     if spec.outline is not None:
@@ -44,7 +44,7 @@ def cell_laws(design: Design) -> CellLaws:
     Raises
     ------
     DesignError
-        Its table cannot be read, or has η in a design beside which that is not built.
+        The table cannot be read, or it has η together with a feature that excludes η per cell.
     """
     law, spec = design.law, design.law_spec.varying
     if spec is None:

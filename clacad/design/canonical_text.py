@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def to_dict(design: Design) -> dict[str, Any]:
-    """Return the design as nested dictionaries with the keys of a file; what is None is left out."""
+    """Return the design as nested dictionaries with the keys of a file; None is left out."""
     made: dict[str, Any] = {"format": FORMAT, "name": design.name, "unit": design.unit}
     if design.notes:
         made["notes"] = list(design.notes)
@@ -39,7 +39,7 @@ def to_dict(design: Design) -> dict[str, Any]:
              "check": design.check, "tolerances": design.tolerances, "light": design.light}  # fmt: skip
     for section, spec in parts.items():
         if spec in (NO_TOLERANCES, DAYLIGHT):
-            continue  # a design that states none has the text it had before there were such sections
+            continue  # the text of a design without these sections must not change
         values: dict[str, Any] = {}
         for name, key in SECTIONS[section].items():
             if section == "pair" and _left_out(name, design.pair):
@@ -50,7 +50,7 @@ def to_dict(design: Design) -> dict[str, Any]:
         if section == "lattice" and design.lattice.kind != "rectangular":
             values |= {name: values[name][0] for name in ("pitch", "pitch_2") if name in values}
         if section == "lattice" and not design.lattice.rotation_2:
-            del values["rotation_2"]  # a later key at its default has no place in the text
+            del values["rotation_2"]  # a key of a later version is left out at its default
         if section == "check":
             _keep_as_before(values, design)
         made[section] = values
@@ -58,7 +58,7 @@ def to_dict(design: Design) -> dict[str, Any]:
 
 
 def _keep_as_before(values: dict[str, Any], design: Design) -> None:
-    """Write [check] so that hashes of earlier designs stay: no `viewed` at its default, distances with their unit."""
+    """Keep hashes of earlier designs: leave out `viewed` at its default, write distances with their unit."""
     if design.check.viewed == CHECK["viewed"].default:
         del values["viewed"]
     for name in ("viewer", "object"):
@@ -67,11 +67,13 @@ def _keep_as_before(values: dict[str, Any], design: Design) -> None:
 
 
 OF_RECIPES = ("confocal", "surface", "conic", "depth")
-"""Keys of the recipes that find faces."""
+"""Keys of the recipes that solve for faces."""
 
 
 def _left_out(name: str, pair: PairSpec) -> bool:
-    """Whether a key of [pair] has no place in the text; a later key at its default has none, so that hashes stay."""
+    """Whether a key of [pair] is left out of the text;
+    a key of a later version is at its default, to keep hashes.
+    """
     if name == "curved":
         return pair.form != "plano"
     if name == "field_lens":
@@ -131,12 +133,12 @@ def _with_unit(value: float, unit: str) -> str:
     if unit in units.LENGTHS:
         return f"{value!r} {unit}"
     parts = units.split(unit)
-    assert parts is not None, unit  # the unit was read when the design was made
+    assert parts is not None, unit  # the unit was validated when the design was made
     return f"{_decimal(Fraction(repr(value)) * parts[0])} {parts[1]}"
 
 
 def _decimal(number: Fraction) -> str:
-    """Return a terminating decimal fraction digit for digit."""
+    """Return a terminating decimal fraction, digit for digit."""
     tens, whole = 0, number
     while whole.denominator != 1:
         whole, tens = whole * 10, tens + 1

@@ -1,13 +1,17 @@
-"""Tables of δ, and perhaps η, cell by cell, from a file that anybody may have written: CSV or NPZ.
+"""Tables of δ, and optionally η, for each cell, from an untrusted file: CSV or NPZ.
 
-CSV: the header ``i,j,delta_x,delta_y``, or that and ``,eta``, and one row for each cell, in any order; i and j are the
-cell's indices as `clacad.Lattice` counts them (of hexagons axial ones). A byte order mark and Windows line ends are taken.
-NPZ: an array ``delta`` (n1, n2, 2) of numbers, whose first index is the place in the row, and perhaps ``eta`` (n1, n2);
-what is pickled is not read. η is of both lens axes, and on the same side of 0 and of 1 as the law's, so that both lenses keep
-their signs.
+CSV: the header ``i,j,delta_x,delta_y``, optionally followed by ``,eta``, and one row for each cell, in any
+order. i and j are the cell's indices as in `clacad.Lattice` (axial for hexagons). A byte order mark and
+Windows line ends are accepted.
 
-A table has exactly one δ for each cell that the sheet keeps. Its SHA-256 stands in the design's canonical text, so that
-the hash of the design is that of its table too.
+NPZ: an array ``delta`` (n1, n2, 2) of numbers, whose first index is the position in the row, and optionally
+``eta`` (n1, n2); pickled data are not read.
+
+η applies to both lens axes. It must lie on the same side of 0 and of 1 as the law's η, so that both lenses
+keep their signs.
+
+A table has exactly one δ for each kept cell of the sheet. The design's canonical text contains the table's
+SHA-256, so that the design's hash covers its table.
 """
 
 from __future__ import annotations
@@ -33,14 +37,14 @@ KEY = "law.varying.table"
 
 @dataclass(frozen=True, slots=True)
 class TableSpec:
-    """A table of cells as a design names it.
+    """A table of cells as named in a design.
 
     Parameters
     ----------
     file : str
-        Relative to the design's folder.
+        Path relative to the design's folder.
     sha256 : str
-        Of the file's bytes, in hexadecimal.
+        SHA-256 of the file's bytes, in hexadecimal.
     """
 
     file: str
@@ -48,12 +52,12 @@ class TableSpec:
 
 
 def table_path(design_path: str, file: str) -> str:
-    """Path of a table that a design at `design_path` names.
+    """Path of a table named in the design at `design_path`.
 
     Raises
     ------
     DesignError
-        It leads out of the design's folder, or there is no file.
+        The path leads out of the design's folder, or there is no such file.
     """
     folder = folder_of(design_path)
     path = os.path.join(folder, file)
@@ -75,7 +79,7 @@ def digest(path: str) -> str:
     Raises
     ------
     DesignTooLarge
-        More than 1 GB.
+        The table has more than 1 GB.
     """
     size, most = os.stat(path).st_size, BUDGETS["cell-table"].bytes
     if size > most:
@@ -89,29 +93,30 @@ def digest(path: str) -> str:
 
 
 def read_table(design_path: str, table: TableSpec, lattice: Lattice, eta: float) -> CellNumbers:
-    """δ of every cell, and η where the table has it.
+    """δ of every cell, and η if the table has it.
 
     Parameters
     ----------
     design_path : str
-        Of the design that names the table.
+        Path of the design that names the table.
     table : TableSpec
     lattice : Lattice
     eta : float
-        Of the design's law, along x.
+        η of the design's law, along x.
 
     Returns
     -------
     CellNumbers
-        First index: the place in the row; 0 and the law's η for cells that an outline leaves out.
+        First index: the position in the row; 0 and the law's η for cells that an outline leaves out.
 
     Raises
     ------
     DesignError
-        With row and column: a wrong header, a cell twice or missing, an index outside, what is no finite number from
-        -1e6 to 1e6, an η of another kind; a file that has changed since its hash was taken; an array of another shape, or pickled.
+        With row and column: a wrong header, a cell twice or missing, an index outside, a value that is no
+        finite number from -1e6 to 1e6, an η on another side of 0 or 1. Without: a file changed since its hash
+        was taken; an array of another shape, or pickled.
     DesignTooLarge
-        More than 10⁷ cells or 1 GB.
+        The table has more than 10⁷ cells or 1 GB.
     """
     from clacad.design.cell_table_rows import TableFile
 

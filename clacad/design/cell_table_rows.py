@@ -1,4 +1,4 @@
-"""What stands in a table of cells: its rows or its array, each judged before it is used."""
+"""Content of a table of cells: rows or arrays, validated before use."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from clacad.sheet.lattice import Lattice
 
 COLUMNS: Final = ("i", "j", "delta_x", "delta_y")
 ETA: Final = "eta"
-"""Name of the column that may follow, and of the array."""
+"""Name of the optional column and of the optional array."""
 NOT_HERE: Final = (
     (
         "eta_",
@@ -27,36 +27,38 @@ NOT_HERE: Final = (
     ),
 )
 LARGEST: Final = 1e6
-"""Largest |δ| and |η|, as of the keys law.delta and law.eta."""
+"""Largest |δ| and |η|, as for the keys law.delta and law.eta."""
 LEAST_ETA: Final = 1e-6
-"""Least |η|, as of the key law.eta."""
+"""Least |η|, as for the key law.eta."""
 ARRAY: Final = "delta"
 
 
 class CellNumbers(NamedTuple):
-    """What a table has: δ (n1, n2, 2), and η (n1, n2) or None; 0 for δ and the law's η of cells that an outline leaves out."""
+    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2) or None;
+    0 and the law's η for cells that an outline leaves out.
+    """
 
     deltas: Floats
     etas: Floats | None
 
 
 def _eta_range(eta: float) -> tuple[float, float]:
-    """From where to where the η of cells may go, ends excluded, in a sheet whose law has `eta`: f1 and f2 keep their signs."""
+    """Open interval of the cells' η in a sheet whose law has `eta`: f1 and f2 keep their signs."""
     return next(ends for ends in ((-inf, 0.0), (0.0, 1.0), (1.0, inf)) if eta <= ends[1])
 
 
 @dataclass(frozen=True)
 class TableFile:
-    """A table of cells on disk, and the cells that it shall have.
+    """A table of cells on disk, and the lattice whose cells it must cover.
 
     Parameters
     ----------
     path : str
     lattice : Lattice
     key : str
-        Key of the design that names it.
+        Key of the design that names the table.
     eta : float
-        Of the sheet's law, along x.
+        η of the sheet's law, along x.
     """
 
     path: str
@@ -65,7 +67,7 @@ class TableFile:
     eta: float = -1.0
 
     def numbers(self) -> CellNumbers:
-        """Read δ of every cell, and η where the table has it; see `clacad.design.cell_table.read_table`."""
+        """Read δ of every cell, and η if the table has it; see `clacad.design.cell_table.read_table`."""
         if self.path.lower().endswith(".npz"):
             return self._of_array()
         return self._of_rows()
@@ -87,7 +89,7 @@ class TableFile:
         return CellNumbers(made[..., :2], made[..., 2] if ETA in rows.columns else None)
 
     def _enter(self, made: Floats, block: RowBlock, rows: NumberRows) -> None:
-        """Write the numbers of rows to their cells."""
+        """Write the numbers of a block of rows to their cells."""
         numbers, lines, first = block
         n1, n2 = self.lattice.count
         whole = (numbers[:, :2] == np.rint(numbers[:, :2])) & (np.abs(numbers[:, :2]) < 2.0**53)
@@ -95,7 +97,7 @@ class TableFile:
         i, j = index[:, 0], index[:, 1]
         place = i + j // 2 if self.lattice.hexagonal else i
         outside = np.column_stack([(place < 0) | (place >= n1), (j < 0) | (j >= n2)])
-        good = np.abs(numbers[:, 2:4]) <= LARGEST  # NaN is not
+        good = np.abs(numbers[:, 2:4]) <= LARGEST  # False for NaN
         flaws: tuple[tuple[Bools, int, str, str], ...] = (
             (~whole[:, 0], 0, "i is no whole number", "a whole number"),
             (~whole[:, 1], 1, "j is no whole number", "a whole number"),
@@ -124,7 +126,9 @@ class TableFile:
         return " less j // 2, as hexagons are counted" if self.lattice.hexagonal else ""
 
     def _whole(self, made: Floats) -> Floats:
-        """The numbers of every cell, 0 and the law's η where none is kept; a kept one that has none is refused."""
+        """Numbers of every cell, 0 and the law's η for cells that are not kept;
+        refuse a kept cell without numbers.
+        """
         missing = np.isnan(made[..., 0])
         for j in np.flatnonzero(missing.any(axis=0)).tolist():
             kept = self.lattice.row(j)
@@ -138,13 +142,13 @@ class TableFile:
         return np.where(missing[..., None], (0.0, 0.0, self.eta)[: made.shape[2]], made)
 
     def _has_lens(self, eta: Floats) -> Bools:
-        """Whether each η (...) is one for which lenses of the law's signs are made."""
+        """Whether each η (...) gives lenses with the signs of the law's lenses."""
         low, high = _eta_range(self.eta)
         size = np.abs(eta)
         return np.asarray((low < eta) & (eta < high) & (size >= LEAST_ETA) & (size <= LARGEST))
 
     def _etas(self) -> str:
-        """Words for the η that cells may have."""
+        """Describe the η that cells may have."""
         low, high = _eta_range(self.eta)
         low, high = max(low, -LARGEST), min(high, LARGEST)
         return f"a number between {low:g} and {high:g}, |eta| >= {LEAST_ETA:g}: both lenses as law.eta = {self.eta:g} bends them"
@@ -152,11 +156,11 @@ class TableFile:
     # --- NPZ ------------------------------------------------------------------------------------------
 
     def _of_array(self) -> CellNumbers:
-        """Read the arrays after their headers were judged; what an entry says it inflates to is never exceeded."""
+        """Read the arrays after validating their headers; never read more than the size in the header."""
         most = 48 * self.lattice.count[0] * self.lattice.count[1] + (1 << 20)
         if (
             size := os.stat(self.path).st_size
-        ) > most:  # the library makes an object of each entry before any is judged
+        ) > most:  # the library makes an object of each entry before any is validated
             self.refuse(f"{size:,} bytes are more than such arrays have", allowed=self._shapes())
         try:
             with zipfile.ZipFile(self.path) as archive:
@@ -176,7 +180,7 @@ class TableFile:
         if deltas is None:
             self.refuse(f"no array {ARRAY!r} in the archive", allowed=self._shapes())
         others = [name for name in names if name.removesuffix(".npy") not in (ARRAY, ETA)]
-        if others:  # silence would say that it is built
+        if others:  # an ignored array would seem to be built
             self.refuse(
                 f"{printable(others[0])[:100]} is none of the arrays that are read", allowed=self._shapes()
             )
@@ -188,7 +192,7 @@ class TableFile:
         return CellNumbers(deltas, None if etas is None else self._kept_etas(etas))
 
     def _entry(self, archive: zipfile.ZipFile, names: list[str], name: str) -> Floats | None:
-        """One array of the archive; None where it has none of this name."""
+        """One array of the archive; None where no array has this name."""
         found = [entry for entry in names if entry.removesuffix(".npy") == name]
         if len(found) > 1:
             self.refuse(f"{len(found)} arrays {name!r} in the archive", allowed=self._shapes())
@@ -198,7 +202,7 @@ class TableFile:
             return self._array(stream, name)
 
     def _kept_etas(self, etas: Floats) -> Floats:
-        """η of every cell, the law's where none is kept; a kept one of another kind is refused."""
+        """η of every cell, the law's for cells that are not kept; refuse a kept cell with η out of range."""
         for j in np.flatnonzero((~self._has_lens(etas)).any(axis=0)).tolist():
             row = self.lattice.row(j)
             places = row[:, 0] + j // 2 if self.lattice.hexagonal else row[:, 0]

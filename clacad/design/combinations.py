@@ -1,4 +1,6 @@
-"""What a sheet whose cells differ can have beside it: the one table that refuses, and that the matrix is printed from."""
+"""Features that can be combined with a non-uniform sheet:
+one table for refusals and for the printed matrix.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +13,14 @@ Ask = Callable[[str], Any]
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """Something a design may have beside cells that differ.
+    """A feature of a design that may be combined with a non-uniform sheet.
 
     Parameters
     ----------
     name : str
-        As the matrix calls it.
+        Name in the matrix.
     key : str
-        Key of a design that asks for it.
+        Key of a design that requests it.
     present : callable
         Whether the values of a design have it.
     instead : str
@@ -44,29 +46,29 @@ def has_plate(a: Ask) -> bool:
 
 
 def _tilted(a: Ask) -> bool:
-    """Whether lenses lean against the sheet."""
+    """Whether lenses are tilted against the sheet."""
     return bool((a("law.euler") or (0.0, 0.0, 0.0))[1])
 
 
 def _images(a: Ask) -> bool:
-    """Whether the law varies so that planes are imaged."""
+    """Whether the law varies in order to image planes."""
     varying = a("law.varying")
     return bool(varying) and varying[0][0] in ("f_image", "conjugates")
 
 
 def _focused(a: Ask) -> bool:
-    """Whether pairs are asked to image two planes sharply."""
+    """Whether pairs are requested to image two planes sharply."""
     return a("pair.focus") not in (None, "afocal")
 
 
 def _is_slope(a: Ask) -> bool:
-    """Whether the aperture is a slope, not a word and no point."""
+    """Whether the aperture is a slope, neither a word nor a point."""
     aperture = a("lattice.aperture")
     return aperture not in (None, "centred", "aligned") and not has_point(aperture)
 
 
 def _auto_thickness(a: Ask) -> bool:
-    """Whether the thickness of biconvex lenses is to be found."""
+    """Whether the thickness of biconvex lenses is to be solved."""
     return a("pair.form") == "biconvex" and a("pair.thickness") in (None, "auto")
 
 
@@ -130,9 +132,9 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
     ROTATION_2: lambda a: bool(a(ROTATION_2)),
     FOCUS: _focused,
 }
-"""Kinds of sheet whose cells differ, by the key that asks for them."""
+"""Kind of non-uniform sheet, named by the key that requests it → whether a design requests it."""
 ETAS: Final = "eta in law.varying.table"
-"""A kind of `law.varying` that is known once its table is read."""
+"""Kind of `law.varying` that is known only after reading its table."""
 
 _ONE_WAY: Final = "lenses 2 are traced for light of one direction over the sheet"
 _NODAL: Final = "its cells look at the nodal point"
@@ -159,7 +161,7 @@ _OWN_ARRAY: Final[Mapping[str, str]] = {
     "field lens": _FIELD,
     "baffle": _CHANNELS,
 }
-"""What a sheet whose array 2 is of another pitch, or turned, does not have."""
+"""Features excluded from a sheet whose array 2 has another pitch, or is turned → reason."""
 
 _VARIED: Final[Mapping[str, str]] = {
     "tilt where planes are imaged": "cells of a sheet that leans against its lenses stand at many distances from a plane across them",
@@ -173,7 +175,7 @@ _VARIED: Final[Mapping[str, str]] = {
     "field lens": _FIELD,
     "baffle": _CHANNELS,
 }
-"""What a sheet whose law varies does not have."""
+"""Features excluded from a sheet with a varying law → reason."""
 
 _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
     POINT: {
@@ -220,27 +222,27 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
 REASONS: Final[Mapping[tuple[str, str], str]] = {
     (sheet, feature): why for sheet, whys in _WHY_NOT.items() for feature, why in whys.items()
 }
-"""Sheet and feature → why they are not built together; what is not here is built."""
+"""Sheet and feature → reason why they cannot be combined; combinations not listed are built."""
 
 
 BUILT: Final = "built"
-"""What the matrix says of what is not refused."""
+"""Entry of the matrix for a combination that is built."""
 ITSELF: Final = "itself"
 _PART_OF: Final = {ETAS: VARYING}
 
 
 def built_sheets(a: Ask) -> list[str]:
-    """Kinds of sheet with differing cells that a design asks for."""
+    """Kinds of non-uniform sheet that a design requests."""
     return [name for name, asked in SHEETS.items() if asked(a)]
 
 
 def why_not(sheet: str, feature: str) -> str:
-    """Return why a sheet is not built with a feature, "" if it is."""
+    """Return the reason why a sheet is not built with a feature, "" if it is built."""
     return REASONS.get((sheet, feature), "")
 
 
 def matrix() -> list[list[str]]:
-    """Rows of the table of what is built with what: a head, then one row for each feature."""
+    """Rows of the combination table: a head, then one row for each feature."""
     kinds = [*SHEETS, ETAS]
     rows = (
         [f.name, *(ITSELF if f.key in (s, _PART_OF.get(s)) else why_not(s, f.name) or BUILT for s in kinds)]

@@ -1,11 +1,13 @@
-"""An outline drawn in a DXF file: read where the design is read, and put into it as points.
+"""An outline drawn in a DXF file: read together with the design, and inserted into it as points.
 
-So a design's canonical text, its hash, and whatever is made from it hold the corners themselves, in its own unit; the
-file is needed only while the design is read. Its name is relative, and the file lies in the design's folder or below it.
+A design's canonical text, its hash and all outputs contain the corners themselves, in its own unit. The file
+is needed only while the design is read. Its name is relative, and the file lies in the design's folder or
+below it.
 
-Read are the entities of layer OUTLINE, or all where there is no such layer: one closed LWPOLYLINE or POLYLINE, or
-LINEs and ARCs that close. Everything else is refused by name. Model space, x and y as drawn; $INSUNITS is the unit,
-and a file that states none is refused, for a plate of the wrong size is scrap.
+Entities of layer OUTLINE are read, or all entities where there is no such layer: one closed LWPOLYLINE or
+POLYLINE, or LINEs and ARCs that close. Everything else is refused by name. Coordinates are x and y of model
+space; $INSUNITS is the unit. A file that states no unit is refused, because a plate of the wrong size is
+scrap.
 """
 
 from __future__ import annotations
@@ -36,18 +38,18 @@ from clacad.design.plate_keys import MOST_VERTICES, Vertex, vertex_lists
 
 LAYER: Final = "OUTLINE"
 JOINED: Final = 1e-6
-"""Part of the drawing's size within which two ends are one."""
+"""Tolerance within which two ends coincide, as part of the drawing's size."""
 
 
 def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[Mistake]]:
-    """Put the corners of a drawn outline in the place of its file's name.
+    """Replace the file name of a drawn outline by its corners.
 
     Parameters
     ----------
     data : dict
         The design as written; returned itself where it names no drawing.
     path : str
-        The design's file, "" without one: then the current folder counts.
+        The design's file; "" without one: then names are relative to the current folder.
 
     Returns
     -------
@@ -77,13 +79,13 @@ def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[M
 
 
 def _drawn(word: object, path: str, name: str) -> tuple[Vertex, ...]:
-    """Corners of the outline in a drawing beside the design, in the design's unit."""
+    """Corners of the outline in a drawing named in the design, in the design's unit."""
     unit = units.design_unit(word) if isinstance(word, str) else None
     return read_outline(os.path.dirname(path) or ".", name, unit.metres if unit else Fraction(1))
 
 
 def _of_section(mistake: Mistake, section: str) -> Mistake:
-    """The mistake, at the section whose outline names the drawing."""
+    """Return the mistake with the key of the section whose outline names the drawing."""
     return replace(mistake, key=f"{section}.outline.dxf")
 
 
@@ -93,16 +95,16 @@ def read_outline(folder: str, name: str, unit: Fraction) -> tuple[Vertex, ...]:
     Parameters
     ----------
     folder : str
-        Of the design.
+        Folder of the design.
     name : str
-        Relative to it.
+        Path relative to `folder`.
     unit : Fraction
-        Metres of the design's unit.
+        Metres per design unit.
 
     Raises
     ------
     ValueError
-        With the mistake.
+        The drawing has a fault; the exception carries the mistake.
     """
     pairs = group_pairs(text_lines(folder, name), name)
     header, entities = sections(pairs, name)
@@ -116,7 +118,7 @@ def read_outline(folder: str, name: str, unit: Fraction) -> tuple[Vertex, ...]:
 
 
 def _length(drawn: float, factor: Fraction, unit: Fraction) -> float:
-    """A length of the drawing in design units; what rounding left of 0 in the program that drew it is 0."""
+    """Length of the drawing in design units; a rounding error of 0 by the drawing program becomes 0."""
     value = Fraction(drawn) * factor
     return 0.0 if abs(value) * unit < SMALLEST_M else float(value)
 
@@ -125,7 +127,7 @@ def _length(drawn: float, factor: Fraction, unit: Fraction) -> float:
 
 
 def _one_loop(entities: list[Entity], name: str) -> list[Vertex]:
-    """The one closed outline that is drawn."""
+    """Corners of the only closed outline in the drawing."""
     loops: list[list[Vertex]] = []
     pieces: list[tuple[Vertex, Vertex]] = []
     circles: list[tuple[float, float, float]] = []
@@ -195,7 +197,7 @@ def _line(one: Entity, name: str) -> tuple[Vertex, Vertex]:
 
 
 def _arc(one: Entity, name: str) -> tuple[Vertex, Vertex]:
-    """Ends of an arc, which runs counter-clockwise; its bulge stands with the first."""
+    """Ends of an arc, which runs counter-clockwise; the first end carries the bulge."""
     x, y, r = (one.number(code, name) for code in (10, 20, 40))
     start, end = (math.radians(one.number(code, name)) for code in (50, 51))
     swept = (end - start) % math.tau
@@ -229,7 +231,7 @@ def _linked(pieces: list[tuple[Vertex, Vertex]], name: str) -> list[list[Vertex]
 
 
 class _Ends:
-    """Ends of pieces by where they lie."""
+    """Ends of pieces, indexed by position."""
 
     def __init__(self, pieces: list[tuple[Vertex, Vertex]], near: float) -> None:
         self._near = near or 1.0
@@ -242,7 +244,7 @@ class _Ends:
         return math.floor(point[0] / self._near), math.floor(point[1] / self._near)
 
     def at(self, point: Vertex) -> list[tuple[int, bool]]:
-        """Pieces that end here: number, and whether that end is their last."""
+        """Pieces that end at a point: index, and whether the end is the piece's last."""
         return [(number, backwards) for number, backwards, end in self._around(point)
                 if math.dist(end[:2], point[:2]) <= self._near]  # fmt: skip
 

@@ -1,7 +1,8 @@
-"""The text of a DXF file from elsewhere: its header and the entities of model space, within a budget, every slip named.
+"""Text of an untrusted DXF file: its header and the entities of model space, within a budget, every fault
+named.
 
-No library reads it: of a drawing only lines, arcs and polylines are wanted, and a stranger's file shall meet no more code
-than that takes.
+No library is used: only lines, arcs and polylines are needed, and an untrusted file should reach as little
+code as possible.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ KEY: Final = "lattice.outline.dxf"
 
 
 class TooMuch(Exception):
-    """A drawing beyond what is read of one."""
+    """A drawing exceeds the reader's budget."""
 
     def __init__(self, message: str, allowed: str) -> None:
         super().__init__(message)
@@ -34,7 +35,7 @@ class TooMuch(Exception):
 
 
 class Unfit(ValueError):
-    """What is wrong with a drawing: code, sentence, what would be right, the nearest way out."""
+    """A fault of a drawing: code, message, allowed values, hint."""
 
     def __init__(self, code: str, message: str, allowed: str = "", hint: str = "") -> None:
         super().__init__(message)
@@ -46,7 +47,7 @@ def text_lines(folder: str, name: str) -> list[str]:
     why = "is not a relative path" if os.path.isabs(name) or "\0" in name or name[1:2] == ":" else ""
     if not why:
         home, real = os.path.realpath(folder), os.path.realpath(os.path.join(folder, name))
-        if os.path.commonpath([home, real]) != home:  # links are followed first, so that none leads out
+        if os.path.commonpath([home, real]) != home:  # links are resolved first, so that none leads out
             why = "lies outside the design's folder"
     if why:
         raise Unfit(
@@ -74,7 +75,7 @@ Pair = tuple[int, str, int]
 """Group code, value, line."""
 
 LARGEST_CODE = 10_000
-"""Above every group code that DXF has."""
+"""Limit above every group code of DXF."""
 
 
 def group_pairs(lines: list[str], name: str) -> list[Pair]:
@@ -92,7 +93,7 @@ def group_pairs(lines: list[str], name: str) -> list[Pair]:
 
 
 class Entity:
-    """One entity: its kind, where it stands in the file, its values in order."""
+    """One entity: its kind, its line in the file, its values in order."""
 
     def __init__(self, kind: str, line: int) -> None:
         self.kind, self.line = kind, line
@@ -110,7 +111,7 @@ class Entity:
         Raises
         ------
         Unfit
-            There is none, or it is no finite number.
+            There is no such code, or its value is no finite number.
         """
         for at, value, line in self.values:
             if at == code:
@@ -125,6 +126,7 @@ class Entity:
 
 
 def finite_number(value: str, line: int, name: str) -> float:
+    """Read a number of at most 1e30 in size; refuse anything else with the file's name and the line."""
     try:
         number = float(value)
     except ValueError:
@@ -168,7 +170,7 @@ def sections(pairs: list[Pair], name: str) -> tuple[dict[str, str], list[Entity]
 
 
 def unit_factor(header: dict[str, str], unit: Fraction, name: str) -> Fraction:
-    """Design units of a unit of the drawing."""
+    """Design units per unit of the drawing."""
     said = header.get("$INSUNITS", "0")
     words = " | ".join(f"{code} ({word})" for code, word in UNITS.items())
     code = whole_number(said)

@@ -1,4 +1,4 @@
-"""Faces that stand as given (`[[pair.face]]`): their kinds of value, and the value they are read into."""
+"""Given faces (`[[pair.face]]`): kinds of their values, and the value they are read into."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class FaceSpec:
 
     @property
     def polynomial(self) -> bool:
-        """Whether the face has terms on top of its conic."""
+        """Whether the face has terms in addition to its conic."""
         return any(self.a4) or any(self.a6) or any(self.a8)
 
 
@@ -79,7 +79,7 @@ class Radius:
         return f"a length other than 0, > 0 where convex (bare = {unit.name}, or text with a unit: {SHOWN['length']}), or inf"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a number or text."""
+        """Return the JSON Schema of a number or text."""
         return {"anyOf": [_LENGTH.schema(), {"const": "inf"}]}
 
 
@@ -90,7 +90,9 @@ class PerPower:
     power: int
 
     def read(self, value: object, unit: Unit) -> float:
-        """Return the coefficient in 1/design unit³; refuse a text without a unit, or with another one."""
+        """Return the coefficient in 1/unit^power, design units;
+        refuse a text without a unit, or with another unit.
+        """
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise Refusal("CL104", not_this(value, "a number"), value, self.allowed(unit))
         try:
@@ -119,7 +121,7 @@ class PerPower:
         return f'a number (bare = {self._unit(unit)}, or text with a unit such as "1e-3 1/mm^{self.power}")'
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a number or text."""
+        """Return the JSON Schema of a number or text."""
         raised = RAISED[self.power]
         pattern = rf"^\s*[-+0-9.eE]+\s+1/[a-z]+\^?({self.power}|{raised})\s*$"
         text: JsonSchema = {"type": "string", "pattern": pattern}
@@ -131,7 +133,7 @@ class PerPower:
 
 
 LARGEST_TERM: Final = 1e30
-"""Largest coefficient of an even term, 1/unit^power: beyond it nothing could be computed."""
+"""Largest coefficient of an even term, 1/unit^power: larger ones cannot be computed with."""
 
 _LENGTH: Final = Quantity("length", "a length")
 _CONIC: Final = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
@@ -156,7 +158,7 @@ def faces_read(tables: Iterable[tuple[tuple[str, Any], ...]]) -> tuple[FaceSpec,
 
 
 def face_table(face: FaceSpec) -> dict[str, Any]:
-    """The face as a table of a design file, what is 0 left out; `FACES` reads it back."""
+    """The face as a table of a design file, zeros left out; `FACES` reads it back."""
     made: dict[str, Any] = {"radius": ["inf" if math.isinf(r) else r for r in face.radius]}
     if face.conic != (0.0, 0.0):
         made["conic"] = list(face.conic)

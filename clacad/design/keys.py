@@ -1,6 +1,6 @@
-"""Every key of a design file: its kind, its default and what it means. The one home of this list.
+"""All keys of a design file: kind, default and meaning. This module is the only place of the list.
 
-The reader, the JSON Schema, the suggestions for misspelt keys and the canonical text all follow it.
+The reader, the JSON Schema, the suggestions for misspelt keys and the canonical text all use it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from clacad.design.varying import PLANES, VARYING
 
 FORMAT: Final = 1
 REQUIRED: Final = object()
-"""Stands for "no default"."""
+"""Marks a key without a default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +44,9 @@ class Key:
     kind : Kind
         Reads the value.
     about : str
-        What it means, one line.
+        Meaning, one line.
     default : object
-        Converted value where the key is not written; `REQUIRED` if it must be.
+        Converted value of an absent key; `REQUIRED` if the key must be written.
     """
 
     kind: Kind
@@ -73,16 +73,16 @@ class UnitWord:
         return '"m" | "cm" | "mm" | "um" | "nm" | "in", or a length such as "100 mm"'
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a string."""
+        """Return the JSON Schema of a string."""
         return {"type": "string", "examples": ["mm", "um", "m", "100 mm"]}
 
 
 @dataclass(frozen=True, slots=True)
 class FormatVersion:
-    """The value of `format`: the version of the file format, so that old files are read for ever."""
+    """The value of `format`: the version of the file format, so that old files stay readable forever."""
 
     def read(self, value: object, unit: Unit) -> int:
-        """Return the version; refuse one that is not read."""
+        """Return the version; refuse an unsupported one."""
         if isinstance(value, bool) or not isinstance(value, int):
             raise Refusal("CL104", not_this(value, "a whole number"), value, self.allowed(unit))
         if value != FORMAT:
@@ -90,11 +90,11 @@ class FormatVersion:
         return value
 
     def allowed(self, unit: Unit) -> str:
-        """Return the versions known."""
+        """Return the supported versions."""
         return str(FORMAT)
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a constant."""
+        """Return the JSON Schema of a constant."""
         return {"const": FORMAT}
 
 
@@ -362,10 +362,10 @@ SYNONYMS: Final[dict[str, str]] = {
     "period": "lattice.pitch", "size": "lattice.count", "cells": "lattice.count", "shape": "lattice.outline",
     "wall": "body.baffle_wall", "units": "unit", "dowels": "body.pins", "mounting": "body.holes", "chamfer": "body.corners", "version": "format", "title": "name",
 }  # fmt: skip
-"""What people call a key elsewhere."""
+"""Other names of keys → key."""
 
 SCENE_SECTIONS: Final = ("sheet", "camera", "background", "object", "effects", "animation")
-"""Sections of a scene file, which is another file."""
+"""Sections of a scene file, which is a separate file."""
 
 
 def homes(name: str) -> list[str]:
@@ -381,7 +381,7 @@ def suggestion(section: str, name: str) -> str:
     Parameters
     ----------
     section : str
-        Section the unknown key stands in, "" for the top level (or for an unknown section).
+        Section that contains the unknown key, "" for the top level (or for an unknown section).
     name : str
         The unknown key.
     """

@@ -1,4 +1,4 @@
-"""A design's law in one line, as labels below pictures say it."""
+"""A design's law in one line, for labels below pictures."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from clacad.design.sections import LawSpec
 
 
 def law_words(law: LawSpec, turned: bool = False) -> str:
-    """The asked law: "eta = (-0.25, -1), phi = 45°, theta = 0.5°, psi = 90°".
+    """Requested law as text: "eta = (-0.25, -1), phi = 45°, theta = 0.5°, psi = 90°".
 
     Parameters
     ----------
     law : LawSpec
     turned : bool
-        Name the three angles even where all are 0; an offset is named where there is one.
+        Whether to write the three angles even if all are 0; a non-zero offset is always written.
     """
     said = [f"eta = ({law.eta[0]:.4g}, {law.eta[1]:.4g})"]
     if any(law.delta):

@@ -1,4 +1,4 @@
-"""The design: what a person asked for, read and checked.
+"""The design: a person's request, read and checked.
 
 Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; see `clacad.design.sections`.
 """
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 class Design:
     """One design file, read and checked.
 
-    Two designs are equal when they ask for the same thing, however it was written.
+    Two designs are equal if they request the same, regardless of spelling.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ class Design:
     notes : tuple of str
         Remarks the report prints.
     given : mapping
-        The keys as written, defaults left out.
+        The keys as written, without defaults.
     source : str or None
-        The file's text, None where there is none or it no longer tells the whole design.
+        The file's text; None where there is none or it no longer describes the whole design.
     path : str
-        The file's name as the user gave it, "" without a file.
+        The file's name as given by the user, "" without a file.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Design:
         )
 
     def _repr_html_(self) -> str:
-        from clacad import as_html  # the package's own door: pictures are made in a room below this one
+        from clacad import as_html  # at run time only: the module that makes pictures imports this one
 
         return str(as_html(self))
 
@@ -98,20 +98,22 @@ class Design:
         Parameters
         ----------
         data : mapping
-            As `tomllib` would return it.
+            As returned by `tomllib`.
         overrides : sequence of str
             "key.path=value" each, as with --set.
 
         Raises
         ------
         DesignError
-            With every mistake.
+            Lists every mistake.
         """
         return Design(**read_dict(data, overrides))
 
     @property
     def law(self) -> Law:
-        """The asked law of refraction; where it varies, that of the sheet's middle (of a table: with no offset, and `law.eta`)."""
+        """The requested law of refraction; a varying law:
+        that of the sheet's centre (table: no offset, and `law.eta`).
+        """
         from clacad.optics.law import Law
 
         phi, theta, psi = self.law_spec.euler
@@ -119,12 +121,12 @@ class Design:
         return Law(eta_x, eta_y, delta_x, delta_y, phi, theta, psi, axes=self.law_spec.euler_axes)
 
     def law_at(self, index: tuple[int, int]) -> Law:
-        """The law that a cell is asked to obey; that of the sheet where all obey one.
+        """Requested law of a cell; that of the sheet where all cells obey one.
 
         Parameters
         ----------
         index : (i, j)
-            As `clacad.Lattice` counts the cells; of hexagons axial.
+            Index as in `clacad.Lattice`; axial for hexagons.
 
         Raises
         ------
@@ -139,11 +141,13 @@ class Design:
 
     @property
     def viewing_places(self) -> tuple[float | None, float | None]:
-        """Distances of the eye before array 1 and of what it looks at behind the sheet, metres; None where not said."""
+        """Distances from the sheet to the eye before array 1 and to the object behind, metres;
+        None where not given.
+        """
         from clacad.base.units import design_unit
 
         unit = design_unit(self.unit)
-        assert unit is not None  # it was read when the design was made
+        assert unit is not None  # it was validated when the design was made
         viewer, distance = (
             None if v is None else v * unit.metres for v in (self.check.viewer, self.check.object)
         )
@@ -156,7 +160,7 @@ class Design:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of the canonical text, in hexadecimal: the identity of what is asked."""
+        """SHA-256 of the canonical text, in hexadecimal: the identity of the request."""
         from hashlib import sha256
 
         return sha256(self.canonical_toml().encode()).hexdigest()
@@ -170,26 +174,27 @@ class Design:
         return to_toml(self.to_dict())
 
     def replace(self, changes: Mapping[str, Any] | str, value: Any = None) -> Design:
-        """Return the design with some keys changed, checked as a file would be.
+        """Return the design with some keys changed, validated like a file.
 
         Parameters
         ----------
         changes : mapping, or str
             Dotted key, with an index for one element of a list, to value: {"law.eta.0": -0.5}; or one such key.
         value : any
-            Of the one key: ``design.replace("pair.separation", 12)``.
+            Value of the one key: ``design.replace("pair.separation", 12)``.
 
         Raises
         ------
         DesignError
-            If the result is no design.
+            The result is no valid design.
         TypeError
-            A value beside a mapping, or neither a mapping nor a key.
+            A value was given together with a mapping, or neither a mapping nor a key.
         """
         return Design(**read_changed(self.given, self.path, changed_keys(changes, value)))
 
     def with_cells(self, cells: tuple[int, int]) -> Design:
-        """Return the same design with another number of cells, centred on the origin, without an outline, corners, holes or pins.
+        """Return the design with another number of cells, centred, without an outline, corners, holes or
+        pins.
 
         Parameters
         ----------
@@ -230,6 +235,6 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
     Raises
     ------
     DesignError
-        With every mistake, each with path, line and column.
+        Lists every mistake with path, line and column.
     """
     return Design(**read_file(path, overrides))

@@ -1,4 +1,4 @@
-"""Tables of numbers as CSV that anybody may have written: a header, and rows of as many numbers."""
+"""Untrusted CSV tables of numbers: a header, and rows with one number per column."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ BLOCK: Final = 1 << 16
 
 
 class RowBlock(NamedTuple):
-    """Some rows: their numbers (n, columns), their text, the number of the first in the file (from 1)."""
+    """Several rows: their numbers (n, columns), their text,
+    and the number of the first in the file (from 1).
+    """
 
     numbers: Floats
     lines: list[str]
@@ -36,9 +38,9 @@ class NumberRows:
     columns : tuple of str
         The header.
     key : str
-        Key of the design that names it, "" where none does.
+        Key of the design that names the file, "" where none does.
     elsewhere : tuple of (str, str)
-        Beginnings of columns that are no part of it, and what to do instead.
+        Prefixes of columns that do not belong to the table, and what to do instead.
     """
 
     path: str
@@ -47,26 +49,27 @@ class NumberRows:
     elsewhere: tuple[tuple[str, str], ...] = ()
 
     def names(self) -> list[str]:
-        """The header's columns, whatever they are.
+        """Columns of the header, valid or not.
 
         Raises
         ------
         DesignError
-            It is not UTF-8, or too long.
+            The header is not UTF-8, or too long.
         """
         with open(self.path, "rb") as stream:
             line = self._text(stream.readline(LONGEST_ROW), 1).removeprefix("\ufeff")
         return [part.strip() for part in line.split(",")]
 
     def blocks(self) -> Iterator[RowBlock]:
-        """Rows, many at a time.
+        """Iterate over blocks of rows.
 
         Raises
         ------
         DesignError
-            With row and column: another header, what is no number, too few or many values, text that is not UTF-8.
+            With row and column: another header, a value that is no number, too few or many values, text that
+            is not UTF-8.
         DesignTooLarge
-            More rows than are read.
+            More rows than the reader's limit.
         """
         with open(self.path, "rb") as stream:
             self._header(self._text(stream.readline(LONGEST_ROW), 1).removeprefix("\ufeff"))
@@ -102,7 +105,7 @@ class NumberRows:
             )
 
     def _lines(self, stream: IO[bytes]) -> Iterator[list[str]]:
-        """Rows after the header, many at a time; empty lines at the end are none."""
+        """Blocks of rows after the header; empty lines at the end are ignored."""
         row, read, empty = 1, 0, 0
         lines: list[str] = []
         most = BUDGETS["cell-table"].items or 0
@@ -125,7 +128,7 @@ class NumberRows:
             yield lines
 
     def _text(self, raw: bytes, row: int) -> str:
-        """A row without its end."""
+        """Text of a row without its line end."""
         if len(raw) == LONGEST_ROW:
             self.refuse(f"a row of {LONGEST_ROW} characters or more", row, allowed=",".join(self.columns))
         try:
@@ -146,7 +149,7 @@ class NumberRows:
         return numbers
 
     def _refuse_first(self, lines: list[str], first: int) -> NoReturn:
-        """Name the first row and column that are no number."""
+        """Refuse the table at the first row and column that is no number."""
         for row, line in enumerate(lines, first):
             parts = line.split(",")
             for column, part in enumerate(parts[: len(self.columns)]):

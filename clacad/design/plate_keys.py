@@ -1,4 +1,6 @@
-"""Plates that mount: kinds of value of outlines by points, corners, holes and pins, and what they are read into."""
+"""Keys of mounting plates: kinds of value of polygon outlines, corners, holes and pins,
+and the values they are read into.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,10 @@ if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2
 
 MOST_VERTICES: Final = 10_000
-"""Corners that an outline may have."""
+"""Greatest number of corners of an outline."""
 
 MOST_HOLES: Final = 1000
-"""Places that one kind of hole may have."""
+"""Greatest number of positions of one kind of hole."""
 
 _ABOVE_0: Final = Quantity("length", "a length > 0", above=0.0)
 _FROM_0: Final = Quantity("length", "a length >= 0", least=0.0)
@@ -39,7 +41,7 @@ class Points:
     bulges: bool = False
 
     def read(self, value: object, unit: Unit) -> tuple[tuple[float, ...], ...]:
-        """Return the points in design units; refuse too few, too many, and what is no point."""
+        """Return the points in design units; refuse too few, too many, and values that are no points."""
         if not isinstance(value, list):
             raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit))
         if not self.least <= len(value) <= self.most:
@@ -54,7 +56,7 @@ class Points:
         return f"a list of {self.least} to {self.most} points, each {one}"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of an array of points."""
+        """Return the JSON Schema of an array of points."""
         return {
             "type": "array",
             "items": _Point(self.bulges).schema(),
@@ -70,7 +72,7 @@ class _Point:
     bulges: bool
 
     def read(self, value: object, unit: Unit) -> tuple[float, ...]:
-        """Return its numbers; a bulge left out is 0."""
+        """Return the point's numbers; a missing bulge is 0."""
         if not isinstance(value, list):
             raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit))
         if len(value) != 2 and not (self.bulges and len(value) == 3):
@@ -85,7 +87,7 @@ class _Point:
         return f"[x, y]{bulge}, lengths (bare = {unit.name}, or text with a unit)"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a short array."""
+        """Return the JSON Schema of a short array."""
         return {
             "type": "array",
             "items": _LATERAL.schema(),
@@ -104,17 +106,17 @@ class CornersSpec:
 
 @dataclass(frozen=True, slots=True)
 class HoleSpec:
-    """Through holes of one diameter. Exactly one of `at`, `circle` and `corners` says where.
+    """Through holes of one diameter. Exactly one of `at`, `circle` and `corners` gives their positions.
 
     Parameters
     ----------
     diameter : float, length
     at : tuple of (x, y), lengths
     circle : float or None, length
-        Diameter of a bolt circle about the middle of the sheet, with `count` holes, the first at the angle `start`
-        (degrees from +x).
+        Diameter of a bolt circle about the centre of the sheet, with `count` holes, the first at the angle
+        `start` (degrees from +x).
     corners : float or None, length
-        One hole in each corner of a rectangular plate, so far from both its sides.
+        One hole in each corner of a rectangular plate, at this distance from both sides.
     """
 
     diameter: float
@@ -125,7 +127,7 @@ class HoleSpec:
     corners: float | None = None
 
     def places(self, size: Pair2) -> tuple[Pair2, ...]:
-        """Centres of the holes on a plate whose rectangle has these sides (lengths)."""
+        """Centres of the holes on a plate with a bounding rectangle of these sides (lengths)."""
         if self.corners is not None:
             x, y = 0.5 * size[0] - self.corners, 0.5 * size[1] - self.corners
             return (x, -y), (x, y), (-x, y), (-x, -y)
@@ -143,10 +145,10 @@ class PinsSpec:
     Parameters
     ----------
     diameter : float, length
-        Of the pin.
+        Diameter of the pin.
     at : tuple of (x, y), lengths
     play : float, length
-        By how much the diameter of each hole exceeds the pin's.
+        Excess of the hole's diameter over the pin's.
     """
 
     diameter: float
@@ -200,7 +202,7 @@ def pins_read(table: Table | None) -> PinsSpec | None:
 
 
 def hole_table(hole: HoleSpec) -> dict[str, Any]:
-    """Holes as a table of a design file; `HOLES` reads it back."""
+    """A hole specification as a table of a design file; `HOLES` reads it back."""
     made: dict[str, Any] = {"diameter": hole.diameter}
     if hole.at:
         made["at"] = [list(point) for point in hole.at]
@@ -213,12 +215,14 @@ def hole_table(hole: HoleSpec) -> dict[str, Any]:
 
 
 def vertex_lists(points: Iterable[Vertex]) -> list[list[float]]:
-    """Corners as lists of a design file, bulges of 0 left out."""
+    """Corners as lists of a design file, zero bulges left out."""
     return [[x, y] if bulge == 0.0 else [x, y, bulge] for x, y, bulge in points]
 
 
 def box_about_origin(points: Iterable[Vertex]) -> Pair2:
-    """Sides of the smallest box about the origin that holds a polygon of straight and round sides (lengths)."""
+    """Sides of the smallest box centred on the origin that contains a polygon of straight and round sides
+    (lengths).
+    """
     from clacad.sheet.plate import Plate
 
     across, along = Plate(tuple(points)).reach

@@ -1,7 +1,8 @@
-"""What a fabrication process can make, and of what: limits in metres, each with where the number comes from.
+"""Capabilities of fabrication processes and their materials: limits in metres, each with the source of the
+number.
 
-`none` means geometry only: a part must exist, nothing more. The numbers are typical of service shops
-and are limits to check a design by, not promises of any machine.
+`none` means geometry only: a part must exist, nothing more. The numbers are typical of service shops. They
+are limits for checking a design, not promises of any machine.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class ProcessProfile:
     edge, neck : float
         Least thickness at the edge of the part, and between neighbouring lenslets.
     radius : float
-        Least radius of curvature (tool nose, voxel or spot size allow no less).
+        Least radius of curvature (given by tool nose, voxel or spot size).
     sag : float
         Greatest structure height.
     pitch : float
@@ -32,11 +33,11 @@ class ProcessProfile:
     clearance : float
         Least air gap between two bodies.
     tool : float
-        Nose radius of the tool: no inner corner is sharper. 0: there is no tool.
+        Nose radius of the tool: the least radius of an inner corner. 0: there is no tool.
     wall : float
         Highest vertical step between neighbours.
     draft : float, radians
-        Least angle of walls and faces to the direction in which mould, tool or light comes.
+        Least angle of walls and faces to the direction of mould, tool or light.
     slope : float, radians
         Steepest slope of a face against the sheet.
     voxel : float
@@ -48,11 +49,11 @@ class ProcessProfile:
     undercut : bool
         Whether faces may overhang.
     part_height, part_width : float
-        Greatest height of a whole part, and greatest side of the rectangle around it, seen along z.
+        Greatest height of a whole part, and greatest side of its bounding rectangle, seen along z.
     materials : tuple of str
         Kinds and names of materials that can be worked; empty: any.
     source : str
-        Where the numbers come from.
+        Source of the numbers.
     """
 
     name: str
@@ -125,7 +126,7 @@ def profiles() -> tuple[ProcessProfile, ...]:
 
 
 def profile(name: str) -> ProcessProfile:
-    """Profile of that name.
+    """Return the profile with a name.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""From a file, a dictionary or changed keys to the checked sections of a design; every mistake at once."""
+"""Reading of designs from a file, a dictionary or changed keys into checked sections;
+all mistakes are reported at once.
+"""
 
 from __future__ import annotations
 
@@ -42,14 +44,14 @@ from clacad.design.varying import Conjugates, VaryingSpec, varying_read
 
 
 def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
-    """Read a design file; the fields of a `Design`, see `load`."""
+    """Read a design file; return the fields of a `Design`, see `load`."""
     name = os.fspath(path)
     text = read_text(name)
     return _read(parse(text, name), tuple(overrides), text, name)
 
 
 def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Read nested dictionaries; the fields of a `Design`, see `Design.from_dict`."""
+    """Read nested dictionaries; return the fields of a `Design`, see `Design.from_dict`."""
     given = plain(data, float)
     if not isinstance(given, dict):
         raise DesignError([Mistake("CL104", f"a design is a table, not {kind_of(given)}")])
@@ -59,12 +61,14 @@ def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, An
 
 
 def values_of(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by dotted key of a design that was read, from its keys as written: what the rules ask."""
+    """Values by dotted key of a valid design, from its keys as written: the input of the rules."""
     return _checked(dict(given))[0]
 
 
 def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Read a design's keys as written, some of them changed; the fields of a `Design`, see `Design.replace`."""
+    """Read a design's keys as written, some of them changed;
+    return the fields of a `Design`, see `Design.replace`.
+    """
     data: Any = given
     mistakes = []
     for key, value in changes.items():
@@ -81,7 +85,7 @@ def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]
 
 
 def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> dict[str, Any]:
-    """Lay overrides over the data, check everything, convert it; every mistake at its place."""
+    """Apply overrides to the data, check and convert everything; every mistake has its position."""
     changed, places, mistakes = override.apply(data, texts)
     resolved, unread = with_points(changed, path)
     values, found = _checked(resolved)
@@ -101,7 +105,7 @@ def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
     whole = {section for section in SECTIONS if section in data and not isinstance(data[section], dict)}
     asked = Asked(values, written, unit)
     missing = {m.key for m in mistakes if m.code == "CL103"} | whole
-    meant = {m.hint for m in mistakes if m.code == "CL102"}  # a misspelt key is not missing as well
+    meant = {m.hint for m in mistakes if m.code == "CL102"}  # a misspelt key is not reported as missing too
     mistakes += [
         m
         for m in broken(asked)
@@ -111,10 +115,12 @@ def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
 
 
 def _converted(data: dict[str, Any], unit: Unit) -> tuple[dict[str, Any], list[Mistake]]:
-    """Values by dotted key, and what is wrong with the shape of the data: keys unknown or missing, values of the wrong kind.
+    """Values by dotted key, and mistakes in the shape of the data: unknown or missing keys, values of the
+    wrong kind.
 
-    Of a faulty design what can be converted of its sections, so that the rules can still speak about the rest. Key by key, not
-    by the models of `clacad.design.schema`: loading what makes them takes longer than all that is read here.
+    For a faulty design, all convertible values of its sections are returned, so that the rules can check the
+    rest. Values are read key by key, not by the models of `clacad.design.schema`: importing pydantic takes
+    longer than the whole reading.
     """
     table = _Table(unit, {}, [], [])
     table.read((), ROOT, data)
@@ -135,7 +141,7 @@ def _converted(data: dict[str, Any], unit: Unit) -> tuple[dict[str, Any], list[M
         else:
             table.read((section,), keys, given)
     table.mistakes.extend(_unknown((name,)) for name in data if name not in ROOT and name not in SECTIONS)
-    # a misspelt key is one mistake, not two: what it was meant to be is not missing as well
+    # a misspelt key is one mistake, not two: the key it was meant to be is not reported as missing too
     meant = {mistake.hint for mistake in table.mistakes if mistake.code == "CL102"}
     mistakes = table.mistakes + [mistake for mistake in table.missing if mistake.key not in meant]
     if mistakes:
@@ -145,7 +151,7 @@ def _converted(data: dict[str, Any], unit: Unit) -> tuple[dict[str, Any], list[M
 
 @dataclass(frozen=True)
 class _Table:
-    """What was read so far: values by dotted key, mistakes, and among them keys that are missing."""
+    """Result so far: values by dotted key, mistakes, and missing keys."""
 
     unit: Unit
     values: dict[str, Any]
@@ -153,7 +159,7 @@ class _Table:
     missing: list[Mistake]
 
     def read(self, where: KeyPath, known: Mapping[str, Key], given: Mapping[str, Any]) -> None:
-        """Read the known keys of a table; of a section also name those that it does not know."""
+        """Read the known keys of a table; for a section, report unknown keys too."""
         for name, key in known.items():
             dotted = ".".join((*map(str, where), name))
             if name not in given:
@@ -195,7 +201,7 @@ def _missing(key: str) -> Mistake:
 
 
 def _refused(key: str, refusal: Refusal) -> Mistake:
-    is_key = refusal.code in ("CL102", "CL103")  # the table is shown, the place is that of the key in it
+    is_key = refusal.code in ("CL102", "CL103")  # the message shows the table; the position is the key's
     steps = refusal.where[:-1] if refusal.code == "CL102" else refusal.where
     name = key + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
     place = ".".join([key, *map(str, refusal.where)])
@@ -209,7 +215,7 @@ def _refused(key: str, refusal: Refusal) -> Mistake:
 
 
 def _varying(read: Any, path: str, source: str | None) -> VaryingSpec | None:
-    """How the law varies; a table whose hash is not stated is looked at here."""
+    """Variation of the law; a table without a stated hash is hashed here."""
     if read is None:
         return None
     spec = varying_read(read)
@@ -223,7 +229,7 @@ def _varying(read: Any, path: str, source: str | None) -> VaryingSpec | None:
 
 
 def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> dict[str, Any]:
-    """Fields of a `Design` from converted values by dotted key; what follows from other keys is filled in."""
+    """Fields of a `Design` from converted values by dotted key, with defaults that depend on other keys."""
     part = {
         section: {name: values[f"{section}.{name}"] for name in keys} for section, keys in SECTIONS.items()
     }
@@ -267,7 +273,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
 
 
 def _outline(read: Any) -> Outline | None:
-    """The outline of one of the shapes as the keys read it."""
+    """Outline from a shape and size as read by the keys."""
     if read is None:
         return None
     ((shape, size),) = read

@@ -1,4 +1,6 @@
-"""Rules that need more than one key and no lens to be solved. Each returns its mistakes; all rules always run."""
+"""Rules that need more than one key but no solved lens.
+Each rule yields its mistakes; all rules always run.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +19,26 @@ from clacad.design.plate_keys import box_about_origin
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta, varying_read
 
 SMALLEST_PITCH_M: Final = 1e-7
-"""Pitch below 0.1 µm is refused: a fifth of the shortest visible wavelength, no lens any more."""
+"""Smallest pitch, metres: 0.1 µm is about a quarter of the shortest visible wavelength,
+too small for a lens.
+"""
 
 MOST_CUT: Final = 1_000_000
-"""Rows or columns that are gone through one by one for what an outline keeps of them: a second or two."""
+"""Greatest number of rows or columns that are tested one by one against an outline: one or two seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What was read so far.
+    """Values read so far.
 
     Parameters
     ----------
     values : mapping of dotted key to converted value
-        Defaults included; keys whose value was refused are absent.
+        Includes defaults; keys whose value was refused are absent.
     written : mapping of dotted key to value as written
-        To repeat it in messages.
+        For messages.
     unit : Unit or None
-        None if the unit itself was refused: rules about absolute sizes stay silent.
+        None if the unit itself was refused: rules about absolute sizes are skipped.
     """
 
     values: Mapping[str, Any]
@@ -46,7 +50,7 @@ class Asked:
         return self.values.get(key)
 
     def given(self, key: str) -> bool:
-        """Return whether the key was written (rightly or not)."""
+        """Whether the key was written (with a valid value or not)."""
         return key in self.written
 
     def says(self, key: str) -> str:
@@ -59,7 +63,7 @@ Rule = Callable[[Asked], Iterator[Mistake]]
 
 
 def law_is_a_pair(a: Asked) -> Iterator[Mistake]:
-    """η = 0, both η = 1, and η_i = 1 with δ_i ≠ 0."""
+    """Refuse η = 0, both η = 1, and η_i = 1 with δ_i ≠ 0."""
     eta, delta = a("law.eta"), a("law.delta")
     if eta is None:
         return
@@ -90,7 +94,7 @@ def lens_faces_forward(a: Asked) -> Iterator[Mistake]:
 
 
 def separation_or_thickness(a: Asked) -> Iterator[Mistake]:
-    """A slab has exactly one of the two; the other forms need the separation."""
+    """A slab has exactly one of separation and thickness; the other forms need the separation."""
     form, thickness = a("pair.form"), a("pair.thickness")
     if form == "slab":
         number = a.given("pair.thickness") and thickness != "auto"
@@ -111,7 +115,7 @@ def separation_or_thickness(a: Asked) -> Iterator[Mistake]:
 
 
 def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
-    """Keys that only some forms have: web, curved, seam_depth, the thin recipe, a baffle."""
+    """Refuse keys that belong to other forms: web, curved, seam_depth, the thin recipe, a baffle."""
     form = a("pair.form")
     if form is None:
         return
@@ -137,7 +141,7 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
 
 
 def index_or_material(a: Asked) -> Iterator[Mistake]:
-    """Exactly one of index and material."""
+    """Require exactly one of index and material."""
     if a.given("pair.index") and a.given("pair.material"):
         yield Mistake("CL112", "index and material exclude each other", "pair.material",
                       found=f"{a.says('pair.index')} and {a.says('pair.material')}", allowed="exactly one of them")  # fmt: skip
@@ -147,7 +151,7 @@ def index_or_material(a: Asked) -> Iterator[Mistake]:
 
 
 def material_is_known(a: Asked) -> Iterator[Mistake]:
-    """The material is in the table, and its index is known at the design wavelength."""
+    """The material must be in the table, and its index known at the design wavelength."""
     name, wavelength = a("pair.material"), a("pair.wavelength")
     if name is None:
         return
@@ -170,7 +174,7 @@ def material_is_known(a: Asked) -> Iterator[Mistake]:
 
 
 def worked_materials_are_known(a: Asked) -> Iterator[Mistake]:
-    """The materials that the workshop works are in the table."""
+    """The materials of `check.materials` must be in the table."""
     asked = a("check.materials")
     if not asked:
         return
@@ -199,7 +203,7 @@ def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
 
 
 def faces_stand_alone(a: Asked) -> Iterator[Mistake]:
-    """Given faces need prescription = "given", and nothing of the recipes beside them."""
+    """Given faces need prescription = "given", and exclude the keys of the recipes."""
     given = a("pair.prescription") == "given"
     for key in ("pair.face", "pair.vertex", "pair.search"):
         if a.given(key) and a("pair.prescription") == "derived":
@@ -237,7 +241,7 @@ def faces_are_of_the_form(a: Asked) -> Iterator[Mistake]:
 
 
 def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
-    """A field lens stands at a real common focus: η < 0 in both meridians."""
+    """A field lens needs a real common focus: η < 0 in both meridians."""
     eta = a("law.eta")
     if not a("pair.field_lens") or eta is None:
         return
@@ -250,7 +254,9 @@ def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
 
 
 def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
-    """A tilt is for biconvex pairs; foci apart need cells along the lens axes; the keys of a field lens need one."""
+    """A tilt needs a biconvex pair; separate foci need cells along the lens axes;
+    keys of a field lens need one.
+    """
     if a.given("pair.field") and a("pair.field_lens") is False:
         yield Mistake("CL113", "pair.field needs pair.field_lens = true", "pair.field",
                       allowed="field_lens = true, or leave it out")  # fmt: skip
@@ -312,7 +318,7 @@ def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
 
 
 def seam_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
-    """The seam is narrower than the cell, and something joins the lenslets."""
+    """The seam must be narrower than the cell, and lenslets must be joined."""
     seam, pitch = a("lattice.seam"), a("lattice.pitch")
     if seam and pitch is not None and seam >= min(pitch):
         yield Mistake("CL117", f"{a.says('lattice.seam')} leaves no lens in a cell of {a.says('lattice.pitch')}",
@@ -324,12 +330,12 @@ def seam_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
 
 
 def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
-    """An outline that no whole cell fits into keeps nothing; where the cells stand depends on how many there are."""
+    """An outline must contain a whole cell; the positions of cells depend on their count."""
     outline, pitch, kind, count = (a(f"lattice.{key}") for key in ("outline", "pitch", "kind", "count"))
     if outline is None or pitch is None or kind is None or count is None:
         return
     if outline[0][0] in ("polygon", "dxf"):
-        return  # what of a polygon and its holes holds cells is known when they are placed
+        return  # polygons and their holes are checked when the cells are placed
     if max(count) > MOST_CUT:
         yield Mistake("CL106", f"{a.says('lattice.count')} is out of range where an outline cuts", "lattice.count",
                       allowed=f"up to {MOST_CUT} each way with lattice.outline, which keeps the cells within it alone")  # fmt: skip
@@ -350,7 +356,7 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
 
 
 def count_or_outline(a: Asked) -> Iterator[Mistake]:
-    """The number of cells is given, or follows from the outline."""
+    """The number of cells must be given, or follow from the outline."""
     if a.given("lattice.count") or not any(key.startswith("lattice.") for key in a.written):
         return
     if not a.given("lattice.outline"):
@@ -364,14 +370,14 @@ def count_or_outline(a: Asked) -> Iterator[Mistake]:
     shape, size = outline[0]
     size = (size, size) if shape == "circle" else size if shape == "rectangle" else box_about_origin(size)
     most = max(across / along for across, along in zip(size, pitch, strict=True))
-    if most > LARGEST_COUNT / 2:  # rows of hexagons stand closer than the pitch
+    if most > LARGEST_COUNT / 2:  # rows of hexagons are closer than the pitch
         yield Mistake("CL117", f"{a.says('lattice.outline')} is {most:.3g} cells wide", "lattice.outline",
                       allowed=f"at most {LARGEST_COUNT / 2:.3g} cells",
                       hint="a smaller outline or a larger pitch")  # fmt: skip
 
 
 def outline_is_simple(a: Asked) -> Iterator[Mistake]:
-    """A polygon encloses an area, and no side of it meets another."""
+    """A polygon must enclose an area, and its sides must not intersect."""
     for key in ("lattice.outline", "body.outline"):
         outline = a(key)
         if outline is None or outline[0][0] != "polygon":
@@ -385,7 +391,7 @@ def outline_is_simple(a: Asked) -> Iterator[Mistake]:
 
 
 def one_edge(a: Asked) -> Iterator[Mistake]:
-    """The edge of the plate is that of the cells, a border beyond it, or an outline of its own."""
+    """The edge of the plate is that of the cells, a border around them, or its own outline."""
     cells, plate, border = a("lattice.outline"), a("body.outline"), a("body.border")
     if border and plate is not None:
         yield Mistake(
@@ -406,7 +412,7 @@ def one_edge(a: Asked) -> Iterator[Mistake]:
 
 
 def plate_has_a_border(a: Asked) -> Iterator[Mistake]:
-    """Corners, holes and pins need land round the cells, and a shape that has them."""
+    """Corners, holes and pins need land around the cells, and a shape that can have them."""
     outline, border = a("body.outline") or a("lattice.outline"), a("body.border")
     shape = "rectangle" if outline is None else outline[0][0]
     for key in ("body.corners", "body.holes", "body.pins"):
@@ -425,7 +431,7 @@ def plate_has_a_border(a: Asked) -> Iterator[Mistake]:
 
 
 def _one_way_to_place(hole: dict[str, Any], n: int, shape: str) -> Iterator[Mistake]:
-    """Holes stand at points, on a circle or in the corners, one of the three."""
+    """Holes need exactly one of points, a circle and the corners."""
     ways = [key for key in ("at", "circle", "corners") if key in hole]
     key = f"body.holes.{n}"
     if len(ways) != 1:
@@ -460,7 +466,7 @@ def baffle_has_walls(a: Asked) -> Iterator[Mistake]:
 
 
 def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
-    """δ varies only along axes with power; a table replaces delta; a magnification fixes eta."""
+    """δ varies only along axes with power; a table replaces delta; a magnification determines eta."""
     read, eta, separation = a("law.varying"), a("law.eta"), a("pair.separation")
     if read is None or eta is None:
         return
@@ -488,7 +494,9 @@ def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
 
 
 def focus_has_planes(a: Asked) -> Iterator[Mistake]:
-    """One plane at least is finite; both meridians have power; two ratios of pitches lie along the cells."""
+    """At least one plane must be finite; both meridians need power;
+    two pitch ratios must lie along the cells.
+    """
     read, eta, euler = a("pair.focus"), a("law.eta"), a("law.euler")
     if read in (None, "afocal") or eta is None:
         return
@@ -510,7 +518,7 @@ def focus_has_planes(a: Asked) -> Iterator[Mistake]:
 
 
 def sheet_is_built(a: Asked) -> Iterator[Mistake]:
-    """What a sheet whose cells differ can have beside it."""
+    """Refuse features that cannot be combined with the requested non-uniform sheet."""
     for sheet in built_sheets(a):
         for feature in FEATURES:
             reason = why_not(sheet, feature.name)
@@ -547,5 +555,5 @@ RULES: Final[tuple[Rule, ...]] = (
 
 
 def broken(asked: Asked) -> list[Mistake]:
-    """Return what every rule has to say."""
+    """Return the mistakes of all rules."""
     return [mistake for rule in RULES for mistake in rule(asked)]

@@ -51,7 +51,7 @@ def _document() -> type[BaseModel]:
 
 
 Document: type[BaseModel] = _document()
-"""The whole file. Validate with `context=Unit(...)`, the unit of bare lengths."""
+"""Model of the whole file. Validate with `context=Unit(...)`, the unit of bare lengths."""
 
 
 def json_schema() -> dict[str, Any]:
@@ -72,7 +72,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _restate_default(entry: dict[str, Any], key: Key) -> None:
-    """Show a default as a person would write it, not as it is stored."""
+    """Write a default as in a design file, not in its stored form."""
     entry.pop("default", None)
     if key.default is not REQUIRED and key.default is not None and key.default != ():
         entry["default"] = _as_written(key.default, key.kind)

@@ -1,4 +1,4 @@
-"""Where given faces come from (`[pair.search]`): the record that a search leaves in the design it ends in."""
+"""Origin of given faces (`[pair.search]`): the record that a search writes into its resulting design."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ _SHA: Final = Text("a SHA-256", 64, pattern="[0-9a-f]{64}")
 
 @dataclass(frozen=True, slots=True)
 class SearchRecord:
-    """What a search began with, did and reached; nothing of it is built.
+    """Start, settings and result of a search; nothing is built from it.
 
     Parameters
     ----------
     start_sha256 : str
-        Of the design the search began with.
+        SHA-256 of the initial design.
     faces_sha256 : str
-        Of the faces it ended in (`faces_digest`).
+        SHA-256 of the resulting faces (`faces_digest`).
     free : tuple of str
     field_deg : float
         Half angle of the cone of rays.
     weights : tuple of (part of the field, weight)
     tolerances : bool
-        Whether made parts were asked for, not the perfect one.
+        Whether the search optimised parts with fabrication errors instead of the perfect part.
     unknowns, rays : int
     history : tuple of (evaluations, rms error in mrad)
-        Each time the best got better by a tenth, the first and the last.
+        One entry for each improvement of the best by a tenth, and the first and the last.
     """
 
     start_sha256: str
@@ -72,10 +72,10 @@ SEARCH: Final = InlineTable(_KEYS, required=tuple(key for key, _ in _KEYS))
 
 
 def search_read(table: Iterable[tuple[str, Any]]) -> SearchRecord:
-    """The record from what `SEARCH` read."""
+    """Record from the value read by `SEARCH`."""
     return SearchRecord(**dict(table))
 
 
 def faces_digest(faces: Iterable[FaceSpec]) -> str:
-    """SHA-256 of faces, by which it shows that they were changed after the search."""
+    """SHA-256 of faces; it reveals changes after the search."""
     return hashlib.sha256(repr([face_table(face) for face in faces]).encode()).hexdigest()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # a design is read without numpy
 
 @dataclass(frozen=True, slots=True)
 class LawSpec:
-    """The asked law of refraction, paper eqs (4), (5) and section 3.
+    """The requested law of refraction, paper eqs (4), (5) and section 3.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class LawSpec:
     euler_axes : {"fixed", "moving"}
         R = Rz(ψ) Rx(θ) Rz(φ) for fixed axes, Rz(φ) Rx(θ) Rz(ψ) for moving ones.
     varying : VaryingSpec or None
-        How δ varies over the sheet; None: all cells obey one law.
+        Variation of δ over the sheet; None: all cells obey one law.
     """
 
     eta: Pair2
@@ -43,7 +43,7 @@ class LawSpec:
 
     @property
     def cylinders(self) -> bool:
-        """Whether the lenses of the law have power along one of their axes alone."""
+        """Whether the lenses of the law have power along one of their axes only."""
         return 1.0 in self.eta
 
     @property
@@ -55,14 +55,15 @@ class LawSpec:
 
 @dataclass(frozen=True, slots=True)
 class FieldSpec:
-    """What is asked of the field lens.
+    """Requested properties of the field lens.
 
     Parameters
     ----------
     conic : float or None
         Conic constant of its faces; None: 0 between the two plates of a slab, −n² on a plate in air.
     gap : float or None, length
-        Air gap between the plates of a slab, vertex to vertex; None: pitch/25, or 1.25 times the process's clearance.
+        Air gap between the plates of a slab, vertex to vertex; None: the larger of pitch/25 and 1.25 times
+        the clearance limit.
     """
 
     conic: float | None = None
@@ -71,7 +72,7 @@ class FieldSpec:
 
 @dataclass(frozen=True, slots=True)
 class PairSpec:
-    """How a lenslet pair is built.
+    """Construction of a lenslet pair.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ class PairSpec:
     separation : float or None, length
         Biconvex: centre to centre; plano: f1 + f2 in air; slab: T/n (None: given by `thickness`).
     thickness : "auto", float or (2,) tuple of float, length
-        Centre thickness of both lenses, or of lens 1 and lens 2; slab: of the slab.
+        Centre thickness of both lenses, or of lens 1 and lens 2; slab: thickness of the slab.
     web : float or None, length
         Plate joining the lenslets (biconvex); None: 0, or the neck where there is a seam.
     confocal : {"exact", "thin", "best"}
@@ -100,22 +101,23 @@ class PairSpec:
     wavelength : float, metres
         Design wavelength.
     prescription : {"derived", "given"}
-        Whether the recipe finds the faces, or `face` gives them.
+        Whether the recipe solves for the faces, or `face` gives them.
     face : tuple of FaceSpec
-        The given faces in the order light meets them: 2 of a slab, else 4; two more of a field lens, and of a slab that it
-        cuts in three as of plano lenses.
+        The given faces in the order light reaches them: 2 for a slab, else 4. A field lens has two more. A
+        slab that the field lens cuts in three has the faces of plano lenses.
     vertex : (2,) tuple of float or None, length
         Given offset of lens 2 in the lens frame; None: δ f1.
     offset : {"paraxial", "traced"} or None
-        Where lens 2 stands: by paraxial rays, or where traced light leaves as asked; None: traced where cells differ.
+        Position of lens 2: by paraxial rays, or so that traced light obeys the law; None: traced on
+        non-uniform sheets.
     search : SearchRecord or None
-        Where given faces come from.
+        Origin of given faces.
     field_lens : bool
         Whether an array of lenses at the common focus images lens 1 onto lens 2.
     field : FieldSpec
-        How it is built.
+        Properties of the field lens.
     focus : Conjugates or None
-        Planes that every pair images sharply to one another; None: the pair is afocal.
+        Planes that every pair images sharply onto one another; None: the pair is afocal.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -141,11 +143,11 @@ class PairSpec:
 
     @property
     def given(self) -> bool:
-        """Whether the faces stand as given."""
+        """Whether the faces are given."""
         return self.prescription == "given"
 
     def lens_faces(self, lens: int) -> slice:
-        """Places of lens 0's or 1's own faces, plane sides too, among given ones."""
+        """Indices of the faces of lens 0 or 1, plane sides included, among the given faces."""
         if self.form == "slab" and len(self.face) < 6:
             return slice(0, 1) if lens == 0 else slice(-1, None)
         return slice(0, 2) if lens == 0 else slice(-2, None)
@@ -162,8 +164,8 @@ class PairSpec:
 class Outline:
     """Outer shape of the sheet: a circle of diameter size[0], a rectangle size[0] by size[1], or a closed polygon.
 
-    Of a polygon `points` are the corners (x, y, bulge of the side that begins there), lengths; `size` is that of the
-    box about the origin that holds it.
+    For a polygon, `points` are the corners (x, y, bulge of the side that begins there), lengths; `size` is
+    that of the box centred on the origin that contains it.
     """
 
     shape: Literal["circle", "rectangle", "polygon"]
@@ -173,23 +175,26 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class AimedAt:
-    """Where the viewer is that a sheet is made for: a point of the sheet frame, lengths; z < 0 before array 1."""
+    """Position of the viewer that a sheet is aimed at: a point of the sheet frame, lengths;
+    z < 0 before array 1.
+    """
 
     point: tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class LatticeSpec:
-    """How many pairs there are and where.
+    """Number and positions of the pairs.
 
     Parameters
     ----------
     kind : {"square", "rectangular", "hexagonal"}
         Pattern of the cells.
     pitch : (2,) tuple of float, length
-        Cell size in x and y; hexagonal: centre to centre, twice.
+        Cell size in x and y; hexagonal: centre to centre, given twice.
     count : (2,) tuple of int
-        Cells along the two lattice vectors (hexagonal: cells a row, rows); where left out, what fills the outline.
+        Cells along the two lattice vectors (hexagonal: cells per row, rows); by default the count that fills
+        the outline.
     seam : float, length
         Width of the land along cell borders.
     seam_depth : float or None, length
@@ -197,13 +202,15 @@ class LatticeSpec:
     outline : Outline or None
         Cells wholly inside are kept; None: the lattice's own outline.
     pitch_2 : (2,) tuple of float or None, length
-        Of array 2, whose lenses stand in the middle of their own cells; None: as of array 1.
+        Pitch of array 2, whose lenses lie in the centres of their own cells; None: that of array 1.
     rotation_2 : float, radians
-        Turn of array 2's cells, and with them of the places of their lenses, about its middle; lenses keep the law's axes.
+        Rotation of array 2's cells and of the positions of their lenses about its centre; lenses keep the
+        law's axes.
     aperture : "centred", "aligned", (2,) tuple of float or AimedAt
-        Cell 2 is cell 1 moved by the height of centre 2 over centre 1 times this slope, or by that of the light of a viewer.
+        Cell 2 is cell 1 displaced by the height of centre 2 over centre 1 times this slope, or times that of
+        a viewer's light.
     land : {"clear", "opaque"}
-        Whether land lets light through.
+        Whether land transmits light.
     """
 
     kind: Literal["square", "rectangular", "hexagonal"]
@@ -220,7 +227,7 @@ class LatticeSpec:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Opaque frame round the sheet: width beyond the border, height along z (None: as high as the sheet)."""
+    """Opaque frame around the sheet: width beyond the border, height along z (None: as high as the sheet)."""
 
     width: float
     height: float | None
@@ -228,18 +235,18 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class BodySpec:
-    """What is built besides the lenses.
+    """Parts in addition to the lenses.
 
     Parameters
     ----------
     border : float, length
-        Width of the land round the sheet: round its cells, or beyond `lattice.outline`.
+        Width of the land around the sheet: around its cells, or beyond `lattice.outline`.
     neck : float or None, length
         Least thickness at an inner border; None: max(process minimum, pitch/50).
     baffle : bool
         Opaque honeycomb between the arrays.
     baffle_wall : float or None, length
-        Its wall thickness; given if `baffle`.
+        Wall thickness of the baffle; given if `baffle`.
     frame : Frame or None
         Opaque frame.
     roughness : float, length
@@ -247,7 +254,7 @@ class BodySpec:
     slope_rms : float, radians
         Rms slope error of the optical faces.
     corners : CornersSpec or None
-        Of a rectangular plate; None: sharp.
+        Corners of a rectangular plate; None: sharp.
     holes : tuple of HoleSpec
     pins : PinsSpec or None
     outline : Outline or None
@@ -268,18 +275,18 @@ class BodySpec:
 
     @property
     def apart(self) -> bool:
-        """Whether the plate has an edge of its own, apart from `lattice.outline`."""
+        """Whether the plate has its own edge, separate from `lattice.outline`."""
         return self.border > 0.0 or self.outline is not None
 
     @property
     def shaped(self) -> bool:
-        """Whether corners, holes or pins are asked for."""
+        """Whether corners, holes or pins are requested."""
         return self.corners is not None or bool(self.holes) or self.pins is not None
 
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """A warning that the designer accepts, and why."""
+    """A warning that the designer accepts, with a reason."""
 
     code: str
     reason: str
@@ -287,17 +294,18 @@ class Allowed:
 
 @dataclass(frozen=True, slots=True)
 class CheckSpec:
-    """Limits the built design and its files are judged by. Angles in radians, lengths in design units.
+    """Limits for checks of the built design and its files. Angles in radians, lengths in design units.
 
-    None where the limit comes from elsewhere: the process profile (`clearance edge neck radius sag part_height
-    part_width materials pitch tool wall draft slope voxel layer aspect`), or nothing is asked (`mesh_law_rms`).
+    None means that the process profile gives the limit (`clearance edge neck radius sag part_height
+    part_width materials pitch tool wall draft slope voxel layer aspect`), or that `law_rms` applies
+    (`mesh_law_rms`).
 
     Parameters
     ----------
     field : float, radians
         Half angle of the cone of test rays.
     field_centre : {"axis", "normal"}
-        Middle of that cone: the axis of the field (aperture slope), or the sheet's normal.
+        Centre of that cone: the axis of the field (aperture slope), or the sheet's normal.
     process : str
         Name of the process profile.
     confocality : float
@@ -305,7 +313,8 @@ class CheckSpec:
     viewed : float
         Least share of the viewer's light that must obey the law, mean over the whole sheet.
     viewer, object : float, lengths
-        From the sheet to the eye before array 1, whose light the check `viewed` judges, and to what it looks at behind array 2.
+        Distance from the sheet to the eye before array 1 (see the check `viewed`), and to the object behind
+        array 2.
     allow : tuple of Allowed
         Accepted warnings.
     """
@@ -351,23 +360,26 @@ class CheckSpec:
 
     @property
     def of_light(self) -> tuple[float, float, float, float, float]:
-        """Limits of light through a file: rms and bias (radians), relative error of eta, error of delta, confocality."""
+        """Limits for light through a file: rms and bias (radians), relative error of eta, error of delta,
+        confocality.
+        """
         rms = self.law_rms if self.mesh_law_rms is None else self.mesh_law_rms
         return rms, self.law_bias, self.eta, self.delta, self.confocality
 
 
 @dataclass(frozen=True, slots=True)
 class TolerancesSpec:
-    """What fabrication may get wrong, and what a good sheet still is. Lengths in design units, angles in radians.
+    """Fabrication errors, and limits of a good sheet. Lengths in design units, angles in radians.
 
-    Where a field lens stands on a plate of its own, the larger tolerance of the two arrays is its, too. Each tolerance t means ±t (roughness: 0 … t); 0: nothing goes wrong.
+    A field lens on its own plate has the larger tolerance of the two arrays. Each tolerance t means ±t
+    (roughness: 0 … t); 0 means no error.
 
     Parameters
     ----------
     decentre : (2,) tuple of float, length
         Displacement of array 1 and array 2 as wholes, in x and in y.
     rotation : float, radians
-        Turn of array 2 against array 1 about the sheet's normal.
+        Rotation of array 2 relative to array 1 about the sheet's normal.
     separation : float, length
         Displacement of array 2 along the sheet's normal.
     radius : (2,) tuple of float
@@ -377,15 +389,15 @@ class TolerancesSpec:
     thickness : (2,) tuple of float, length
         Error of the centre thickness of each body.
     tilt : float, radians
-        Tilt of array 2 against array 1 about x and about y.
+        Tilt of array 2 relative to array 1 about x and about y.
     roughness : float, length
         Rms height.
     distribution : {"normal", "uniform"}
-        Normal: t is two standard deviations; uniform: t is the end.
+        Normal: t is two standard deviations; uniform: t is the limit.
     samples, seed : int
-        Of the Monte-Carlo run.
+        Number of samples and seed of the Monte-Carlo run.
     image_shift, blur, residual_power, moire_period : float or None
-        Limits of a good sheet besides those of [check]: radians, radians, 1/m, length.
+        Limits of a good sheet in addition to those of [check]: radians, radians, 1/m, length.
     """
 
     decentre: Pair2
@@ -406,32 +418,34 @@ class TolerancesSpec:
 
     @staticmethod
     def of_array(halves: Pair2, array: int) -> float:
-        """Tolerance of array 0 or 1; of a field lens, which has none of its own, the larger of the two."""
+        """Tolerance of array 0 or 1; for a field lens, which has none of its own, the larger of the two."""
         return halves[array] if array < 2 else max(halves)
 
     def of_body(self, number: int, bodies: int) -> float:
-        """Tolerance (length) of the thickness of body 1, 2 …; of a plate between two, the larger of theirs."""
+        """Tolerance (length) of the thickness of body 1, 2 …;
+        for a plate between two, the larger of theirs.
+        """
         middle = bodies == 3 and number == 2
         return max(self.thickness) if middle else self.thickness[min(number, 2) - 1]
 
 
 @dataclass(frozen=True, slots=True)
 class LightSpec:
-    """What the sheet is lit by.
+    """Light that illuminates the sheet.
 
     Parameters
     ----------
     coherent : bool
-        Whether the light is one wave over many cells.
+        Whether the light is coherent over many cells.
     """
 
     coherent: bool
 
 
 DAYLIGHT = LightSpec(coherent=False)
-"""A design that says nothing of its light."""
+"""Light of a design without a [light] section."""
 
 NO_TOLERANCES = TolerancesSpec(
     (0.0, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0, (0.0, 0.0), 0.0, 0.0, "normal", 1000, 0, None, None, None, None
 )
-"""A design that states none."""
+"""Tolerances of a design without a [tolerances] section."""

@@ -1,7 +1,8 @@
-"""Where the designs and scenes of the paper lie: they come with the package.
+"""Folder of the paper's designs and scenes, which are shipped with the package.
 
-They have one home, the folder `designs` of the repository. An installed package holds them as its own folder of that
-name, put there when the wheel is built; in a checkout, installed as editable or not at all, they lie beside the package.
+Their source is the folder `designs` of the repository. An installed package contains them as its own folder
+of that name, created when the wheel is built. In a checkout, installed as editable or not at all, they lie
+next to the package.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def shipped_designs() -> Path:
-    """Folder of the shipped design files; the scenes that belong to them lie in its `scenes`.
+    """Folder of the shipped design files; their scenes lie in its subfolder `scenes`.
 
     Raises
     ------
     FileNotFoundError
-        The package was taken out of its repository without them.
+        The package was taken out of its repository without the designs.
     """
     for folder in (_PACKAGE / "designs", _PACKAGE.parent / "designs"):
         if (folder / "scenes").is_dir():

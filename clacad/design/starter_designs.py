@@ -1,6 +1,6 @@
-"""Design files to start from (`clacad new`): a commented one of each form, and those of the paper.
+"""Starter design files (`clacad new`): a commented template of each form, and the designs of the paper.
 
-Where both have one name, as "slab", the commented one is meant.
+Where both have one name, such as "slab", the commented template is used.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from clacad.design.shipped_folder import shipped_designs
 
 _FOLDER = Path(__file__).parent / "templates"
 MOST_NAMED = 5
-"""Templates that a message suggests."""
+"""Greatest number of templates that a message suggests."""
 
 _NAME = re.compile(r'^name = ".*"$', re.MULTILINE)
 
@@ -42,12 +42,12 @@ def template(name: str, kind: str = "slab") -> str:
     Returns
     -------
     str
-        TOML with comments; it loads as it stands.
+        TOML with comments; it loads without changes.
 
     Raises
     ------
     DesignError
-        For a name that a design cannot have, or an unknown kind.
+        The name is not allowed, or the kind is unknown.
     """
     nothing, files = Unit("m", LENGTHS["m"]), _files()
     for key, reader, value in (
@@ -69,13 +69,17 @@ def template(name: str, kind: str = "slab") -> str:
 
 
 def figure_of(name: str) -> str:
-    """Return the figure of the paper that a template is of: "Fig. 5", "sheet" of a template named after it, "" of others."""
+    """Return the paper's figure of a template: "Fig. 5", "sheet" for a paper template without figure,
+    "" for others.
+    """
     found = re.match(r"fig(\d+[a-z]?)", name)
     return f"Fig. {found[1]}" if found else "sheet" if name.startswith("paper-") else ""
 
 
 def differences(name: str) -> str:
-    """Return the values of a template that differ from those of paper-base: "law.eta = [-0.5, -0.5]"; without name and notes."""
+    """Return the values of a template that differ from paper-base: "law.eta = [-0.5, -0.5]";
+    name and notes are ignored.
+    """
     own, base = (tomllib.loads(_files()[kind].read_text(encoding="utf-8")) for kind in (name, "paper-base"))
     found = [
         f"{section}.{key} = {shown(value)}"
@@ -88,7 +92,7 @@ def differences(name: str) -> str:
 
 
 def _nearest_of(word: str) -> str:
-    """Return the templates that begin with a word, or share its longest beginning; "" where none does."""
+    """Return a question with the templates that share the longest prefix with a word; "" where none does."""
     names = sorted(_files())
     for length in range(len(word), 3, -1):
         found = [name for name in names if name.startswith(word[:length].lower())]
@@ -98,7 +102,7 @@ def _nearest_of(word: str) -> str:
 
 
 def _files() -> dict[str, Path]:
-    """Every template by its name."""
+    """Every template, by its name."""
     return {path.stem: path for folder in (shipped_designs(), _FOLDER) for path in folder.glob("*.toml")}
 
 

@@ -1,4 +1,6 @@
-"""How the law varies over the sheet (`[law.varying]`): its kinds of value, the value they are read into, its κ."""
+"""Variation of the law over the sheet (`[law.varying]`):
+kinds of its values, the value they are read into, and its K.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ if TYPE_CHECKING:  # a design is read without numpy
 
 _XY: Final = ("x", "y")
 MAGNIFIED: Final = 1e-9
-"""Relative agreement asked of law.eta with what a magnification makes it."""
+"""Relative tolerance between law.eta and the η required by a magnification."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ class Conjugates:
     image : float, length
         Distance behind array 2; negative: virtual, inf: parallel light leaves.
     magnification : (2,) tuple of float or None
-        Along the lens axes; None: as η makes it.
+        Magnification along the lens axes; None: it follows from η.
     """
 
     object: float
@@ -42,17 +44,17 @@ class Conjugates:
 
 @dataclass(frozen=True, slots=True)
 class VaryingSpec:
-    """How δ varies over the sheet; one of the four is given.
+    """Variation of δ over the sheet; exactly one of the four is given.
 
     Parameters
     ----------
     f_image : (2,) tuple of float or None, lengths
-        Where parallel light meets behind array 2, along the lens axes.
+        Distance behind array 2 at which parallel light is focused, along the lens axes.
     conjugates : Conjugates or None
     gradient : ((K_xx, K_xy), (K_yx, K_yy)) or None, 1/length
         dδ/d(x, y): lens axes by sheet axes.
     table : TableSpec or None
-        Of δ, and perhaps η, of every cell.
+        Table of δ, and optionally η, of every cell.
     """
 
     f_image: Pair2 | None = None
@@ -88,19 +90,19 @@ class Reach:
         return f'{Quantity("length", self.what).allowed(unit)}, or "inf"'
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a number or text."""
+        """Return the JSON Schema of a number or text."""
         return {"description": self.what, "anyOf": [{"type": "number"}, {"type": "string"}]}
 
 
 @dataclass(frozen=True, slots=True)
 class TableFileName:
-    """The name of a table of cells, alone or with the SHA-256 that it must have."""
+    """The name of a table of cells, alone or with its required SHA-256."""
 
     name: Text = Text("the name of a CSV or NPZ file in the design's folder", 200)
     stated: Text = Text("a SHA-256 in hexadecimal", 64, pattern="[0-9a-f]{64}")
 
     def read(self, value: object, unit: Unit) -> TableSpec:
-        """Return the name and hash, "" where none is stated."""
+        """Return the name and hash; the hash is "" where none is stated."""
         if isinstance(value, str):
             return TableSpec(self._named(value, unit), "")
         kinds = (("file", self.name), ("sha256", self.stated))
@@ -118,7 +120,7 @@ class TableFileName:
         return self.name.what + ', or {file = "...", sha256 = "..."}'
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of a text, or of a table of two."""
+        """Return the JSON Schema of a text, or of a table of two keys."""
         both = InlineTable((("file", self.name), ("sha256", self.stated)), required=("file", "sha256"))
         return {"anyOf": [self.name.schema(), both.schema()]}
 
@@ -127,7 +129,7 @@ _NUMBER = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
 _REACH = Reach("a length, not 0")
 _PLANES: Final = (("object", Reach("a length < 0", most=-1e-300)), ("image", _REACH))
 PLANES: Final = InlineTable(_PLANES, required=("object", "image"))
-"""Kind of a value that names two planes."""
+"""Kind of a value that gives two planes."""
 VARYING: Final = InlineTable(
     (
         ("f_image", Several(_REACH, _XY, single=True)),
@@ -147,7 +149,7 @@ VARYING: Final = InlineTable(
 
 
 def varying_read(pairs: tuple[tuple[str, Any], ...]) -> VaryingSpec:
-    """What `VARYING` read."""
+    """Variation from the value read by `VARYING`."""
     ((name, value),) = pairs
     found: dict[str, Any] = {name: Conjugates(**dict(value)) if name == "conjugates" else value}
     return VaryingSpec(**found)
@@ -176,7 +178,7 @@ def _reach(length: float) -> float | str:
 
 
 def needed_eta(planes: Conjugates, separation: float) -> Pair2 | None:
-    """η that the magnifications of two planes (lengths) ask for; None where none is asked."""
+    """η required by the magnifications of two planes (lengths); None where no magnification is given."""
     from clacad.optics.law.focusing import imaging_scaled
 
     if planes.magnification is None:
@@ -193,7 +195,7 @@ def gradient_of(spec: VaryingSpec, eta: Pair2, separation: float) -> Gradient | 
     spec : VaryingSpec
     eta : (2,) numbers
     separation : float, length
-        Of the arrays, in air.
+        Separation of the arrays, in air.
     """
     from clacad.optics.law.focusing import focusing_at, imaging, imaging_scaled
 

@@ -6,8 +6,8 @@ Facets and the bytes of STL and TIFF are exact, other bytes are good to 20 %, se
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 from clacad.base.machine_rates import Rates
 from clacad.base.units import millimetres
@@ -21,12 +21,12 @@ from clacad.exporting.format_names import (
 from clacad.exporting.limits import (
     QUADS,
 )
+from clacad.exporting.price import Forecast
 from clacad.exporting.request import DEFAULTS, Request
 from clacad.exporting.rough_sizes import RoughSheet
 from clacad.formats.step.step_mode import chosen_mode
 
 if TYPE_CHECKING:
-    from clacad.exporting.roles import Prospect
     from clacad.exporting.tessellations import Meshes
     from clacad.formats.step.step_mode import Mode
     from clacad.sheet.window import Window
@@ -36,66 +36,6 @@ DRAWING = 400_000
 
 LETTER_POINTS = 30
 """Points of the outline of a letter, about."""
-
-
-@dataclass(frozen=True, slots=True)
-class Forecast:
-    """The price of one format.
-
-    Parameters
-    ----------
-    format : str
-    bytes : int
-    exact : bool
-        Whether `bytes` is exact; otherwise within 20 %.
-    facets : int or None
-        Of the sheet: with every instance counted.
-    quads : int or None
-    modelled : float
-        Processor seconds on the machine whose constants the models hold.
-    memory : (low, high) bytes
-    seconds : (low, high)
-        Processor seconds on this machine.
-    stored : int or None
-        Facets the file holds; fewer than `facets` where it repeats a cell.
-    places : int
-        Bytes of where the repeated cells stand.
-    prospect : Prospect or None
-        The file's role and the light through it.
-    note : str
-        What makes this file dearer than one of equal cells; "" where nothing does.
-    """
-
-    format: str
-    bytes: int
-    exact: bool
-    facets: int | None
-    quads: int | None
-    modelled: float
-    memory: tuple[int, int]
-    seconds: tuple[float, float] = (0.0, 0.0)
-    stored: int | None = None
-    places: int = 0
-    prospect: Prospect | None = None
-    note: str = ""
-
-    @property
-    def task(self) -> str:
-        """Name under which the seconds of this format are noted."""
-        return f"export {self.format}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able form."""
-        plain: dict[str, Any] = {
-            "format": self.format, "bytes": self.bytes, "exact": self.exact, "facets": self.facets,
-            "quads": self.quads, "seconds": list(self.seconds), "memory": list(self.memory),
-        }  # fmt: skip
-        if self.facets is not None:
-            plain["stored"] = self.facets if self.stored is None else self.stored
-        if self.prospect is not None:
-            plain |= self.prospect.entry()
-            plain |= {"law_rms_limit": self.prospect.limit} if self.quads is not None else {}
-        return plain | ({"note": self.note} if self.note else {})
 
 
 def forecast(
@@ -193,6 +133,7 @@ def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
 
 
 def forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
+    """Forecast binary STL files: 84 bytes a file and 50 a facet."""
     size = 84 * files + 50 * facets
     return Forecast(name, size, exact, facets, quads, costs.stl_seconds(facets), (80_000_000, 400_000_000))
 
@@ -229,6 +170,7 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int, in_one_node: bool = 
 
 
 def welded_row(name: str, size: int, held: int, facets: int, places: int, quads: int) -> Forecast:
+    """Forecast a mesh of shared vertices from its bytes, the facets that it stores and the places of repeated cells."""
     memory = int(700 * held + 400 * places)
     seconds = costs.welded_seconds(name, held, places)
     return Forecast(
@@ -276,6 +218,7 @@ def _of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
 
 
 def step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
+    """Forecast a STEP file from its mode and its bytes."""
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
         each = 250_000 if window.uniform else 50_000  # cells that differ are described one after another

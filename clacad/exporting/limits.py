@@ -20,7 +20,7 @@ from clacad.storage.errors import LimitRefused
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.exporting.forecast import Forecast
+    from clacad.exporting.price import Forecast
     from clacad.exporting.request import Quads
     from clacad.sheet.window import Window
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.exporting.forecast import Forecast, forecast_stl, step_row, timed, welded_row
+from clacad.exporting.forecast import forecast_stl, step_row, timed, welded_row
 from clacad.exporting.format_names import refuse_other_cells
 from clacad.exporting.limits import QUADS, refuse_cells, refuse_over_limits
+from clacad.exporting.price import Forecast
 from clacad.exporting.rough_sizes import RoughSheet
 from clacad.formats.step.step_mode import chosen_mode
 from clacad.sheet.need_window import CellsDiffer

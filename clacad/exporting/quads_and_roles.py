@@ -15,7 +15,7 @@ from clacad.exporting.roles import Prospect, Role, role_of
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.exporting.forecast import Forecast
+    from clacad.exporting.price import Forecast
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window

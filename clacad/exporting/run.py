@@ -13,11 +13,13 @@ from clacad.base.machine_rates import Rates, Span, seconds_of, total
 from clacad.base.types import Progress, silent
 from clacad.exporting import costs, limits
 from clacad.exporting.copied_table import copied_table
-from clacad.exporting.forecast import Forecast, forecast
+from clacad.exporting.forecast import forecast
 from clacad.exporting.format_names import MESHES, known_formats
-from clacad.exporting.format_table import WRITERS, Job
+from clacad.exporting.format_table import WRITERS
+from clacad.exporting.job import Job
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.manifest import FileRecord, Manifest, carried_over, document
+from clacad.exporting.price import Forecast
 from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
 from clacad.exporting.refusals import Refusals, require_possible
 from clacad.exporting.request import Request

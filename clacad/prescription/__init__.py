@@ -1,4 +1,4 @@
-"""The bridge from intent to geometry: what a design asks becomes radii, poses and bodies here, once.
+"""Bridge from intent to geometry: turns a design's request into radii, poses and bodies.
 
-The only place where η, δ and the Euler angles turn into surfaces; everything after it reads the `Window`.
+Only this package turns η, δ and the Euler angles into surfaces; all later code reads the `Window`.
 """

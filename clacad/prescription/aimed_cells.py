@@ -1,13 +1,14 @@
-"""Cells of array 2 that stand where the light of a viewer arrives.
+"""Cells of array 2 aimed at a viewer: placed where the viewer's light arrives.
 
-Light of a viewer at P = (x_P, y_P, z_P) crosses the middle C of cell 1 with slope a(C) = (C − P_xy)/(−z_P). Through lens 1's
-vertex it lands on array 2 at C + L(a), and there the middle of cell 2 shall be. L is a straight line in air, and so to third
-order in glass: L(a) = L(0) + k a, with k from the outermost cell. Then
+Light of a viewer at P = (x_P, y_P, z_P) crosses the centre C of cell 1 with slope a(C) = (C − P_xy)/(−z_P).
+Through lens 1's vertex it reaches array 2 at C + L(a), which becomes the centre of cell 2. L is linear in
+air, and linear to third order in glass: L(a) = L(0) + k a, with k from the outermost cell. Then
 
     C2 = g C + k P_xy/z_P + L(0)      g = 1 − k/z_P      the lattice scaled and shifted: without gaps
-    vertex 2 in its own cell = (1 − g) C + d − shift (+ what `traced_vertices` moves it by)
+    vertex 2 in its own cell = (1 − g) C + d − shift (+ the move of `traced_vertices`)
 
-with d the offset of lens 2 from lens 1 as in every sheet: borders move, vertices stay. The law is that of every cell.
+with d the offset of lens 2 from lens 1 as in every sheet: borders move, vertices do not. All cells obey one
+law.
 """
 
 from __future__ import annotations
@@ -31,22 +32,26 @@ if TYPE_CHECKING:
     from clacad.sheet.lattice import Lattice
 
 Landing = Callable[[Pair2], Pair2]
-"""Where light of a slope in air lands on array 2, from the middle of cell 1, lengths."""
+"""Slope in air → point where the light reaches array 2, relative to the centre of cell 1, lengths."""
 
 NEAREST = 10.0
-"""Separations that a viewer must be away: nearer, the light of one cell spreads over more than its partner."""
+"""Least distance of a viewer in separations: for a nearer one,
+light of one cell spreads beyond its partner.
+"""
 
 OFF = 0.01
-"""Part of the pitch by which the middle of a cell may miss the light that it is for."""
+"""Part of the pitch by which the centre of a cell may miss its light."""
 
 STEEPEST = 0.65
-"""Largest distance of lens 2's cell border from its vertex over its radius; beyond, no vertex sends the light right."""
+"""Largest ratio of the distance from vertex to cell border of lens 2 to its radius;
+beyond, no vertex gives the law.
+"""
 
 TRIED = 200
-"""Cells whose light is followed to see that it lands where it shall."""
+"""Number of cells whose light is traced to check where it arrives."""
 
 MOST_TRACED = 1_000_000
-"""Cells for which a table of vertices is made."""
+"""Greatest number of cells for which a table of vertices is made."""
 
 
 @dataclass(frozen=True)
@@ -56,24 +61,24 @@ class AimPoint:
     point: tuple[float, float, float]
 
     def slopes(self, centres: Floats) -> Floats:
-        """Slopes (..., 2) in air of the point's light through the middles (..., 2) of cells."""
+        """Slopes (..., 2) in air of the point's light through the centres (..., 2) of cells."""
         x, y, z = self.point
         return np.asarray((centres - (x, y)) / -z)
 
 
 def aimed(window: Window, design: Design) -> Window:
-    """Give the window whose array 2 is aimed.
+    """Return the window with its array 2 aimed.
 
     Parameters
     ----------
     window : Window
-        Of equal cells that lie one over the other (aperture "aligned").
+        Uniform, with partners aligned (aperture "aligned").
     design : Design
 
     Raises
     ------
     NoSuchLens
-        CL121: too many vertices to be traced; CL122: the viewer is too near; CL123: lens 2 would be too steep.
+        CL121: too many vertices to trace; CL122: the viewer is too near; CL123: lens 2 would be too steep.
     """
     aim, built = refuse_aim(window, design)
     thin = _placed(aim, window.lattice, row_ends(window.lattice), _straight(window.thin.offset[2]))
@@ -90,12 +95,12 @@ def aimed(window: Window, design: Design) -> Window:
 
 
 def traced(window: Window) -> Window:
-    """Give the window of equal cells whose lenses 2 are moved until the light of the field centre leaves as asked.
+    """Return the uniform window with lens 2 moved until light of the field centre leaves as the law requires.
 
     Raises
     ------
     NoSuchLens
-        CL123: no place does it.
+        CL123: no position does it.
     """
     move = traced_moves(window, np.array([aperture_slope(window)]))[0]
 
@@ -108,7 +113,9 @@ def traced(window: Window) -> Window:
 
 
 def _landing(window: Window) -> Landing:
-    """Where light lands on array 2 of a pair as built: straight on in a biconvex one, else bent through lens 1's vertex."""
+    """Landing function of a pair as built: straight for a biconvex pair,
+    else refracted through lens 1's vertex.
+    """
     faces = [face for face in window.faces if face.array == 1]
     if window.form == "biconvex":
         return _straight(0.5 * (faces[0].vertex[2] + faces[1].vertex[2]))
@@ -121,11 +128,11 @@ def _straight(height: float) -> Landing:
 
 
 def _placed(aim: AimPoint, lattice: Lattice, cells: Ints, landing: Landing) -> CellPlacement:
-    """Where array 2's cells stand: L(a) = L(0) + k a with k of the cell whose light is the most aslant."""
+    """Positions of array 2's cells: L(a) = L(0) + k a with k of the cell with the steepest light."""
     slopes = aim.slopes(lattice.centres(cells))
     a = slopes[int(np.argmax((slopes**2).sum(axis=1)))]
     still = np.array(landing((0.0, 0.0)))
-    if not a.any():  # one cell, seen straight on
+    if not a.any():  # one cell, on axis
         k = 0.0
     else:
         k = float((np.array(landing((float(a[0]), float(a[1])))) - still) @ a / (a @ a))
@@ -138,13 +145,15 @@ def _placed(aim: AimPoint, lattice: Lattice, cells: Ints, landing: Landing) -> C
 
 
 def _vertex_change(place: CellPlacement, lattice: Lattice, table: Floats | None) -> VertexChange:
-    """Lenses that stay over their partners while their cells move."""
+    """Displacement that keeps lenses aligned with their partners while their cells move."""
     gx, gy = place.scale(lattice)
     return VertexChange(((1.0 - gx, 0.0), (0.0, 1.0 - gy)), table)
 
 
 def _moved(body: Body, shift: Pair2, change: VertexChange) -> Body:
-    """A body whose lenses of array 2, given from the middle of cell 1, are given from the middle of their own cells."""
+    """Body with its lenses of array 2 given relative to their own cells' centres,
+    instead of cell 1's centre.
+    """
     faces = []
     for face in (body.front, body.back):
         if face.array == 1:
@@ -168,7 +177,9 @@ def _table(aim: AimPoint, window: Window) -> Floats:
 
 
 def refuse_aim(window: Window, design: Design) -> tuple[AimPoint, CellPlacement]:
-    """Return the point and where array 2's cells are for it; parameters and refusals are those of `aimed`."""
+    """Return the point and the placement of array 2's cells for it;
+    parameters and refusals are those of `aimed`.
+    """
     aim = AimPoint(design.lattice.aperture.point)  # type: ignore[union-attr]
     _refuse_table(design)
     _refuse_near(aim, window)
@@ -180,7 +191,7 @@ def refuse_aim(window: Window, design: Design) -> tuple[AimPoint, CellPlacement]
 
 
 def _refuse_table(design: Design) -> None:
-    """More vertices than a table holds; CL121."""
+    """Refuse more vertices than a table holds; CL121."""
     cells = design.lattice.count[0] * design.lattice.count[1]
     if design.pair.offset != "paraxial" and cells > MOST_TRACED:
         raise NoSuchLens(
@@ -190,7 +201,7 @@ def _refuse_table(design: Design) -> None:
 
 
 def _refuse_near(aim: AimPoint, window: Window) -> None:
-    """A point within ten separations, in the sheet or too near; CL122."""
+    """Refuse a viewer within ten separations of the sheet; CL122."""
     z, least = aim.point[2], NEAREST * window.thin.separation
     if abs(z) < least:
         raise NoSuchLens(
@@ -201,7 +212,7 @@ def _refuse_near(aim: AimPoint, window: Window) -> None:
 
 
 def _refuse_steep(aim: AimPoint, window: Window, design: Design, place: CellPlacement, cells: Ints) -> None:
-    """Lens 2 must not be used too far from its vertex; CL123, with the distance that works."""
+    """Refuse use of lens 2 too far from its vertex; CL123, with the viewer's distance that works."""
     cell, far = _farthest(aim, window, place, cells)
     if design.pair.offset != "paraxial":
         far = far + traced_moves(window, aim.slopes(window.lattice.centres(cell)[None]))[0]
@@ -216,7 +227,7 @@ def _refuse_steep(aim: AimPoint, window: Window, design: Design, place: CellPlac
 
 
 def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> None:
-    """Cells of array 2 must stand within p/100 of the light they are for; CL123."""
+    """Refuse cells of array 2 farther than p/100 from their light; CL123."""
     off, (x, y) = _stray(aim, window, place, cells)
     if off > OFF * min(window.lattice.pitch):
         raise NoSuchLens(
@@ -227,7 +238,9 @@ def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: In
 
 
 def _farthest(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[Ints, Floats]:
-    """The cell (2,) whose lens 2 stands farthest from its middle, and where (2,) from it, by paraxial rays, lengths."""
+    """Cell (2,) with lens 2 farthest from its centre, and the lens's position (2,) by paraxial rays,
+    lengths.
+    """
     vertex = next(face.vertex for face in window.faces if face.array == 1)
     places = _vertex_change(place, window.lattice, None).at(window.lattice, cells) + np.subtract(
         vertex[:2], place.shift
@@ -245,10 +258,12 @@ def _least_radius(window: Window) -> float:
 
 
 def _stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[float, Floats]:
-    """How far light lands from the middle of its cell of array 2 at most, length, and where it comes in (2,)."""
+    """Greatest distance of light from the centre of its cell of array 2, length,
+    and the point where it enters (2,).
+    """
     centres, landing = window.lattice.centres(cells), _landing(window)
     foot = np.array(aim.point[:2])
-    # the cubic term is greatest at 1/√3 of the way from the point's foot to the outermost cell
+    # the cubic term is greatest at 1/√3 of the distance from the point's foot to the outermost cell
     tried = np.concatenate([centres, foot + (centres - foot) / np.sqrt(3.0)])
     tried = tried[:: max(1, len(tried) // TRIED)]
     want = np.array([landing((float(a[0]), float(a[1]))) for a in aim.slopes(tried)])
@@ -257,7 +272,9 @@ def _stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> 
 
 
 def _way_out(aim: AimPoint, window: Window, cells: Ints) -> str:
-    """The nearest distance of the viewer, at three digits, from which the sheet can be made, and what else helps."""
+    """Describe the nearest viewer distance, at four digits, for which the sheet can be made,
+    and alternatives.
+    """
     half, radius = 0.5 * min(window.lattice.pitch), _least_radius(window)
 
     def works(z: float) -> bool:

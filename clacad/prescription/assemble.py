@@ -1,4 +1,4 @@
-"""Assemble a window, form by form."""
+"""Assembly of a window, form by form."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Intent:
-    """What the recipes need of a design, read once."""
+    """Inputs of the recipes, read once from a design."""
 
     design: Design
     law: Law
@@ -83,7 +83,7 @@ class Intent:
         """Offset (2,) of lens 2 as built, lengths: as given, else from δ."""
         given = self.design.pair.vertex
         focal = lenses.focal_length[0]
-        if self.design.pair.focus is not None:  # δ is that of chief rays, whatever lens 1 focuses
+        if self.design.pair.focus is not None:  # δ is that of chief rays, independent of lens 1's focus
             from clacad.prescription.sharp_pairs import chief_focal_lengths
 
             focal = chief_focal_lengths(self.design, lenses.thickness, self.index, separation_of(self))
@@ -114,7 +114,7 @@ def build_window(design: Design) -> Window:
 
 
 def placed(design: Design) -> Window:
-    """Window of a design with given faces, neither judged nor measured: a trial of a search."""
+    """Window of a design with given faces, without checks and residual: a trial of a search."""
     return _FORMS[design.pair.form](_intent(design))
 
 
@@ -152,14 +152,14 @@ def _conic(design: Design, index: float) -> Pair2 | None:
 
 
 def _lattice(design: Design) -> Lattice:
-    """The pattern of cells, ended at a plate where one is asked for."""
+    """Pattern of cells, ended at a plate where one is requested."""
     plain = lattice_of(design)
     outline = cells_outline(design.lattice.outline, design.body)
     return replace(plain, outline=outline) if isinstance(outline, Plate) else plain
 
 
 def separation_of(intent: Intent) -> float:
-    """Distance f1 + f2 (length) between the thin lenses that the pair stands for."""
+    """Distance f1 + f2 (length) between the thin lenses equivalent to the pair."""
     pair = intent.design.pair
     if pair.separation is not None:
         return pair.separation
@@ -169,13 +169,17 @@ def separation_of(intent: Intent) -> float:
 
 
 LEAST_SAG = 1e-14
-"""Height of a lens over its cell, part of the separation, below which it is lost in the rounding of its place."""
+"""Least sag of a lens over its cell, as part of the separation:
+a smaller sag is below the rounding of its position.
+"""
 
 
 def _lens_reach(intent: Intent) -> tuple[Pair2, tuple[str, str]]:
-    """How far a lens must reach from the middle of its cell along lens x and y (lengths), and half of what that is.
+    """Least reach of a lens from the centre of its cell along lens x and y (lengths), and the dimension it is
+    half of.
 
-    A cylinder, which has no power along its other axis, bends across its cell alone; any other lens must reach the corners.
+    A cylinder, which has no power along its other axis, must reach across its cell only; any other lens must
+    reach the corners.
     """
     corner = intent.lattice.circumradius
     across = np.abs(intent.lattice.tile() @ intent.turn[:2, :2]).max(axis=0)
@@ -186,7 +190,7 @@ def _lens_reach(intent: Intent) -> tuple[Pair2, tuple[str, str]]:
 
 
 def _smaller_pitch(intent: Intent, axis: str, where: str, part: float) -> str:
-    """The pitch that would do, as a hint: a cylinder on an upright rectangle needs it along one side alone."""
+    """Describe a sufficient pitch as a hint: a cylinder on an upright rectangle constrains one side only."""
     pitch = intent.lattice.pitch
     upright = where == "width" and not intent.lattice.hexagonal and abs(intent.turn[0, 1]) < 1e-12
     if upright:
@@ -196,7 +200,7 @@ def _smaller_pitch(intent: Intent, axis: str, where: str, part: float) -> str:
 
 
 def _refuse_radius(intent: Intent) -> None:
-    """A face whose radius is below its reach in the cell ends inside it; one of next to no sag is no lens."""
+    """Refuse a face whose radius is below its reach in the cell, or that has almost no sag."""
     factor = intent.index - 1.0
     if intent.design.pair.form == "biconvex":
         factor *= 2.0
@@ -232,7 +236,7 @@ def _biconvex(intent: Intent) -> Window:
 
 
 def _scaled_best(intent: Intent, build: Callable[[float], Window]) -> Window:
-    """The window whose radii are scaled for the least error where "best" is asked, else that of scale 1."""
+    """Window with radii scaled for the least error where "best" is requested, else with scale 1."""
     pair = intent.design.pair
     if pair.given or pair.confocal != "best":
         return build(1.0)
@@ -242,7 +246,7 @@ def _scaled_best(intent: Intent, build: Callable[[float], Window]) -> Window:
 
 
 def _refuse_land_without_plate(design: Design, window: Window) -> None:
-    """A concave lens is plate less lens: there is no plate of its own for a seam, border or outline to lie in."""
+    """Refuse seam, border or outline on a concave lens: its body has no plate of its own for them."""
     asked = {
         "lattice.seam": design.lattice.seam > 0.0,
         "body.border": design.body.border > 0.0,
@@ -260,7 +264,7 @@ def _refuse_land_without_plate(design: Design, window: Window) -> None:
 
 
 def _solved(intent: Intent) -> Pair2:
-    """Thicknesses asked for, or solved for "auto" with the exact (or thin) radii."""
+    """Requested thicknesses, or thicknesses solved for "auto" with the exact (or thin) radii."""
     given = intent.design.pair.thicknesses
     if given is not None:
         return given
@@ -279,7 +283,7 @@ def _solved(intent: Intent) -> Pair2:
 
 
 def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Window:
-    """Window of a biconvex pair of these thicknesses, its radii times `scale`."""
+    """Window of a biconvex pair with given thicknesses, its radii times `scale`."""
     pair = intent.design.pair
     separation = separation_of(intent)
     if pair.given:
@@ -295,7 +299,7 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     offset = intent.built_offset(lenses)
     plate, ideal = None, lenses
     if pair.field_lens:
-        # the plate's place follows from eta alone, so that given faces are where the derived ones were
+        # the plate's position follows from eta alone, so that given and derived faces have the same position
         if pair.given:
             ideal = biconvex_exact(intent.eta, separation, thickness, intent.index)
         rooms = [symmetric_foci(ideal.radius[k], thickness[k], intent.index) for k in (0, 1)]
@@ -335,12 +339,14 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
 
 
 def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
-    """Front and back z of the plate joining the lenslets of one array; None without one or for a concave lens."""
+    """Front and back z of the plate that joins the lenslets of one array;
+    None without one or for a concave lens.
+    """
     spec = intent.design
     bordered = spec.body.apart or spec.lattice.outline is not None
     web = spec.pair.web
     if web is None or (web == 0.0 and bordered):
-        web = intent.neck  # the border is a plate, and something must join it to the lenslets
+        web = intent.neck  # the border is a plate; a web must join it to the lenslets
     radii: tuple[float, ...] = lenses.radius[number]
     if spec.pair.given:
         radii = tuple(r for face in spec.pair.face[spec.pair.lens_faces(number)] for r in face.radius)
@@ -353,7 +359,9 @@ def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 
 
 
 def _one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
-    """Lenses with one curved face each: as given, else of the asked η, afocal or of the asked focus."""
+    """Lenses with one curved face each: as given, else from the requested η,
+    afocal or with the requested focus.
+    """
     pair = intent.design.pair
     if pair.given:
         return given_pair(pair, thickness, intent.index)
@@ -373,7 +381,7 @@ def _slab(intent: Intent) -> Window:
 
 
 def _slab_scaled(intent: Intent, scale: float) -> Window:
-    """The slab with its radii times `scale`."""
+    """Slab with its radii times `scale`."""
     separation = separation_of(intent)
     if intent.design.pair.field_lens:
         return _slab_with_field(intent, separation, scale)
@@ -398,7 +406,9 @@ def _slab_scaled(intent: Intent, scale: float) -> Window:
 
 
 def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
-    """The slab cut at the focus: two plates, or array 1, the field plate and array 2 where the foci lie apart."""
+    """Slab cut at the focus: two plates, or array 1, the field plate and array 2 where the meridians' foci
+    differ.
+    """
     n = intent.index
     if intent.eta[0] == intent.eta[1]:
         placed = two_plates(intent, separation, scale)
@@ -461,7 +471,7 @@ def _plano(intent: Intent) -> Window:
 
 
 def _plano_scaled(intent: Intent, scale: float) -> Window:
-    """The plano pair with its radii times `scale`."""
+    """Plano pair with its radii times `scale`."""
     pair = intent.design.pair
     separation = separation_of(intent)
     thickness = pair.thicknesses or _plano_auto(intent, separation)
@@ -488,16 +498,17 @@ def _plano_scaled(intent: Intent, scale: float) -> Window:
 
 
 def _afocal_gap(intent: Intent, thickness: Pair2, guess: float) -> float:
-    """Air gap (length) of a tilted plano pair: that of the ellipsoids of law.eta, regardless of the faces that are built.
+    """Air gap (length) of a tilted plano pair: that of the ellipsoids of law.eta, regardless of the built
+    faces.
 
-    A gap solved for the faces themselves makes any pair of faces afocal: a search over faces or their scale would then
-    grow the separation, because the error falls as the cube of pitch over separation.
+    A gap solved for the built faces makes any pair of faces afocal. A search over faces or their scale would
+    then increase the separation, because the error falls as the cube of pitch over separation.
     """
     plain = replace(_untraced(intent), shape=Shape(None, None))
     lenses = single_surface(intent.eta, separation_of(intent), thickness, intent.index)
 
     def built(gap: float) -> Window:
-        # without the offset: off its axis lens 2 adds aberration that does not belong to the gap
+        # without the offset: off its axis lens 2 adds aberration that is unrelated to the gap
         lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, gap)
         return _plano_placed(plain, lenses, lens_2, intent.turn, np.zeros(2))
 
@@ -505,27 +516,29 @@ def _afocal_gap(intent: Intent, thickness: Pair2, guess: float) -> float:
 
 
 def _untraced(intent: Intent) -> Intent:
-    """The same with lenses where paraxial rays have them: no light is traced through trials of a thickness."""
+    """Intent with paraxially placed lenses: trials of a thickness trace no light."""
     design = intent.design
     return replace(intent, design=replace(design, pair=replace(design.pair, offset="paraxial")))
 
 
 def _plano_auto(intent: Intent, separation: float) -> Pair2:
-    """Smallest vertex-to-plane thickness that leaves the neck under the whole lens, and the land when there is one."""
+    """Smallest vertex-to-plane thickness that leaves the neck under the whole lens,
+    and the land if there is one.
+    """
     found = _plano_auto_of(intent, separation, _one_faced(intent, separation, (0.0, 0.0)))
     if intent.design.pair.focus is None:
         return found
-    for _ in range(SETTLING):  # sharp lenses behind their own plates depend on how thick these are, a little
+    for _ in range(SETTLING):  # sharp lenses behind their own plates depend slightly on the thickness
         found = _plano_auto_of(intent, separation, _one_faced(intent, separation, found))
     return found
 
 
 SETTLING = 4
-"""Rounds in which thickness and radii of sharp lenses settle: each gains three digits."""
+"""Number of iterations of thickness and radii of sharp lenses: each gains three digits."""
 
 
 def _plano_auto_of(intent: Intent, separation: float, trial: LensPair) -> Pair2:
-    """The same for lenses as they are."""
+    """Smallest vertex-to-plane thickness, as `_plano_auto`, for the lenses of `trial`."""
     trial = replace(trial, thickness=(0.0, 0.0))
     window = _plano_placed(
         _untraced(intent), trial, np.array([0.0, 0.0, separation]),
@@ -544,7 +557,9 @@ def _plano_auto_of(intent: Intent, separation: float, trial: LensPair) -> Pair2:
 
 
 def _plano_placed(intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats, offset: Floats) -> Window:
-    """Window of plano lenses, lens 2's apex at `lens_2` (3,) from lens 1's, both turned by `turn` (lens → sheet)."""
+    """Window of plano lenses, lens 2's apex at `lens_2` (3,) from lens 1's,
+    both rotated by `turn` (lens → sheet).
+    """
     outside = intent.design.pair.curved == "outside"
     t1, t2 = lenses.thickness
     planes = (t1, float(lens_2[2]) - t2) if outside else (-t1, float(lens_2[2]) + t2)
@@ -570,7 +585,7 @@ def _plano_placed(intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats
 
 
 def _entry(window: Window, intent: Intent) -> Floats:
-    """A point of the axis ray before the window, sheet frame."""
+    """Point of the axis ray before the window, sheet frame."""
     pair = intent.design.pair
     if pair.form == "plano" and pair.curved == "inside":
         glass = poses.shallower(intent.law, intent.index)[:, 2]
@@ -589,10 +604,10 @@ def _assemble_window(
     """Window of placed bodies: thin pair, land, outline; lengths in design units.
 
     moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacement of the
-    field lens's cells; told : what the recipe says of it.
+    field lens's cells; `told` : the recipe's entries for the field lens.
     """
     design = intent.design
-    # the ideal pair shares a focal plane exactly, whatever thick lenses need to do the same
+    # the ideal pair shares a focal plane exactly, independent of what thick lenses need for that
     thin_focal = thin_pair(intent.eta, separation)
     thin_d = intent.offset(thin_focal[0])
     thin_offset = intent.turn @ np.array([thin_d[0], thin_d[1], separation])
@@ -603,7 +618,7 @@ def _assemble_window(
     window = Window(
         form="plano"
         if design.pair.form == "slab" and len(bodies) == 3
-        else design.pair.form,  # what it is as built
+        else design.pair.form,  # the form as built
         bodies=tuple(replace(body, material=intent.material) for body in bodies),
         lattice=intent.lattice,
         placements=tuple(
@@ -633,14 +648,16 @@ def _assemble_window(
     if second.turn and isinstance(cut, Rectangle):
         wider = max(wider, 1.0) / held_when_turned((cut.width, cut.height), second.turn)
     if isinstance(cut, Circle | Rectangle) and (moved != (0.0, 0.0) or wider > 1.0):
-        # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`, and may be larger
+        # whole cells of both arrays must lie inside: array 2's are displaced by `moved`, and may be larger
         window = replace(window, lattice=replace(window.lattice, outline=_within(cut, moved, wider)))
         _refuse_empty(window.lattice, moved, wider)
     return _with_land(with_plate(window, design.body), intent)
 
 
 def _within(outline: Circle | Rectangle, moved: Pair2, wider: float) -> Circle | Rectangle:
-    """The outline less a displacement on either side: what lies in it lies in the outline, displaced and `wider` or not."""
+    """Outline reduced so that its contents lie in `outline` with and without displacement by `moved` and
+    scale `wider`.
+    """
     if isinstance(outline, Circle):
         return Circle(max((outline.diameter - 2.0 * hypot(*moved)) / max(wider, 1.0), 0.0))
     width, height = outline.width - 2.0 * abs(moved[0]), outline.height - 2.0 * abs(moved[1])
@@ -648,7 +665,9 @@ def _within(outline: Circle | Rectangle, moved: Pair2, wider: float) -> Circle |
 
 
 def _own_places(window: Window, design: Design) -> Window:
-    """The window whose lenses stand where its viewer's light arrives, or where traced light leaves as asked, if it shall."""
+    """Window with lenses repositioned for a varying law, focus, pitch 2, viewer or traced offset,
+    where requested.
+    """
     aperture = design.lattice.aperture
     if design.law_spec.varying is not None:
         from clacad.prescription.varying_cells import with_varying_law
@@ -674,7 +693,9 @@ def _own_places(window: Window, design: Design) -> Window:
 
 
 def _refuse_empty(lattice: Lattice, moved: Pair2, wider: float) -> None:
-    """A displaced slab whose outline holds no cell that is whole in both arrays is a sheet without lenses."""
+    """Refuse a displaced slab without a whole cell of both arrays inside the outline:
+    a sheet without lenses.
+    """
     if lattice.holds_a_cell:
         return
     least = lattice.least_outline()
@@ -699,9 +720,10 @@ def _triple(v: Floats) -> tuple[float, float, float]:
 
 
 def _with_land(window: Window, intent: Intent) -> Window:
-    """Give the structured faces of plano lenses, slabs and field lenses the land they need (seam, border, outline).
+    """Return the window with the land that faces of plano lenses, slabs and field lenses need (seam, border,
+    outline).
 
-    It lies `seam_depth` below the deepest point of the array's optical zone, so it is never inside the
+    The land lies `seam_depth` below the deepest point of the array's optical zone, so that it is outside the
     range of the border heights.
     """
     if window.land.seam == 0.0 and window.outline is None:
@@ -728,7 +750,7 @@ def _with_land(window: Window, intent: Intent) -> Window:
 
 
 def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float) -> Mapping[str, Any]:
-    """How radii and poses were found, for reports and the manifest."""
+    """Record of radii and poses, for reports and the manifest."""
     pair = intent.design.pair
     given = pair.given
     return {
@@ -748,7 +770,9 @@ def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float)
 
 
 def _search(pair: PairSpec) -> dict[str, Any]:
-    """Where given faces come from, and whether they are still those that were found; nothing of other faces."""
+    """Record of the search that found the given faces, and whether they are unchanged;
+    empty for other faces.
+    """
     if pair.search is None:
         return {}
     unchanged = pair.search.faces_sha256 == faces_digest(pair.face)
@@ -756,4 +780,4 @@ def _search(pair: PairSpec) -> dict[str, Any]:
 
 
 _FORMS = {"biconvex": _biconvex, "plano": _plano, "slab": _slab}
-"""How each form is built."""
+"""Form of a pair → function that builds its window."""

@@ -1,10 +1,11 @@
-"""Recipe "best": trade exact confocality on the axis for the least rms error over the field.
+"""Recipe "best": gives up exact confocality on the axis for the least rms error over the field.
 
-One unknown of `clacad.optics.fit`, a common scale of all principal radii, at the separation that was asked for, because
-spherical aberration moves best focus inward. The residuals are those of traced rays to the law over the bundle the
-checks use, of the rays that reach the partner's cell through the pair the search starts from. Freeing the separation as
-well has no minimum: scaling radii and separation together keeps the pair confocal while aberration falls with the cube
-of pitch/separation, so a search over both runs away (to 175 times the asked separation for the paper's sheet).
+The one unknown of `clacad.optics.fit` is a common scale of all principal radii, at the requested separation,
+because spherical aberration moves best focus inward. The residuals are those of traced rays to the law over
+the bundle of the checks, restricted to rays that reach the partner's cell through the initial pair. With the
+separation as a second unknown there is no minimum. Scaling radii and separation together keeps the pair
+confocal while aberration falls with the cube of pitch/separation. A search over both runs away (to 175 times
+the requested separation for the paper's sheet).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ RAYS = 4096
 
 
 def best_scale(intent: Intent, build: Callable[[float], Window]) -> Window:
-    """Find the scale of the radii that leaves the least rms law error, and build with it.
+    """Find the scale of the radii with the least rms law error, and build with it.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def best_scale(intent: Intent, build: Callable[[float], Window]) -> Window:
     Returns
     -------
     Window
-        Its recipe keeps the scale and the rms error before and after (radians).
+        Its recipe records the scale and the rms error before and after (radians).
     """
     start = build(1.0)
     light = _light(intent, start)
@@ -62,7 +63,7 @@ def best_scale(intent: Intent, build: Callable[[float], Window]) -> Window:
 
 
 def _light(intent: Intent, window: Window) -> AskedLight:
-    """The bundle of the checks over one cell: the same rays, so the same lens, for any number of cells."""
+    """Bundle of the checks over one cell: the same rays, and the same lens, for any number of cells."""
     one = window.with_cells((1, 1))
     one = replace(one, z_range=window_range(one))  # the rays start below it
     check = intent.design.check

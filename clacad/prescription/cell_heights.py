@@ -1,6 +1,6 @@
-"""Heights over a cell that fix thickness, land and the window's extent.
+"""Heights over a cell that determine thickness, land and the window's extent.
 
-Only sampling of exact heights: borders at 65 points, the cell on a grid, corners always among them.
+Exact heights are sampled: borders at 65 points, the cell on a grid, corners always included.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def zone_points(window: Window, array: int = 0) -> Floats:
     """Points of the optical zone of an array's cell: its border samples, then a grid inside, (n, 2), lengths."""
     tile = optical_tile(window, array)
     borders = [border_points(window, k, array) for k in range(len(tile))]
-    # a fan of shrunken outlines: a grid that fits any convex cell
+    # a fan of scaled outlines: a grid that fits any convex cell
     fan = [np.concatenate(borders)[::2] * scale for scale in np.linspace(0.0, 1.0, GRID)[:-1]]
     return np.concatenate([*borders, *fan])
 
@@ -47,7 +47,7 @@ def zone_points(window: Window, array: int = 0) -> Floats:
 def border_overlap(window: Window, body: Body) -> float:
     """Least common height of two neighbouring columns over all borders (length), −inf if a lens is missing.
 
-    Negative: the columns stand apart there by that much.
+    A negative value is the gap between the columns.
     """
     least, array = np.inf, _array(body)
     lattice = window.lattice_of(array)
@@ -78,7 +78,7 @@ def proud_of_land(window: Window, body: Body) -> float:
 
 
 def _array(body: Body) -> int:
-    """The array whose lenses a body carries; of a slab, which carries both, the first."""
+    """Array whose lenses a body carries; for a slab, which carries both, the first."""
     return next(face.array for face in (body.front, body.back) if face.array is not None)
 
 
@@ -90,7 +90,7 @@ def _lens_column(body: Body, points: Floats) -> tuple[Floats, Floats]:
 def face_range(window: Window, face: Face) -> tuple[float, float]:
     """Lowest and highest lens point of a structured face over its optical zone (lengths), NaN-free.
 
-    Samples and the point whose normal is the sheet's normal, where it lies in the zone.
+    The range of samples and of the point whose normal is the sheet's normal, where it lies in the zone.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def face_range(window: Window, face: Face) -> tuple[float, float]:
 
 
 def _level_point(window: Window, face: Face) -> Floats:
-    """Height of the extreme point of the lens if it lies in the zone, else nothing, (0 or 1,)."""
+    """Height of the extreme point of the lens if it lies in the zone, else empty, (0 or 1,)."""
     if face.untilted:
         return np.array([face.vertex[2]])
     found = level_point(window, face)
@@ -125,7 +125,7 @@ def _level_point(window: Window, face: Face) -> Floats:
 
 
 def faces_that_differ(window: Window, face: Face) -> list[Face]:
-    """The face as it stands in the cells where its lens is farthest out; the face itself where all cells are alike."""
+    """The face as it is in the cells with extreme lenses; the face itself where all cells are alike."""
     if face.change is None:
         return [face]
     cells = outermost_cells(window, face)
@@ -133,7 +133,7 @@ def faces_that_differ(window: Window, face: Face) -> list[Face]:
 
 
 def _bodies_that_differ(window: Window, body: Body) -> list[Body]:
-    """The body as it stands in the cells where one of its lenses is farthest out."""
+    """The body as it is in the cells where one of its lenses is extreme."""
     faces = [face for face in (body.front, body.back) if face.change is not None]
     if not faces:
         return [body]
@@ -153,11 +153,11 @@ def window_range(window: Window) -> tuple[float, float]:
 
 
 def _points_range(window: Window, body: Body) -> tuple[float, float]:
-    """Lowest and highest point (lengths) of a body whose cells are alike."""
+    """Lowest and highest point (lengths) of a uniform body."""
     heights: list[float] = []
     for array in dict.fromkeys(face.array for face in (body.front, body.back)):
         points = zone_points(window, array or 0)
-        # where there is a seam, rounding may put a sample of the border outside the zone: a hair inside it stands for it
+        # where there is a seam, rounding may put a border sample outside the zone: add samples 1e-12 inside
         points = np.concatenate([points, points * (1.0 - 1e-12)])
         if body.columnar:
             faces = [body.front, body.back]
@@ -171,7 +171,7 @@ def _points_range(window: Window, body: Body) -> tuple[float, float]:
             heights += [] if face.land is None else [face.land]
             if face.array is not None:
                 level = _level_point(window, face)
-                # a lens sunk below its land does not show its extreme point
+                # the extreme point of a lens below its land is not part of the surface
                 if face.land is not None and len(level):
                     sunk = level[0] > face.land if face.side > 0 else level[0] < face.land
                     level = level[:0] if sunk else level

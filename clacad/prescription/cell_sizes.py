@@ -1,13 +1,13 @@
-"""Lenses of a sheet whose cells have an η of their own: the lenses of the sheet's law, each cell's in a size of its own.
+"""Lenses of a sheet with an η per cell: the lenses of the sheet's law, scaled in each cell.
 
-All pairs share one separation s and are afocal at it: f1 = s/(1 − η), f2 = −η f1. With η alike along both axes a lens of another
-focal length is the same figure, conic constants and all, k times as large:
+All pairs share one separation s and are afocal at it: f1 = s/(1 − η), f2 = −η f1. With equal η along both
+axes, a lens of another focal length has the same shape (conic constants included), scaled by k:
 
     slab, plano, thin recipe    k1 = (1 − η0)/(1 − η),  k2 = k1 η/η0           η0: of the sheet's law
-    biconvex, thick             k = R/R0 of the pair that is confocal with exactly η at the thicknesses of all
+    biconvex, thick             k = R/R0 of the pair that is confocal with exactly η at the common thicknesses
 
-Biconvex cells that meet in a border share one height of its middle; lenses of radii that differ meet there at two heights, so
-η may change from cell to cell by `STEP` at most.
+Biconvex cells on either side of a border share one height of its middle; lenses of different radii reach the
+border at two heights. η may therefore change from cell to cell by `STEP` at most.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
 
 KEY = "law.varying.table"
 STEP = 0.05
-"""Largest change of η between neighbouring biconvex cells."""
+"""Greatest change of η between neighbouring biconvex cells."""
 ROUNDED = 1e-12
-"""Rounding of a difference of two η that is not held against it."""
+"""Rounding error of a difference of two η that is tolerated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellSizes:
-    """How large the lenses of cells are, against those of the sheet's law.
+    """Scale factors of the lenses of cells, relative to those of the sheet's law.
 
     Parameters
     ----------
     built : (2, n)
         Of lens 1 and lens 2 as built.
     thin : (2, n)
-        Of the thin lenses they stand for.
+        Of the equivalent thin lenses.
     focal : (n,)
         Focal length of lens 1 as built, over that of the sheet's law.
     """
@@ -52,12 +52,13 @@ class CellSizes:
 
 
 def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
-    """Sizes of the lenses of all kept cells of a sheet with η of their own.
+    """Scale factors of the lenses of all kept cells of a sheet with an η per cell.
 
     Raises
     ------
     NoSuchLens
-        A lens ends inside its cell or is too thick; biconvex neighbours differ by more than `STEP`. The message names the cell.
+        A lens ends inside its cell or is too thick; biconvex neighbours differ by more than `STEP`. The
+        message names the cell.
     """
     cells = window.lattice.cells()
     etas = laws.ratios_of(window.lattice, cells)[:, 0]
@@ -73,13 +74,17 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
 
 
 def thin_sizes(etas: Floats, eta: float) -> Floats:
-    """Focal lengths of lens 1 and lens 2 (2, n) of pairs with `etas` (n,) over those of a pair with `eta` as far apart."""
+    """Focal lengths of lens 1 and lens 2 (2, n) of pairs with `etas` (n,),
+    over those of a pair with `eta` at the same s.
+    """
     first = (1.0 - eta) / (1.0 - etas)
     return np.stack([first, first * (etas / eta)])
 
 
 def _thick(window: Window, cells: Ints, etas: Floats) -> tuple[Floats, Floats]:
-    """Radii (2, n) of thick biconvex lenses over those of the sheet's law, and focal lengths (n,) of lens 1 likewise."""
+    """Radii (2, n) of thick biconvex lenses and focal lengths (n,) of lens 1,
+    each over those of the sheet's law.
+    """
     recipe = window.recipe
     (base_1, _), (base_2, _) = recipe["R"]
     values, first, which = np.unique(etas, return_index=True, return_inverse=True)
@@ -117,7 +122,7 @@ def _refuse_steps(window: Window, laws: CellLaws, cells: Ints, etas: Floats) -> 
 
 
 def _refuse_small(window: Window, cells: Ints, etas: Floats, sizes: Floats) -> None:
-    """Refuse a lens whose radius is below half the diagonal of its cell: its surface ends inside."""
+    """Refuse a lens whose radius is below half the diagonal of its cell: its surface ends inside the cell."""
     reach = window.lattice.circumradius
     for array, size in enumerate(sizes):
         face = next(face for face in window.faces if face.array == array)

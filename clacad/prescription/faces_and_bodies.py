@@ -1,4 +1,4 @@
-"""From radii to faces, and from poses to bodies."""
+"""Construction of faces from radii, and of bodies from poses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from clacad.sheet.window import IDENTITY, Body, Face, Surface
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """How a curved face continues beyond its apex radii.
+    """Form of a curved face beyond its apex radii.
 
     conic : (K_x, K_y) or None
         None: the paper's ellipsoid, one κ for both meridians; else a biconic.
@@ -38,27 +38,29 @@ class Shape:
         if self.depth is not None:
             return copysign(1.0 / self.depth[lens], cx + cy)
         if cx * cy > 0.0:
-            # carries the curvature's sign, else a concave face would become a hyperboloid
+            # kappa has the curvature's sign, else a concave face would become a hyperboloid
             return copysign(sqrt(cx) * sqrt(cy) if cx > 0.0 else sqrt(-cx) * sqrt(-cy), cx)
         return cx + cy if cx == 0.0 or cy == 0.0 else 0.0  # circular cylinder; saddle
 
 
 class Shaping(Protocol):
-    """What gives a lens its faces."""
+    """Source of the faces of a lens."""
 
     def face(self, radius: Pair2, side: int, lens: int) -> Surface:
-        """Face of lens 0 or 1 on the given side (±1); `radius` (lengths) as the recipe found it."""
+        """Face of lens 0 or 1 on the given side (±1); `radius` (lengths) as computed by the recipe."""
 
 
 @dataclass(frozen=True, eq=False)
 class LensPose:
-    """Where a lens stands: reference point relative to its own cell's centre (x, y) and in the sheet (z)."""
+    """Pose of a lens: reference point relative to its own cell's centre (x, y) and in the sheet (z),
+    and rotation.
+    """
 
     point: Floats
     rotation: Floats
 
     def vertex(self, along: float) -> tuple[float, float, float]:
-        """Point `along` (length) the lens axis from the reference point."""
+        """Point at distance `along` (length) on the lens axis from the reference point."""
         x, y, z = self.point + along * self.rotation[:, 2]
         return float(x), float(y), float(z)
 

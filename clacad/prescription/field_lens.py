@@ -1,17 +1,20 @@
-"""Field lenses: faces at the common focus that image lens 1 onto lens 2, so that light of any slope finds its partner.
+"""Field lenses: faces at the common focus that image lens 1 onto lens 2, so that light of any slope reaches
+its partner.
 
-All light of one direction meets there in a point, so that a lens there changes where light meets lens 2 and leaves the
-law alone; 1/f_F = 1/f1 + 1/f2 per meridian. Its vertex lies on the straight line (slopes in air) from the middle of cell 1
-to that of cell 2, and so do its cells.
+All light of one direction meets in one point at the common focus. A lens there changes where light hits lens
+2 and leaves the law unchanged; 1/f_F = 1/f1 + 1/f2 per meridian. Its vertex and its cells lie on the straight
+line (slopes in air) from the centre of cell 1 to that of cell 2.
 
 Two plates (slab, η the same in both meridians)
-    The power stands on both inner faces, 1/f_k on that of the plate which carries lens k, so that for η = −1 both plates are
-    the same part. Plates n f_k thick with an air gap g between them and lenses of 1/a_k = 1/f_k − g/(2 f_k²) are afocal
-    together with exactly η, and image lens 1 exactly onto lens 2, whatever g. Their radii are those of the slab but for g/2f.
-One plate (biconvex, plano; slab whose meridians differ)
-    A plano-convex field lens with its vertex at the focus, or two crossed arrays of cylinders, each at the focus of its own
-    meridian: the plate is n |f1x − f1y| thick, and lens 2 stands (1 − 1/n) times that farther away, so that nothing changes
-    along the axis. A slab becomes array 1, plate and array 2, with air between.
+    Both inner faces have power, 1/f_k on the plate that carries lens k, so that for η = −1 both plates are
+    identical. Plates n f_k thick with an air gap g between them and lenses of 1/a_k = 1/f_k − g/(2 f_k²) are
+    afocal together with exactly η, and image lens 1 exactly onto lens 2, for any g. Their radii are those of
+    the slab to within a relative g/2f.
+One plate (biconvex, plano; slab with different η in its meridians)
+    A plano-convex field lens with its vertex at the focus, or two crossed arrays of cylinders, each at the
+    focus of its own meridian. The plate is then n |f1x − f1y| thick, and lens 2 is moved away by (1 − 1/n)
+    times that, so that nothing changes along the axis. A slab becomes array 1, plate and array 2, with air
+    between.
 """
 
 from __future__ import annotations
@@ -35,14 +38,14 @@ if TYPE_CHECKING:
     from clacad.prescription.assemble import Intent
 
 STEEPEST = 1.05
-"""Least radius of a field face over half the width of its cell."""
+"""Least radius of a field face, over half the width of its cell."""
 
 ROOM = 1.25
-"""Times the process's least gap or edge that what is free is made: from less on, checks warn."""
+"""Factor on the process's least gap or edge for free dimensions: checks warn below this factor."""
 
 
 def thin_field(eta: Pair2, separation: float) -> tuple[FieldLens, ...]:
-    """The ideal field lens of a thin pair (lengths): one, or two cylinders in the order of the light."""
+    """Ideal field lens of a thin pair (lengths): one, or two cylinders in the order light reaches them."""
     first, _ = thin_pair(eta, separation)
     power = field_focal_lengths(eta, separation)
     if first[0] == first[1]:
@@ -52,7 +55,7 @@ def thin_field(eta: Pair2, separation: float) -> tuple[FieldLens, ...]:
 
 
 def refuse_too_steep(radius: float, intent: Intent, axis: int | None) -> None:
-    """Refuse a field face (radius: length) that would end inside its cell, across `axis`, or everywhere (None).
+    """Refuse a field face (radius: length) that would end inside its cell along `axis`, or anywhere (None).
 
     Raises
     ------
@@ -82,7 +85,7 @@ def _conic(intent: Intent, default: float) -> float:
 
 
 def _face(intent: Intent, derived: Quadric, after: int) -> Surface:
-    """The field face that has `after` others before it: as given, else as derived."""
+    """Field face number `after` (from 0) in the order of the light: as given, else as derived."""
     if isinstance(intent.shape, GivenFaces):
         return intent.shape.of_field(derived.side, after)
     return derived
@@ -118,9 +121,10 @@ class Plates:
     """Two plates, each with a lens and part of the field lens.
 
     focal_length : (a1, a2), lengths
-        Of the lens of each plate, alone, in air.
+        Focal length of the lens of each plate, alone, in air.
     field : (f1, f2), lengths
-        Of the part of the field lens on each plate, alone, in air; and thickness over index of the plate.
+        Focal length of the field face of each plate, alone, in air; equal to the plate's thickness over
+        index.
     gap : float, length
     """
 
@@ -130,17 +134,19 @@ class Plates:
 
     @property
     def length(self) -> float:
-        """From lens 1 to lens 2 in air equivalents."""
+        """Distance from lens 1 to lens 2 in air equivalents."""
         return self.field[0] + self.gap + self.field[1]
 
     def offset(self, delta: Floats, eta: float, slope: Floats) -> Floats:
-        """Vertex of lens 2 (2,), lengths from the axis of lens 1, that gives δ (2,) where the middle of the field has `slope` (2,)."""
+        """Vertex of lens 2 (2,), lengths from the axis of lens 1,
+        for δ (2,) and a field centre with `slope` (2,).
+        """
         last = self.focal_length[1]
         return np.asarray(last * (-delta / eta - slope * (1.0 - 1.0 / eta - self.length / last)))
 
 
 def paired_plates(eta: float, separation: float, gap: float) -> Plates:
-    """Plates that are afocal together with exactly η (see the module's notes); lengths.
+    """Plates that are together afocal with exactly η (see the module's notes); lengths.
 
     Raises
     ------
@@ -166,9 +172,9 @@ class FieldBodies:
     field : (x, y), lengths
         Displacement of the field lens's cells.
     offset : (2,) lengths
-        Of lens 2 off lens 1's axis, lens frame.
-    told : mapping
-        What the recipe says of the field lens.
+        Displacement of lens 2 from lens 1's axis, lens frame.
+    `told` : mapping
+        The recipe's entries for the field lens.
     """
 
     bodies: tuple[Body, ...]
@@ -222,7 +228,7 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
 
 
 def _equal(first: Body, second: Body) -> bool:
-    """Whether the second plate is the first one turned over: the same part ordered twice."""
+    """Whether the second plate is the first one turned over: one part, ordered twice."""
 
     def mirrored(face: Face) -> tuple[object, ...]:
         s = face.surface
@@ -246,13 +252,13 @@ def _equal(first: Body, second: Body) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class FieldPlate:
-    """The plate with the field lens, and where its faces stand; lengths along the lens axis.
+    """Plate with the field lens, and positions of its faces; lengths along the lens axis.
 
     foci : (x, y)
-        Of lens 1 in air, from its reference point; the plate's front stands at the nearer one.
+        Foci of lens 1 in air, from its reference point; the plate's front is at the nearer one.
     thickness : float
-    told : mapping
-        What the recipe says of it.
+    `told` : mapping
+        The recipe's entries for the plate.
     """
 
     foci: Pair2
@@ -265,27 +271,27 @@ class FieldPlate:
         return self.foci[0] != self.foci[1]
 
     def added(self, index: float) -> float:
-        """How much farther away lens 2 stands for the plate (length)."""
+        """Additional distance of lens 2 because of the plate (length)."""
         return self.thickness * (1.0 - 1.0 / index)
 
 
 def symmetric_foci(radius: Pair2, thickness: float, index: float) -> Pair2:
-    """Distance (x, y) from the centre of a lens of faces R, −R to its focus in air (lengths)."""
+    """Distance (x, y) from the centre of a lens with faces R, −R to its focus in air (lengths)."""
     x, y = (_behind_centre(r, thickness, index) for r in radius)
     return x, y
 
 
 def _behind_centre(radius: float, thickness: float, index: float) -> float:
-    shrunk = (index - 1.0) * thickness / (index * radius)  # of the beam from face to face
+    shrunk = (index - 1.0) * thickness / (index * radius)  # relative reduction of the beam from face to face
     power = (index - 1.0) * (2.0 - shrunk) / radius
     return 0.5 * thickness + (1.0 - shrunk) / power
 
 
 def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, behind: float) -> FieldPlate:
-    """The field plate of a pair whose lens 1 has its foci there, with `behind` of air from the far one to the next body.
+    """Field plate for the given foci of lens 1, with `behind` of air between the far focus and the next body.
 
     focal_length : ((f1x, f1y), (f2x, f2y)), lengths
-        Of lens 1 and lens 2 as built.
+        Focal lengths of lens 1 and lens 2 as built.
 
     Raises
     ------
@@ -335,7 +341,7 @@ def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats])
     """The plate's body, and the displacement of its cells (lengths).
 
     points : ((2,), (2,)) lengths, lens frame
-        Where the ray in the middle of the field meets front and back.
+        Intersections of the chief ray of the field centre with front and back.
     """
     power_of = plate.told["R"]
     conic = _conic(intent, -(intent.index**2))
@@ -361,7 +367,7 @@ def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats])
         return Body(lens, plane, intent.index, "field"), _pair(front[:2])
     assert isinstance(power_of, list)
     axes = (0, 1) if plate.foci[0] < plate.foci[1] else (1, 0)
-    # a cylinder is the same all along: each face says where the cells stand across its own axis alone
+    # a cylinder is uniform along its axis: each face fixes the position of the cells across its own axis only
     middle = np.empty(2)
     for axis, point in zip(axes, points, strict=True):
         middle[axis] = point[axis]
@@ -377,20 +383,21 @@ def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats])
     return Body(faces[0], faces[1], intent.index, "field"), _pair(intent.turn[:2, :2] @ middle)
 
 
-# -- the ray in the middle of the field -------------------------------------------------------------
+# -- the chief ray of the field centre --------------------------------------------------------------
 
 Legs = tuple[tuple[float, float], ...]
-"""Stretches of a ray across parallel planes: length along the axis, refractive index."""
+"""Segments of a ray across parallel planes: length along the axis, refractive index."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chief:
-    """The ray from the middle of cell 1 to that of cell 2, lens frame.
+    """Ray from the centre of cell 1 to that of cell 2, lens frame.
 
     slope : (2,)
-        In air.
+        Slope in air.
     exact : bool
-        Whether it is refracted exactly, as where the design gives its slope; else to first order, as lenses are placed.
+        Whether the ray is refracted exactly, because the design gives its slope; else to first order, as
+        lenses are placed.
     """
 
     slope: Floats
@@ -398,19 +405,21 @@ class Chief:
 
     @staticmethod
     def of(intent: Intent, to_cell_2: Floats, reduced: float) -> Chief:
-        """As the design's aperture says; `to_cell_2` (2,) lies `reduced` (air equivalents) away, lengths, lens frame."""
+        """Ray for the design's aperture; `to_cell_2` (2,) at `reduced` (air equivalents), lengths,
+        lens frame.
+        """
         aperture = intent.design.lattice.aperture
-        if isinstance(aperture, str | AimedAt):  # one aimed at a point is refused later
+        if isinstance(aperture, str | AimedAt):  # a field lens with an aim point is refused later
             return Chief(to_cell_2 / reduced, False)
         ray = np.array([*aperture, 1.0]) @ intent.turn
         return Chief(ray[:2] / ray[2], True)
 
     def across(self, legs: Legs) -> Floats:
-        """How far aside (2,), lengths, it gets over some stretches."""
+        """Lateral displacement (2,), lengths, of the ray over the segments."""
         square = float(self.slope @ self.slope)
         run = 0.0
         for length, index in legs:
-            # n sin θ' = sin θ: in glass the tangent is smaller than that over n
+            # n sin θ' = sin θ: in glass the tangent is smaller than tan θ / n
             run += length / (sqrt(index * index * (1.0 + square) - square) if self.exact else index)
         return self.slope * run
 

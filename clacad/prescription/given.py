@@ -1,6 +1,6 @@
-"""Faces that stand as given: nothing is solved, only focal lengths are read off, and what cannot be is refused.
+"""Given faces: nothing is solved, focal lengths are computed from the faces, impossible faces are refused.
 
-Their vertices follow the form, the separation and the thickness, as those of derived faces do; the offset of
+Vertices follow from the form, the separation and the thickness, as for derived faces. The offset of
 lens 2 is δ f1 with f1 as built, unless it is given too.
 """
 
@@ -22,7 +22,8 @@ from clacad.sheet.window import Body, Face, Window, lens_height
 
 @dataclass(frozen=True, slots=True)
 class GivenFaces:
-    """Faces in the order light meets them, a field lens's in the middle; it stands where `faces_and_bodies.Shape` does.
+    """Faces in the order light reaches them, a field lens's in the middle; an alternative to
+    `faces_and_bodies.Shape`.
 
     form : "biconvex", "plano" or "slab"
     """
@@ -31,23 +32,23 @@ class GivenFaces:
     faces: tuple[FaceSpec, ...]
 
     def number(self, side: int, lens: int) -> int:
-        """Place among the given faces of the face on the given side (±1) of lens 0 or 1."""
+        """Index among the given faces of the face on the given side (±1) of lens 0 or 1."""
         last = len(self.faces) - 1
-        if self.form == "slab" and last < 5:  # one face a lens, whatever stands between
+        if self.form == "slab" and last < 5:  # one face per lens, with or without field faces between
             return last * lens
         return (last - 1) * lens + (side < 0)
 
     def of_field(self, side: int, after: int) -> Surface:
-        """The face of the field lens on the given side (±1), `after` so many of its faces."""
+        """Face number `after` of the field lens, on the given side (±1)."""
         return given_surface(self.faces[(len(self.faces) - 2) // 2 + after], side)
 
     def face(self, radius: Pair2, side: int, lens: int) -> Surface:
-        """The given face of lens 0 or 1 on the given side; the recipe's `radius` is not asked."""
+        """Given face of lens 0 or 1 on the given side; the recipe's `radius` is ignored."""
         return given_surface(self.faces[self.number(side, lens)], side)
 
 
 def given_surface(face: FaceSpec, side: int) -> Surface:
-    """The surface of a given face: a quadric wherever its points are those of one."""
+    """Surface of a given face: a quadric where the face is one."""
     (cx, cy), (kx, ky) = face.curvature, face.conic
     if face.polynomial:
         return EvenPolynomial(cx, cy, kx, ky, face.a4, side, face.a6, face.a8)
@@ -61,7 +62,7 @@ def given_surface(face: FaceSpec, side: int) -> Surface:
 def given_pair(pair: PairSpec, thickness: Pair2, index: float) -> LensPair:
     """Focal lengths of the given faces about their own axes, in air (slab: R/(n − 1)); radii of each lens's front.
 
-    Thick lensmaker, a meridian at a time: 1/f = (n − 1)(c + c' − (n − 1) T c c'/n), convex positive.
+    Thick lensmaker's equation per meridian: 1/f = (n − 1)(c + c' − (n − 1) T c c'/n), convex positive.
     """
     lenses = [pair.face[pair.lens_faces(lens)] for lens in (0, 1)]
     focal = [
@@ -81,7 +82,7 @@ def _focal_lengths(curvatures: list[Pair2], thickness: float, index: float) -> P
 
 
 def refuse_crossed(pair: PairSpec) -> None:
-    """Refuse lenses of which one is a cylinder in x and the other in y: no law relates light before and behind them.
+    """Refuse a pair of one cylinder in x and one in y: no law relates the light before and behind them.
 
     Raises
     ------
@@ -105,12 +106,12 @@ def refuse_crossed(pair: PairSpec) -> None:
 
 
 def refuse_no_faces(window: Window) -> None:
-    """Refuse given faces that are no lens over their whole cell, or that cross there.
+    """Refuse given faces that have no height somewhere over their cell, or that cross there.
 
     Raises
     ------
     NoSuchLens
-        A face has no real height somewhere over its cell, or front and back of a body without land meet.
+        A face has no real height somewhere over its cell, or front and back of a body without land intersect.
     """
     number = 0
     for body in window.bodies:
@@ -151,7 +152,7 @@ def _conic_that_fits(face: Face, points: Floats) -> str:
 
 
 def given_conics(surface: Surface) -> Pair2:
-    """Conic constants (K_x, K_y); −1 in the flat meridian of a quadric, where any would do."""
+    """Conic constants (K_x, K_y); −1 in the flat meridian of a quadric, where the value has no effect."""
     if not isinstance(surface, Quadric):
         return surface.conic_x, surface.conic_y
     k = [surface.kappa / c - 1.0 if c else -1.0 for c in (surface.curvature_x, surface.curvature_y)]
@@ -159,7 +160,7 @@ def given_conics(surface: Surface) -> Pair2:
 
 
 def _refuse_crossing(window: Window, body: Body, after: int) -> None:
-    """Refuse a body whose front and back meet over the cell with no land to end on."""
+    """Refuse a body without land whose front and back intersect over the cell."""
     faces = (body.front, body.back)
     if all(face.land is not None for face in faces if face.array is not None):
         return

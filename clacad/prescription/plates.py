@@ -1,9 +1,10 @@
-"""From asked outlines, corners, holes and pins to the plate that bodies end at. Lengths in design units.
+"""Plates at which bodies end, from requested outlines, corners, holes and pins. Lengths in design units.
 
-A plate stands where it is drawn, about the sheet's origin, and is common to both bodies: bolts and pins go straight
-through. A plain border round displaced arrays is as wide as both need. Where `lattice.outline` is the edge of the plate,
-cells that it or a hole cuts are left out. Where the plate has an edge of its own (`body.border`, `body.outline`), the
-cells are those that the lattice states, and an edge or hole that meets one of them is refused.
+A plate lies where it is drawn, relative to the sheet's origin, and is common to both bodies: bolts and pins
+pass straight through. A plain border around displaced arrays is as wide as both need. Where `lattice.outline`
+is the edge of the plate, cells that the edge or a hole cuts are left out. Where the plate has its own edge
+(`body.border`, `body.outline`), all cells of the lattice are kept, and an edge or hole that cuts one of them
+is refused.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ from clacad.sheet.plate_edges import Vertex, edge_gaps, inside
 from clacad.sheet.window import Window
 
 MOST_CELLS = 10_000_000
-"""Cells that are asked one by one whether a plate holds them."""
+"""Greatest number of cells that are tested one by one against a plate."""
 
 
 def cells_outline(outline: Outline | None, body: BodySpec) -> Circle | Rectangle | Plate | None:
-    """The outline that keeps the cells inside it, from `lattice.outline`.
+    """Outline that keeps the cells inside it, from `lattice.outline`.
 
-    Where it is the edge of the plate too (no border, no `body.outline`), it has the corners, holes and pins of the body,
-    and cells that those cut are left out.
+    Where it is also the edge of the plate (no border, no `body.outline`), it includes the corners, holes and
+    pins of the body, and cells cut by them are left out.
 
     Raises
     ------
     NoSuchLens
-        A corner, hole or pin that makes no plate.
+        A corner, hole or pin does not fit the plate.
     """
     if outline is None:
         return None
@@ -44,12 +45,13 @@ def cells_outline(outline: Outline | None, body: BodySpec) -> Circle | Rectangle
 
 
 def with_plate(window: Window, body: BodySpec) -> Window:
-    """The window with the plate of its body: `lattice.outline`, `body.outline`, or the cells and a border round them.
+    """Window with the plate of its body: `lattice.outline`, `body.outline`, or the cells with a border around
+    them.
 
     Raises
     ------
     NoSuchLens
-        The edge, a corner or a hole of a plate meets a cell that `lattice` states; no cell is left.
+        The edge, a corner or a hole of a plate cuts a cell of the lattice; no cell is left.
     """
     kept = window.lattice.outline
     if isinstance(kept, Plate):
@@ -71,7 +73,7 @@ def with_plate(window: Window, body: BodySpec) -> Window:
 
 
 def _bordered(window: Window, body: BodySpec) -> Outline | None:
-    """The edge that a border makes of the cells' outline, wide enough for both arrays; None if it needs no plate."""
+    """Outline of the cells with the border, wide enough for both arrays; None if it needs no plate."""
     edge = window.outline
     if not body.shaped or edge is None or isinstance(edge, Plate):
         return None
@@ -104,7 +106,7 @@ def _rectangular(size: Pair2, body: BodySpec) -> Plate:
 
 
 def _with_holes(vertices: tuple[Vertex, ...], size: Pair2, body: BodySpec) -> Plate:
-    """The boundary with its holes, each wholly in the material and off the others."""
+    """Plate of a boundary with its holes, each wholly in the material and apart from the others."""
     plate = Plate(vertices)
     asked = [
         (Hole(x, y, spec.diameter), f"body.holes.{n}")
@@ -121,7 +123,7 @@ def _with_holes(vertices: tuple[Vertex, ...], size: Pair2, body: BodySpec) -> Pl
 
 
 def _fitting(plate: Plate, others: list[Hole], hole: Hole, key: str) -> Hole:
-    """The hole itself, where it keeps to the plate and off the others."""
+    """Return the hole; refuse one that cuts the plate's edge or another hole."""
     middle = np.array([[hole.x, hole.y]])
     gap = min(float(edge_gaps(edge, middle)[0][0]) for edge in plate.edges)
     gap = gap if inside(plate.edges, middle)[0] else -gap
@@ -140,7 +142,7 @@ def _fitting(plate: Plate, others: list[Hole], hole: Hole, key: str) -> Hole:
 
 
 def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
-    """Refuse an edge, hole or corner that meets a cell which the lattice states."""
+    """Refuse an edge, hole or corner that cuts a cell of the lattice."""
     lattice = window.lattice
     if lattice.count[0] * lattice.count[1] > MOST_CELLS:
         raise NoSuchLens(f"{lattice.count[0]:,} x {lattice.count[1]:,} cells are too many beside holes", "lattice.count",
@@ -162,7 +164,7 @@ def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
 
 
 def _room_for_cells(plate: Plate, body: BodySpec, stated: bool) -> str:
-    """What would keep the cells of a plate whole."""
+    """Describe changes that would keep the cells of a plate whole."""
     size = ", ".join(rounded_up(v) for v in (plate.box[1] - plate.box[0], plate.box[3] - plate.box[2]))
     wider = "a wider body.border" if body.outline is None else "a larger body.outline"
     fewer = (

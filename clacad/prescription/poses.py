@@ -1,4 +1,4 @@
-"""Where the two lenses of a telescopelet stand, and how far array 2's cells are displaced."""
+"""Positions of the two lenses of a telescopelet, and displacement of array 2's cells."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def slab_placement(turn: Floats, offset: Floats, thickness: float) -> Placement:
 
 
 def plano_inside_placement(law: Law, offset: Floats, separation: float, index: float) -> Placement:
-    """Curved faces towards each other: the plane faces refract the axis, so the lenses tilt by asin(sin θ/n)."""
+    """Curved faces inside: the plane faces refract the axis, so the lenses tilt by asin(sin θ/n)."""
     turn = shallower(law, index)
     return Placement(turn @ np.array([offset[0], offset[1], separation]), turn)
 
 
 def plano_outside_axis(turn: Floats, index: float, thickness: tuple[float, float], gap: float) -> Floats:
-    """From V1 to V2 along the axis ray: glass, the refracted ray in the air gap, glass, (3,) lengths.
+    """Vector from V1 to V2 along the axis ray: glass, the refracted ray in the air gap, glass, (3,) lengths.
 
     `thickness` and `gap` are perpendicular to the sheet, as a caliper measures them.
 
@@ -78,7 +78,8 @@ def shallower(law: Law, index: float) -> Floats:
 
 
 def best_gap(build: Callable[[float], Window], turn: Floats, guess: float) -> float:
-    """Air gap (length) that leaves the least power about the axis ray, by secant on the least-squares condition.
+    """Air gap (length) with the least power about the axis ray, by secant steps on the least-squares
+    condition.
 
     build : callable
         Gap (length) → window.
@@ -91,7 +92,7 @@ def best_gap(build: Callable[[float], Window], turn: Floats, guess: float) -> fl
         size = STEP * window.lattice.circumradius
         return parabasal(interfaces(window), turn, np.zeros(3), size).cosines
 
-    # The power is linear in the gap to high order: one Gauss-Newton step from a chord, repeated.
+    # The power is linear in the gap to high order: repeat one Gauss-Newton step with the slope of a chord.
     gap, step = guess, 1e-3 * guess
     for _ in range(6):
         here = power(gap)
@@ -109,15 +110,15 @@ def displacement(bodies: tuple[Body, ...], aperture: Aperture, lateral: Floats, 
 
     Parameters
     ----------
-    aperture : "centred", "aligned", (ax, ay) or AimedAt, whose cells are placed by `clacad.prescription.aimed_cells`
+    aperture : "centred", "aligned", (ax, ay) or AimedAt (cells placed by `clacad.prescription.aimed_cells`)
     lateral : (2,)
         Lens 2's own lateral displacement.
     height : float
         Height of centre 2 over centre 1.
     chief : bool
-        Whether refraction between the reference points bends the chief ray (slab, plano): then (ax, ay),
-        the slope in air at the middle of the field of view, is carried by the ray through lens 1's
-        vertex; for a biconvex pair that ray goes straight and the displacement is height · (ax, ay).
+        Whether refraction between the reference points bends the chief ray (slab, plano). If so, the ray
+        through lens 1's vertex carries (ax, ay), the slope in air at the centre of the field of view. For a
+        biconvex pair the ray is straight and the displacement is height · (ax, ay).
     """
     if aperture == "centred":
         return float(lateral[0]), float(lateral[1])
@@ -130,7 +131,7 @@ def displacement(bodies: tuple[Body, ...], aperture: Aperture, lateral: Floats, 
 
 
 def _chief_landing(bodies: tuple[Body, ...], slope: Floats, height: float) -> tuple[float, float]:
-    """Where the ray through lens 1's vertex meets the height of lens 2's vertex."""
+    """Intersection (x, y) of the ray through lens 1's vertex with the height of lens 2's vertex."""
     ray = slope[None] / np.linalg.norm(slope)
     position, index = np.zeros(3), 1.0
     faces = [(f, n) for body in bodies for f, n in ((body.front, body.index), (body.back, 1.0))]

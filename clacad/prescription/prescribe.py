@@ -1,14 +1,13 @@
-"""The bridge from intent to geometry: what a design asks becomes radii, poses and bodies here, once.
+"""Bridge from intent to geometry: turns a design's request into radii, poses and bodies.
 
-`prescribe` is the only place where η, δ and the Euler angles turn into surfaces. Everything after it
-reads the `Window`.
+Only `prescribe` turns η, δ and the Euler angles into surfaces. All later code reads the `Window`.
 
 Recipes
 -------
 biconvex "exact": centres s apart, both meridians afocal with exactly η (thick lenses).
-biconvex "thin": the paper's R = 2(n − 1)f. slab, plano: one curved face a lens, exact for any thickness.
+biconvex "thin": the paper's R = 2(n − 1)f. slab, plano: one curved face per lens, exact for any thickness.
 "best": radii scaled for the least rms law error (biconvex: the thin ones), `clacad.prescription.best_recipe`.
-given: nothing is solved, the faces stand as the design says, `clacad.prescription.given`.
+given: nothing is solved, the faces are those of the design, `clacad.prescription.given`.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ __all__ = ["NoSuchLens", "prescribe"]
 
 
 def prescribe(design: Design) -> Window:
-    """Turn a design into the window that realises it.
+    """Build the window that realises a design.
 
     Parameters
     ----------
@@ -39,8 +38,8 @@ def prescribe(design: Design) -> Window:
     Raises
     ------
     DesignError
-        The pair cannot exist; the message gives the number that would make it work. What is merely
-        unwise (a lens that does not cover its cell, say) is built, and left to the checks.
+        The pair cannot exist; the message gives the number that would make it work. A design that is merely
+        unwise (for example a lens that does not cover its cell) is built and left to the checks.
     """
     from clacad.design import DesignError
     from clacad.prescription.assemble import build_window
@@ -49,6 +48,6 @@ def prescribe(design: Design) -> Window:
         return build_window(design)
     except NoSuchLens as error:
         raise DesignError.at(design, error.key, error.message, code=error.code, hint=error.hint) from error
-    except ArithmeticError as error:  # a quotient of numbers that no sheet has
+    except ArithmeticError as error:  # lengths too far apart in size
         message = f"the lengths of this design are too far apart in size to be computed with ({error})"
         raise DesignError.at(design, "pair.separation", message) from error

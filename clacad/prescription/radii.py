@@ -1,7 +1,7 @@
-"""Focal lengths and radii: what makes a pair confocal, one meridian at a time.
+"""Focal lengths and radii of confocal pairs, one meridian at a time.
 
-Signs carry everything: f and R are positive for a converging meridian, negative for a diverging one,
-infinite for one without power. η_i = −f2_i/f1_i (Hamilton & Courtial, their eq. for η).
+f and R are positive for a converging meridian, negative for a diverging one, infinite without power.
+η_i = −f2_i/f1_i (Hamilton & Courtial, their eq. for η).
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from clacad.base.types import Pair2
 
 
 class NoSuchLens(ValueError):
-    """A lens that cannot be built, with the number that would allow it.
+    """A lens cannot be built; carries the number that would allow it.
 
     Parameters
     ----------
     message : str
-        What is wrong, with the numbers.
+        The fault, with the numbers.
     key : str
-        The design key to blame.
+        The design key at fault.
     hint : str
         Two ways out, with the numbers.
     code : str
-        As in `clacad.config.mistakes.CODES`.
+        A code of `clacad.config.mistakes.CODES`.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class LensPair:
     """Both lenses of a pair in both meridians, tuples indexed [lens][meridian]; lengths.
 
     focal_length : ((f1x, f1y), (f2x, f2y))
-        As built.
+        Focal lengths as built.
     radius : ((R1x, R1y), (R2x, R2y))
         Apex radii, negative when concave, infinite without power.
     thickness : (T1, T2)
@@ -51,7 +51,7 @@ class LensPair:
     thickness: Pair2
 
     def scaled(self, factor: float) -> LensPair:
-        """The same pair with all radii and focal lengths times a factor."""
+        """Return the pair with all radii and focal lengths times a factor."""
         if factor == 1.0:
             return self
         focal, radius = _scaled(self.focal_length, factor), _scaled(self.radius, factor)
@@ -73,7 +73,9 @@ def thin_pair(eta: Pair2, separation: float) -> tuple[Pair2, Pair2]:
 
 
 def field_focal_lengths(eta: Pair2, separation: float) -> Pair2:
-    """Focal lengths (x, y) of the lens at the common focus that images lens 1 onto lens 2: 1/f_F = 1/f1 + 1/f2 (lengths)."""
+    """Focal lengths (x, y) of the field lens that images lens 1 onto lens 2:
+    1/f_F = 1/f1 + 1/f2 (lengths).
+    """
     (f1x, f1y), (f2x, f2y) = thin_pair(eta, separation)
     return f1x * f2x / separation, f1y * f2y / separation
 
@@ -105,12 +107,12 @@ def biconvex_thin(eta: Pair2, separation: float, thickness: Pair2, index: float)
 def biconvex_exact(eta: Pair2, separation: float, thickness: Pair2, index: float) -> LensPair:
     """Pair of symmetric thick lenses, centres s apart, afocal with exactly η in both meridians.
 
-    Per meridian the one root f1 of BFD(f1) + BFD(−η f1) = s − (T1 + T2)/2 (physics notes, thick lenses).
+    Per meridian f1 is the one root of BFD(f1) + BFD(−η f1) = s − (T1 + T2)/2 (physics notes, thick lenses).
 
     Raises
     ------
     NoSuchLens
-        A meridian has no root, or a lens thicker than n f.
+        A meridian has no root, or needs a lens thicker than n f.
     """
     found = [
         _exact_meridian(value, separation, thickness, index, axis)
@@ -190,7 +192,7 @@ def single_surface(eta: Pair2, separation: float, thickness: Pair2, index: float
     """Pair of lenses with one curved face each (plano, slab): R = (n − 1) f, f = s/(1 − η) in air.
 
     No thick-lens correction is needed: the plane faces (plano) or the common glass (slab) keep both
-    meridians afocal at once for any thickness.
+    meridians afocal for any thickness.
     """
     focal = thin_pair(eta, separation)
     return LensPair(focal, _scaled(focal, index - 1.0), thickness)

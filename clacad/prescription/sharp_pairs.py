@@ -1,12 +1,17 @@
-"""Pairs that image one plane sharply to another (`[pair] focus`): not afocal, array 2 of a pitch of its own.
+"""Pairs that image one plane sharply to another (`[pair] focus`): not afocal, array 2 with its own pitch.
 
-η stays what it is for chief rays, those through the middle of lens 1: so lens 2 is the lens of the afocal pair, t' = (t − δ)/η
-holds for them in every cell, and only lens 1 changes. Every pair then images the object plane to the image plane, and
-images of all pairs fall on one another where array 2 has the pitch p1 (1 − f2/ζ)/(1 + f1/z): D. Gabor, UK patent 541 753
-(1940). Glass takes part: plane faces before lens 1 and behind lens 2 (plano, curved inside) bring the planes nearer by T (1 − 1/n),
-and a biconvex lens is a thin one whose two sides stand its hiatus apart, which separation and planes lose half of. Lenses and pitch
-are solved for what is left; the thin pair is that of the planes as they were asked. Near f1 = −z the image by lens 1 runs away to infinity and the pair is a telescopelet no more: refused, with the
-planes that work.
+η is kept for chief rays, those through the centre of lens 1. Lens 2 is therefore the lens of the afocal pair,
+t' = (t − δ)/η holds for chief rays in every cell, and only lens 1 changes. Every pair then images the object
+plane to the image plane. The images of all pairs coincide where array 2 has the pitch
+p1 (1 − f2/ζ)/(1 + f1/z): D. Gabor, UK patent 541 753 (1940).
+
+Glass has an effect. Plane faces before lens 1 and behind lens 2 (plano, curved inside) bring the planes
+nearer by T (1 − 1/n). A biconvex lens is a thin one whose two principal planes are its hiatus apart;
+separation and planes are reduced by half of it. Lenses and pitch are solved for the reduced distances; the
+thin pair is that of the requested planes.
+
+Near f1 = −z the image by lens 1 goes to infinity and the pair is no telescopelet: it is refused, with planes
+that work.
 """
 
 from __future__ import annotations
@@ -35,15 +40,15 @@ if TYPE_CHECKING:
 
 KEY = "pair.focus"
 ROUNDS = 60
-"""Rounds in which principal planes settle: each gains two or three digits."""
+"""Greatest number of iterations of the principal planes: each gains two or three digits."""
 UNLIKE = 2.0
-"""Times by which f1, or array 2's pitch, may differ from that of the afocal pair."""
+"""Greatest factor between f1, or array 2's pitch, and that of the afocal pair."""
 LADDER = 1.25
 """Factor by which planes are moved away until they work."""
 
 
 def sharp_pairs(eta: Pair2, separation: float, planes: Conjugates) -> tuple[SharpPair, SharpPair]:
-    """Both meridians' lenses.
+    """Lenses of both meridians.
 
     Raises
     ------
@@ -65,7 +70,7 @@ def _pairs(eta: Pair2, separation: float, planes: Conjugates) -> tuple[SharpPair
 
 
 def _no_telescopelet(eta: float, separation: float, pair: SharpPair) -> str:
-    """Why a meridian is none, "" if it is."""
+    """Reason why a meridian is no telescopelet, "" if it is one."""
     f1, afocal = pair.focal_lengths[0], thin_focal_lengths(eta, separation)[0]
     if not 1.0 / UNLIKE <= f1 / afocal <= UNLIKE:
         return f"lens 1 would need the focal length {f1:.4g}, where the afocal pair has {afocal:.4g},"
@@ -76,7 +81,7 @@ def _no_telescopelet(eta: float, separation: float, pair: SharpPair) -> str:
 
 
 def _farther(eta: Pair2, separation: float, planes: Conjugates) -> str:
-    """Planes in the same ratio that work: the same two, so many times as far."""
+    """Describe planes that work: the requested two, multiplied by a common factor."""
     factor = 1.0
     while factor < 1e9:
         factor *= LADDER
@@ -92,7 +97,9 @@ def _shortened(length: float) -> float:
 
 
 def seen_through(planes: Conjugates, thickness: Pair2, index: float) -> Conjugates:
-    """The planes (lengths) as lenses behind plates of these thicknesses see them: so much air, paraxial."""
+    """Planes (lengths) as seen by lenses behind plates of these thicknesses:
+    equivalent air distances, paraxial.
+    """
     before, behind = (t * (1.0 - 1.0 / index) for t in thickness)
     return Conjugates(planes.object + before, planes.image - behind)
 
@@ -117,7 +124,7 @@ def sharp_thick_lenses(
     NoSuchLens
         A lens thicker than n f, or no telescopelet; the message has planes that work.
     """
-    sharp_pairs(eta, separation, planes)  # refuses what no thickness mends
+    sharp_pairs(eta, separation, planes)  # refuses planes that no thickness can correct
     focal = _lens_by_lens(thick_pairs(eta, separation, planes, thickness, index))
     (f1x, f1y), (f2x, f2y) = focal
     for axis, f1, f2 in (("x", f1x, f2x), ("y", f1y, f2y)):
@@ -132,7 +139,9 @@ def sharp_thick_lenses(
 def thick_pairs(
     eta: Pair2, separation: float, planes: Conjugates, thickness: Pair2, index: float
 ) -> tuple[SharpPair, SharpPair]:
-    """Both meridians' thin lenses in place of symmetric thick ones: between principal planes, whose places follow from them."""
+    """Thin equivalents of symmetric thick lenses in both meridians, between principal planes,
+    solved by iteration.
+    """
     x, y = (_thick_meridian(value, separation, planes, thickness, index) for value in eta)
     return x, y
 
@@ -153,14 +162,18 @@ def _thick_meridian(
 
 
 def hiatus(focal_length: float, thickness: float, index: float) -> float:
-    """From the front to the back principal plane of a symmetric lens, length; NaN where there is no such lens."""
+    """Distance from the front to the back principal plane of a symmetric lens, length;
+    NaN for an impossible lens.
+    """
     return thickness - 2.0 * (focal_length - back_focal_distance(focal_length, thickness, index))
 
 
 def chief_focal_lengths(design: Design, thickness: Pair2, index: float, separation: float) -> Pair2:
-    """(f1x, f1y), lengths, that take δ of chief rays to lens 2's offset, whatever lens 1 focuses: of the afocal pair."""
+    """Focal lengths (f1x, f1y) of the afocal pair, lengths:
+    they relate δ of chief rays to lens 2's offset.
+    """
     eta, planes = design.law_spec.eta, design.pair.focus
-    assert planes is not None  # who calls this has looked
+    assert planes is not None  # callers check it
     if design.pair.form != "biconvex":
         return thin_pair(eta, separation)[0]
     pairs = thick_pairs(eta, separation, planes, thickness, index)
@@ -174,9 +187,9 @@ def _lens_by_lens(pairs: tuple[SharpPair, SharpPair]) -> tuple[Pair2, Pair2]:
 
 
 def with_focus(window: Window, design: Design) -> Window:
-    """The window of equal cells, array 2 spread so that the images of all pairs fall on one another."""
+    """Uniform window with array 2 spread so that the images of all pairs coincide."""
     planes = design.pair.focus
-    assert planes is not None  # who calls this has looked
+    assert planes is not None  # callers check it
     eta, separation = design.law_spec.eta, window.thin.separation
     (t1, t2), index = window.recipe["T"], window.recipe["n"]
     thin = pairs = sharp_pairs(eta, separation, planes)
@@ -201,7 +214,7 @@ def behind_plates(design: Design) -> bool:
 
 
 def _spread(window: Window, pairs: tuple[SharpPair, SharpPair]) -> Pair2:
-    """Pitch (x, y), lengths, of array 2 at which the images of all pairs fall on one another."""
+    """Pitch (x, y), lengths, of array 2 at which the images of all pairs coincide."""
     turned = abs(window.law.rotation[1, 0]) > 0.5  # the lenses' x lies along the cells' y
     along_cells = pairs[::-1] if turned else pairs
     x, y = (one.pitch_ratio * p for one, p in zip(along_cells, window.lattice.pitch, strict=True))

@@ -1,8 +1,10 @@
-"""Array 2 of another pitch, or turned, its lenses in the middle of their own cells: a superlens, a moiré magnifier.
+"""Array 2 with its own pitch, or turned, and lenses centred in their own cells: a superlens, a moiré
+magnifier.
 
-Cell (i, j) of array 2 stands g = p2/p1 times as far out as its partner and is turned with the array about its middle, and so
-is its lens: d(C) = d + (T g − 1) C, which is a law of δ(C) = δ₀ + K C with K = (T g − 1)/f1 along each lens axis. Its cells
-look at the nodal point. A turn T gives K a curl. What turns is where lenses stand; their axes stay those of the law.
+Cell (i, j) of array 2 and its lens lie g = p2/p1 times as far from the centre as the partner, and rotate with
+the array about its centre: d(C) = d + (T g − 1) C. This is a law of δ(C) = δ₀ + K C with K = (T g − 1)/f1
+along each lens axis. The cells are aimed at the nodal point. A rotation T gives K a curl. Only the positions
+of lenses rotate; their axes stay those of the law.
 """
 
 from __future__ import annotations
@@ -24,12 +26,12 @@ if TYPE_CHECKING:
 
 
 def with_pitch_2(window: Window, design: Design) -> Window:
-    """The window of equal cells, array 2 spread to a pitch of its own and turned.
+    """Uniform window with array 2 spread to its own pitch and turned.
 
     Raises
     ------
     NoSuchLens
-        Lens 1 has no power in a meridian: no δ tells where its partners stand.
+        Lens 1 has no power in a meridian: δ does not determine the position of its partners.
     """
     pitch, turn = design.lattice.pitch_2, design.lattice.rotation_2
     focal = window.recipe["f"][0]
@@ -41,9 +43,9 @@ def with_pitch_2(window: Window, design: Design) -> Window:
 
 
 def spread_to(window: Window, pitch: Pair2 | None, focal: Pair2, turn: float = 0.0) -> Window:
-    """The window of equal cells, array 2 spread to a pitch (lengths) and turned (radians).
+    """Uniform window with array 2 spread to a pitch (lengths) and turned (radians).
 
-    `focal` (lengths) takes lens 2's place to δ.
+    `focal` (lengths) relates lens 2's displacement to δ.
     """
     place = CellPlacement(window.placements[1].shift, pitch, turn)
     return replace(
@@ -57,7 +59,7 @@ def spread_to(window: Window, pitch: Pair2 | None, focal: Pair2, turn: float = 0
 def _gradient(
     window: Window, place: CellPlacement, focal: Pair2
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """K, 1/length: lens axes by sheet axes."""
+    """K, 1/length: rows lens axes, columns sheet axes."""
     (gx, gy) = place.scale(window.lattice)
     axes = window.law.rotation[:2, :2]
     aside = np.diag([gx - 1.0, gy - 1.0])

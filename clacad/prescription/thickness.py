@@ -21,7 +21,7 @@ def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, 
     neck : float
         Least common height of neighbouring columns (length).
     limit : float
-        Thickness beyond which the search is given up (length).
+        Thickness at which the search stops (length).
 
     Raises
     ------
@@ -30,8 +30,8 @@ def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, 
 
     Notes
     -----
-    Moving the two faces apart by dT raises every thickness by dT cos θ to first order, so the fixed
-    point T ← T + (needed − found) contracts fast; the radii follow T only weakly.
+    Moving the two faces apart by dT increases every thickness by dT cos θ to first order, so that the fixed
+    point T ← T + (needed − present) contracts fast; the radii depend only weakly on T.
     """
     thickness = list(guess)
     for _ in range(80):
@@ -51,13 +51,13 @@ def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, 
 
 
 def _missing(window: Window, number: int, neck: float) -> float:
-    """How much thicker the lens must be (negative: may be thinner), length."""
-    body = window.bodies[-number]  # first and last: a field lens has its own thickness
+    """Additional thickness that the lens needs (negative: it may be thinner), length."""
+    body = window.bodies[-number]  # first or last: a field lens has its own thickness
     spare = least_thickness(window, body) - neck
     if window.land.seam == 0.0:
         spare = min(spare, border_overlap(window, body) - neck)
-    proud = proud_of_land(window, body)  # both faces rise by half of what T grows
+    proud = proud_of_land(window, body)  # both faces rise by half of the increase of T
     spare = min(spare, 2.0 * proud)
     if spare == -float("inf"):
-        return window.lattice.circumradius  # a lens ends inside its cell: anything thicker reaches farther
+        return window.lattice.circumradius  # a lens ends inside its cell: a thicker lens reaches farther
     return -spare / float(window.thin.rotation[2, 2])

@@ -1,12 +1,14 @@
-"""Where lens 2 must stand for the light of its cell to leave, in the mean, as the law asks.
+"""Position of lens 2 for which the mean exit direction of its cell's light is that of the law.
 
-Paraxial rays place lens 2 for light along the axis. Light that comes aslant meets it off its vertex, and coma and
-distortion bias what leaves. As each cell has a vertex of its own, it is moved until the mean exit direction of the
-light of the cell's field centre is the asked one: a 2 × 2 secant on the exact trace (Broyden 1965), many cells at once.
+Paraxial rays place lens 2 for light along the axis. Oblique light hits it off its vertex, and coma and
+distortion bias the exit direction. Each cell has its own vertex, so the vertex is moved until the mean exit
+direction of the light of the cell's field centre is the expected one: a 2 × 2 secant on the exact trace
+(Broyden 1965), many cells at once.
 
-Light of one slope finds the same lenses in every cell, so the move is a smooth function of the slope alone; where the law
-varies and the light does not, of δ (and η) alone. Up to `DIRECT` cells it is solved for each; beyond, for a spread of them, and a polynomial through these gives the rest, held to
-cells that it was not made from.
+Light of one slope finds the same lenses in every cell. The move is therefore a smooth function of the slope
+alone, or, where the law varies and the light does not, of δ (and η) alone. Up to `DIRECT` cells the move is
+solved for each cell. Beyond, it is solved for a subset of cells; a polynomial through these gives the rest
+and is checked against cells that it was not fitted to.
 """
 
 from __future__ import annotations
@@ -24,52 +26,61 @@ from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
 
 RAYS = 64
-"""Sobol points over a quarter of the light of a cell; their mirror images in x, in y and in both make 256 rays."""
+"""Sobol points over a quarter of the light of a cell;
+with their mirror images in x, in y and in both: 256 rays.
+"""
 
 BRACKET = 0.3
-"""Part of the pitch within which a vertex is looked for."""
+"""Greatest move of a vertex, as part of the pitch."""
 
 SHARE = 0.25
-"""Part more of the way that a varying law has moved it already."""
+"""Additional allowed move, as part of the displacement by the varying law."""
 
 STEPS = 24
-"""Most steps of the secant; 5 to 8 do."""
+"""Most steps of the secant; 5 to 8 suffice."""
 
 CLOSE = 1e-13
-"""Mean direction (radians) that counts as the asked one: what rounding leaves of a mean of 256."""
+"""Tolerance of the mean direction (radians): rounding error of a mean of 256."""
 
 DIRECT = 400
-"""Cells up to which each is solved for."""
+"""Greatest number of cells that are solved one by one."""
 
 LADDER = ((260, 11), (700, 17))
-"""Slopes through which a polynomial goes, and its degree in both together: the second where the first misses."""
+"""Number of fitted slopes and total degree of the polynomial;
+the second entry is used where the first misses.
+"""
 
 OWN_DIRECT = 2000
 OWN_LADDER = ((1000, 9), (1900, 12))
-"""The same of lenses of many sizes, where moves are functions of η too."""
+"""Number of fitted cells and total degree for lenses of many sizes, where moves are functions of η too."""
 
 HELD_OUT = 40
-"""Other slopes that it is held to."""
+"""Number of other slopes that the polynomial is checked against."""
 
 FIT = 1e-9
-"""Part of the pitch by which it may miss a vertex that it was held to: 2e-10 rad for a window of 0.5 mm pitch."""
+"""Tolerance of the polynomial at a checked vertex, as part of the pitch:
+2e-10 rad for a window of 0.5 mm pitch.
+"""
 
 WAY_OUT = 'a viewer or image farther away, a smaller sheet, or pair.offset = "paraxial"'
 
 GRID = 2.0**-40
-"""Part of the pitch that vertices are whole multiples of: coarser than what the order of sums changes, so that bytes repeat."""
+"""Grid to which vertices are rounded, as part of the pitch.
+
+It is coarser than the effect of the order of sums, so that bytes repeat.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class OwnLenses:
-    """Lenses of cells that differ in size.
+    """Lenses of cells with different sizes.
 
     Parameters
     ----------
     sizes : (2, m)
-        Of lens 1 and lens 2, against the window's.
+        Scale factors of lens 1 and lens 2, relative to the window's.
     fill : (m,)
-        Part of the cell whose light lens 2 can take.
+        Part of the cell whose light lens 2 can accept.
     """
 
     sizes: Floats
@@ -78,22 +89,22 @@ class OwnLenses:
 
 @dataclass(frozen=True, eq=False)
 class CellLight:
-    """Light of the field centre of cells, and what it shall do.
+    """Light of the field centre of cells, and its expected exit directions.
 
     Parameters
     ----------
     slopes : (m, 2)
-        In air, before the sheet.
-    asked : (m, 3) unit
-        Directions that it shall leave in.
+        Slopes in air, before the sheet.
+    `asked` : (m, 3) unit
+        Expected exit directions.
     first : (m, 2) lengths
-        How far lens 2 of each cell stands, by paraxial rays, from where the window has it.
+        Paraxial displacement of lens 2 of each cell from the window's lens 2.
     variable : (m, 2)
-        What moves are smooth functions of.
+        Variables of which moves are smooth functions.
     key : str
-        Key of the design to blame.
+        Key of the design that errors name.
     climb : (along x, along y)
-        How far lens 2 rises on its way, as `VertexChange.slope`.
+        Rise of lens 2 per lateral displacement, as `VertexChange.slope`.
     own : OwnLenses or None
         None: the lenses of all cells are alike.
     """
@@ -107,7 +118,7 @@ class CellLight:
     own: OwnLenses | None = None
 
     def of(self, rows: Ints) -> CellLight:
-        """The light of some cells, by their places (k,) in the list."""
+        """Light of some cells, by their indices (k,) in the list."""
         return replace(
             self,
             slopes=self.slopes[rows],
@@ -119,14 +130,14 @@ class CellLight:
 
 
 def traced_moves(window: Window, slopes: Floats) -> Floats:
-    """How far lens 2 must move from where paraxial rays have it, for light of each slope.
+    """Moves of lens 2 from its paraxial position, for light of each slope.
 
     Parameters
     ----------
     window : Window
-        Of equal cells, lens 2 where paraxial rays have it.
+        Uniform, lens 2 at its paraxial position.
     slopes : (m, 2)
-        Of the light of the field centre of each cell, in air.
+        Slopes in air of the light of the field centre of each cell.
 
     Returns
     -------
@@ -135,14 +146,14 @@ def traced_moves(window: Window, slopes: Floats) -> Floats:
     Raises
     ------
     NoSuchLens
-        No vertex within `BRACKET` does it, or light is lost on the way.
+        No vertex within `BRACKET` gives the law, or light is lost on the way.
     """
     asked = _unit(window.law.refract(np.column_stack([slopes, np.ones(len(slopes))])))
     return moves_of(window, CellLight(slopes, asked, np.zeros(slopes.shape), slopes))
 
 
 def moves_of(window: Window, light: CellLight) -> Floats:
-    """How far lens 2 must move from where paraxial rays have it, (m, 2), lengths; see `traced_moves`."""
+    """Moves of lens 2 from its paraxial position, (m, 2), lengths; see `traced_moves`."""
     if light.own is None:
         return _moves_of(window, light)
     moves = np.empty(light.first.shape)
@@ -150,14 +161,14 @@ def moves_of(window: Window, light: CellLight) -> Floats:
     for rows in (
         np.flatnonzero(whole),
         np.flatnonzero(~whole),
-    ):  # where lens 2 takes a part the light of a cell is another
+    ):  # where lens 2 accepts only a part, the light of a cell differs
         if len(rows):
             moves[rows] = _moves_of(window, light.of(rows))
     return moves
 
 
 def _moves_of(window: Window, light: CellLight) -> Floats:
-    """The same of light that moves are smooth functions of."""
+    """Moves (m, 2), lengths, of light for which they are a smooth function of `CellLight.variable`."""
     grid = GRID * min(window.lattice.pitch)
     if len(light.slopes) <= (DIRECT if light.own is None else OWN_DIRECT):
         return np.asarray(np.rint(_solved(window, light) / grid) * grid)
@@ -172,7 +183,7 @@ def _moves_of(window: Window, light: CellLight) -> Floats:
 
 
 def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) -> tuple[Floats, float]:
-    """Moves (m, 2) by a polynomial through `count` of them, and by how much it misses others at most."""
+    """Moves (m, 2) by a polynomial through `count` of them, and its greatest error at others."""
     variable = light.variable
     order = np.argsort(sobol(len(variable), 1)[:, 0], kind="stable")
     middle, reach = variable.mean(axis=0), np.ptp(variable, axis=0) / 2.0
@@ -199,7 +210,7 @@ def _powers(t: Floats, degree: int) -> Floats:
 
 
 def _solved(window: Window, light: CellLight) -> Floats:
-    """Moves (m, 2) of lens 2, each by a secant of its own, all traced together."""
+    """Moves (m, 2) of lens 2, each by its own secant iteration, all traced together."""
     seq, points, owners = interfaces(window), _cell_points(window, light.own), _owners(window)
     slopes, asked = light.slopes, light.asked
     if not np.isfinite(asked).all():
@@ -222,7 +233,7 @@ def _solved(window: Window, light: CellLight) -> Floats:
         step = np.where(np.abs(error).max(axis=1, keepdims=True) <= CLOSE, 0.0, step)
         beyond = (
             np.abs(move + step) > allowed[:, None]
-        )  # aslant the first step, as by paraxial rays, is too long
+        )  # for oblique light the first (paraxial) step is too long
         step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)
         after = _bias(seq, owners, points, light, light.first + move + step)
         inverse = _broyden(inverse, step, after - error)
@@ -236,7 +247,7 @@ def _solved(window: Window, light: CellLight) -> Floats:
 
 
 def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
-    """Inverse Jacobians (m, 2, 2) that also give the last steps (m, 2) for the last changes (m, 2)."""
+    """Updated inverse Jacobians (m, 2, 2) that map the last changes (m, 2) to the last steps (m, 2)."""
     seen = np.einsum("kij,kj->ki", inverse, change)
     along = np.einsum("ki,kij->kj", step, inverse)
     scale = np.einsum("ki,ki->k", step, seen)
@@ -248,7 +259,9 @@ def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
 def _bias(
     seq: list[Interface], owners: list[int | None], points: Floats, light: CellLight, move: Floats
 ) -> Floats:
-    """Mean exit direction less the asked one, x and y, (m, 2); lens 2 of each of m cells moved by `move`."""
+    """Mean exit direction minus the expected one, x and y, (m, 2);
+    lens 2 of each of m cells moved by `move`.
+    """
     slopes, asked, climb = light.slopes, light.asked, light.climb
     m, n = len(slopes), points.shape[-2]
     ray = np.repeat(np.column_stack([slopes, np.ones(m)]), n, axis=0)
@@ -274,15 +287,17 @@ def _bias(
 
 
 def _size_at(interface: Interface, owner: int | None, light: CellLight, n: int) -> Floats:
-    """Sizes (m n, 1) of the lenses that n rays of each of m cells meet, (1, 1) of 1 where these are alike."""
+    """Scale factors (m n, 1) of the lenses hit by n rays of each of m cells;
+    (1, 1) of 1 where these are alike.
+    """
     if light.own is None or owner not in (0, 1):
         return np.ones((1, 1))
     return np.repeat(light.own.sizes[owner], n)[:, None]
 
 
 def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
-    """Points (256, 2), or (m, 256, 2) of cells of their own, where the light of a cell that lens 2 can take crosses z = 0, from
-    the cell's centre, lengths.
+    """Points (256, 2), or (m, 256, 2) for cells of different sizes, at z = 0 of the light that lens 2 can
+    accept, relative to the cell's centre, lengths.
     """
     fill = min(1.0, *(1.0 / abs(one) for one in (window.law.eta_x, window.law.eta_y)))
     quarter = (1.0 if own is not None else fill) * window.lattice.over_cell(sobol(RAYS, 2))
@@ -291,7 +306,7 @@ def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
 
 
 def _owners(window: Window) -> list[int | None]:
-    """The array that each face of `interfaces` moves with."""
+    """Array with which each face of `interfaces` moves."""
     return [
         other.array if face.array is None else face.array
         for body in window.bodies

@@ -1,9 +1,10 @@
-"""Lenses of a sheet whose law varies: lens 2 of each cell stands where its own δ has it, and both are as large as its η asks.
+"""Lenses of a sheet with a varying law: lens 2 of each cell is placed by its own δ, both are scaled by its η.
 
-Cells stay where they are, so that they tile; only vertices differ. Lens 1 stays centred: shared between both lenses the
-decentre would cost more coma. Off its vertex lens 2 turns its light too far, by 6 mrad at a slope of .125 and R2/p = 5, so
-each vertex is moved until the mean of the cell's light leaves as asked (`clacad.prescription.traced_vertices`). Tilted lenses
-move in their own lens plane, which is not the sheet's: so each pair stays confocal, and lenses 2 stand at heights of their own.
+Cells stay in place, so that they tile; only vertices differ. Lens 1 stays centred: shared between both
+lenses, the decentre would cause more coma. Off its vertex lens 2 refracts its light too far, by 6 mrad at a
+slope of .125 and R2/p = 5. Each vertex is therefore moved until the mean exit direction of the cell's light
+is that of the law (`clacad.prescription.traced_vertices`). Tilted lenses move in their own lens plane, which
+is not the sheet's. Each pair thus stays confocal, and lenses 2 have different heights.
 """
 
 from __future__ import annotations
@@ -31,18 +32,18 @@ KEY = "law.varying"
 
 
 def with_varying_law(window: Window, design: Design) -> Window:
-    """The window of a design's middle cell, its lenses 2 moved so that each cell obeys its own law.
+    """Window of a design's central cell with lenses 2 moved so that each cell obeys its own law.
 
     Parameters
     ----------
     window : Window
-        All cells alike, for the law of the design's middle.
+        Uniform, for the law of the design's centre.
     design : Design
 
     Raises
     ------
     NoSuchLens
-        A lens would stand too far off its cell; the message names the cell.
+        A lens would be too far from its cell's centre; the message names the cell.
     DesignError
         The table of cells cannot be read.
     """
@@ -82,7 +83,7 @@ def with_varying_law(window: Window, design: Design) -> Window:
 def _sized(
     window: Window, cells: Ints, sizes: CellSizes, second: tuple[VertexChange, VertexChange]
 ) -> Window:
-    """The window whose lenses are of many sizes, lens 2 moved as built and as thin lenses."""
+    """Window with lenses of many sizes, lens 2 moved both as built and in the thin pair."""
     built, thin = ([_tabled(window, cells, size, 1.0) for size in both] for both in (sizes.built, sizes.thin))
     pair = replace(window.thin, change_1=VertexChange(size=thin[0]), change=replace(second[1], size=thin[1]))
     made = _with_change(window, VertexChange(size=built[0]), replace(second[0], size=built[1]))
@@ -90,13 +91,17 @@ def _sized(
 
 
 def lens_plane_slope(turn: Floats) -> Pair2:
-    """How far a plane across the lens axis rises along x and y of the sheet; turn (3, 3), lens → sheet."""
+    """Rise of a plane perpendicular to the lens axis along x and y of the sheet;
+    turn (3, 3), lens → sheet.
+    """
     x, y, z = turn[:, 2].tolist()
     return -x / z + 0.0, -y / z + 0.0
 
 
 def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2, sizes: CellSizes | None) -> Floats:
-    """How far lenses 2 must move from `first` (n, 2), lengths, for the light of each cell to leave by its δ (n, 2) and η."""
+    """Moves of lenses 2 from `first` (n, 2), lengths,
+    for which the light of each cell obeys its δ (n, 2) and η.
+    """
     slopes = np.broadcast_to(aperture_slope(window), deltas.shape)
     light = np.column_stack([slopes, np.ones(len(slopes))])
     if sizes is None:
@@ -112,8 +117,10 @@ def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2, sizes: 
 
 
 def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats, size: Floats | None) -> Floats:
-    """Change of lens 2's place (n, 2), lengths, with δ (n, 2) by d = δ f1; `focal` (2,) is f1 of the law, turn (3, 3)
-    lens → sheet, `size` (n,) how many times as long f1 of a cell is, None: all have the law's.
+    """Displacement (n, 2) of lens 2, lengths, by d = δ f1 from δ (n, 2).
+
+    `focal` (2,) is f1 of the law, turn (3, 3) lens → sheet, `size` (n,) the ratio of each cell's f1 to the
+    law's; None: 1.
     """
     law = window.law
     if size is not None:
@@ -124,7 +131,7 @@ def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats, size: 
 
 
 def _tabled(window: Window, cells: Ints, each: Floats, beyond: float = 0.0) -> Floats:
-    """Table (n1, n2, ...) that has `each` (n, ...) at the kept cells (n, 2) and `beyond` at others."""
+    """Table (n1, n2, ...) with `each` (n, ...) at the kept cells (n, 2) and `beyond` at others."""
     table = np.full((*window.lattice.count, *each.shape[1:]), beyond)
     i, j = cells.T
     table[i + j // 2 if window.lattice.hexagonal else i, j] = each
@@ -132,7 +139,7 @@ def _tabled(window: Window, cells: Ints, each: Floats, beyond: float = 0.0) -> F
 
 
 def _with_change(window: Window, first: VertexChange | None, second: VertexChange) -> Window:
-    """The window with the lenses of both arrays changed."""
+    """Window with the lenses of both arrays changed."""
 
     def moved(face: Face) -> Face:
         return replace(face, change=first if face.array == 0 else second) if face.array is not None else face

@@ -248,7 +248,7 @@ def content(report: Report, progress: Progress, timings: bool = False) -> Conten
     """Gather what the page of a report shows: evidence, a picture, the parts."""
     from clacad.report.parts_in_3d import parts
     from clacad.report.view_through_sheet import look, seen_by_viewer
-    from clacad.verification.evidence import of_worst_cell
+    from clacad.verification.verification_report import of_worst_cell
 
     shown, words = of_worst_cell(report)
     full = replace(report, window=shown.window, evidence=shown.with_evidence(progress).evidence)

@@ -1,4 +1,4 @@
-"""The sheet as built: lattice, faces, bodies, window, and what follows from them in closed form.
+"""The sheet as built: lattice, faces, bodies, window, and their closed-form properties.
 
-No intent lives here (see `prescription`), no triangles, no rays traced.
+This package contains no design intent (see `prescription`), no triangles and no traced rays.
 """

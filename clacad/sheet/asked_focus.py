@@ -1,7 +1,9 @@
-"""What pairs that image sharply (`[pair] focus`) do to parallel light beyond the law, because they were asked to.
+"""Effect of pairs that image sharply (`[pair] focus`) on parallel light: requested power in addition to the
+law.
 
-A ray that enters lens 1 at C1 + ξ leaves with t' = (t − δ)/η − D ξ along each lens axis, D = 1/f1 + 1/f2 − s/(f1 f2), the power of
-the pair: 0 where it is afocal. Whoever holds such light against the law takes this off first; so what is left is error.
+A ray that enters lens 1 at C1 + ξ leaves with t' = (t − δ)/η − D ξ along each lens axis. D = 1/f1 + 1/f2 −
+s/(f1 f2) is the power of the pair, 0 for an afocal pair. Code that compares such light with the law subtracts
+D ξ first; the rest is error.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def asked_power(window: Window) -> Floats:
-    """D along both lens axes, (2,), 1/length; 0 of afocal pairs."""
+    """D along both lens axes, (2,), 1/length; 0 for afocal pairs."""
     if "focus" not in window.recipe:
         return np.zeros(2)
     first, second = np.array(window.thin.focal_length)
@@ -27,16 +29,16 @@ def asked_power(window: Window) -> Floats:
 
 
 def less_focus(window: Window, points: Floats, direction: Floats) -> Floats:
-    """Exit directions (n, 3), unit, less what was asked of the focus.
+    """Exit directions (n, 3), unit, without the effect of the requested focus.
 
     points : (n, 2) lengths
-        Where each ray crosses z = 0 from the centre of its cell.
+        Point where each ray crosses z = 0, relative to the centre of its cell.
     """
     return _with_slopes(window, direction, points)
 
 
 def _with_slopes(window: Window, direction: Floats, points: Floats) -> Floats:
-    """Directions (n, 3) whose slopes grow by D times `points` (n, 2), lengths."""
+    """Directions (n, 3) with D times `points` (n, 2), lengths, added to their slopes."""
     power = asked_power(window)
     if not power.any():
         return direction
@@ -48,13 +50,13 @@ def _with_slopes(window: Window, direction: Floats, points: Floats) -> Floats:
 
 
 def asked_directions(window: Window, lit: Bundle) -> Floats:
-    """What each ray of a bundle shall leave as, (n, 3), unit: by the law, and by the focus that was asked for."""
+    """Expected exit directions (n, 3), unit, of a bundle: the law and the requested focus."""
     out = window.law.refract(lit.rays.direction)
     return _with_slopes(window, out, -lit.points)
 
 
 def held_to_law(window: Window, lit: Bundle, result: TraceResult) -> TraceResult:
-    """What became of a bundle through one cell, its directions less what was asked of the focus."""
+    """Trace result of a bundle through one cell, its directions without the effect of the requested focus."""
     if not asked_power(window).any():
         return result
     from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The bundles of rays that checks use: Sobol points over one cell and a cone, the same every time."""
+"""Ray bundles for checks: deterministic Sobol points over one cell and a cone of directions."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from clacad.sheet.window import Window
 class Bundle:
     """Rays over one cell of array 0.
 
-    middle : (3,) unit direction at the middle of the field
+    middle : (3,) unit direction at the centre of the field
     field : float, radians
-        Half angle of the cone about it; 0 is one direction.
+        Half angle of the cone about `middle`; 0 is one direction.
     aperture : float
-        Part of the cell that is lit (1: all of it), linear.
+        Linear part of the cell that is lit (1: the whole cell).
     cell : (i, j)
     rays : Rays
     points : (n, 2) lengths
-        Where each ray crosses z = 0, from the centre of the cell.
+        Point where each ray crosses z = 0, relative to the centre of the cell.
     """
 
     middle: Floats
@@ -46,7 +46,7 @@ class Bundle:
 
 
 def central_cell(window: Window) -> tuple[int, int]:
-    """Kept cell nearest the middle of the sheet, so that a ray meets neighbours on all sides."""
+    """Kept cell nearest to the centre of the sheet, so that rays find neighbours on all sides."""
     lattice = window.lattice
     n1, n2 = lattice.count
     middle = np.array([[0.0], [0.0]])
@@ -60,15 +60,17 @@ def central_cell(window: Window) -> tuple[int, int]:
 
 
 def middle_direction(window: Window, centre: str = "axis") -> Floats:
-    """Direction (3,) at the middle of the field: the aperture slope, or the sheet's normal."""
+    """Direction (3,) at the centre of the field: the aperture slope, or the sheet's normal."""
     ax, ay = (0.0, 0.0) if centre == "normal" else aperture_slope(window)
     return np.array([ax, ay, 1.0]) / sqrt(ax * ax + ay * ay + 1.0)
 
 
 def cone(middle: Floats, half_angle: float, unit_square: Floats) -> Floats:
-    """Unit directions (n, 3) spread evenly in solid angle over a cone about `middle`, from (n, 2) points."""
+    """Unit directions (n, 3), uniform in solid angle over a cone about `middle`,
+    from points (n, 2) of the unit square.
+    """
     u, v = _frame(middle)
-    # 1 − cos without cancellation, so that a cone of a microradian is still a cone
+    # 1 − cos without cancellation, so that a cone of a microradian is resolved
     lift = 2.0 * sin(0.5 * half_angle) ** 2 * unit_square[:, 0]
     radius = np.sqrt(lift * (2.0 - lift))
     azimuth = 2.0 * pi * unit_square[:, 1]
@@ -77,7 +79,7 @@ def cone(middle: Floats, half_angle: float, unit_square: Floats) -> Floats:
 
 
 def _frame(middle: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors across `middle`, the first as near to +x as can be."""
+    """Two unit vectors perpendicular to `middle`, the first as close to +x as possible."""
     u = np.array([1.0, 0.0, 0.0]) - middle[0] * middle
     u = u / np.linalg.norm(u)
     return u, np.cross(middle, u)
@@ -87,7 +89,7 @@ def bundle(
     window: Window, count: int, field: float, centre: str = "axis", aperture: float = 1.0,
     middle: Floats | None = None, cell: tuple[int, int] | None = None,
 ) -> Bundle:  # fmt: skip
-    """Launch rays over a cell of array 0 and a cone.
+    """Launch rays over a cell of array 0 and a cone of directions.
 
     Parameters
     ----------
@@ -97,11 +99,11 @@ def bundle(
         Half angle of the cone; 0 for parallel light.
     centre : "axis" or "normal"
     aperture : float
-        Linear part of the cell that is lit, about its middle.
+        Linear part of the cell that is lit, about its centre.
     middle : (3,) or None
-        Middle of the cone instead of `centre`.
+        Axis of the cone in place of `centre`.
     cell : (i, j) or None
-        Default: the central one.
+        Default: the central cell.
     """
     chosen = central_cell(window) if cell is None else cell
     axis = middle_direction(window, centre) if middle is None else middle / np.linalg.norm(middle)
@@ -115,7 +117,8 @@ def launched(
     window: Window, local: Floats, direction: Floats, cell: tuple[int, int], middle: Floats, field: float = 0.0,
     aperture: float = 1.0,
 ) -> Bundle:  # fmt: skip
-    """Bundle that crosses z = 0 at `local` (n, 2), lengths, from the centre of `cell`, started below the window.
+    """Bundle that starts below the window and crosses z = 0 at `local` (n, 2), lengths from the centre of
+    `cell`.
 
     direction : (n, 3) unit; middle : (3,) unit; field : radians; aperture : part of the cell, as in `Bundle`.
     """
@@ -129,7 +132,10 @@ def launched(
 def sent_together(
     lit: Sequence[Bundle], send: Callable[[Bundle], TraceResult]
 ) -> list[tuple[Floats, NDArray[np.uint8]]]:
-    """Directions (n, 3) and fates (n,) of each of some bundles over one cell, sent as one: few rays cost little more than none."""
+    """Directions (n, 3) and fates (n,) of each of several bundles over one cell, traced in one call.
+
+    Additional rays add little to the cost of a call.
+    """
     starts, ways = (
         np.concatenate([getattr(one.rays, name) for one in lit]) for name in ("position", "direction")
     )
@@ -140,12 +146,16 @@ def sent_together(
 
 
 def field_points(window: Window, field: float, centre: str = "axis") -> Floats:
-    """Nine directions (9, 3): the middle of the field, eight on its rim, 45 degrees apart, the first towards +x."""
+    """Nine directions (9, 3): the centre of the field, and eight on its rim, 45 degrees apart,
+    the first towards +x.
+    """
     return field_about(middle_direction(window, centre), field)
 
 
 def field_about(middle: Floats, field: float) -> Floats:
-    """Nine unit directions (9, 3): `middle` (3,), and eight at the angle `field` (radians) from it, 45 degrees apart."""
+    """Nine unit directions (9, 3): `middle` (3,), and eight at angle `field` (radians) from it,
+    45 degrees apart.
+    """
     u, v = _frame(middle)
     rim = [cos(field) * middle + sin(field) * (cos(k * pi / 4) * u + sin(k * pi / 4) * v) for k in range(8)]
     return np.array([middle, *rim])

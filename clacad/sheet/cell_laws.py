@@ -1,4 +1,4 @@
-"""The law of each cell, where cells differ in their offset δ, and perhaps in η."""
+"""Law of each cell in sheets where cells have their own offset δ, and possibly their own η."""
 
 from __future__ import annotations
 
@@ -16,18 +16,20 @@ from clacad.sheet.lattice import Lattice
 
 @dataclass(frozen=True, eq=False)
 class CellLaws:
-    """Laws that share the lens axes and differ in δ: δ₀ + K C at the cell's centre C, or as a table says; perhaps in η too.
+    """Laws with common lens axes and a δ per cell: δ₀ + K C at the cell's centre C, or from a table; η may
+    vary too.
 
     Parameters
     ----------
     law : Law
-        Its δ is δ₀; with a table it is not used.
+        Its δ is δ₀; a table replaces it.
     gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length
         Rows: lens axes; columns: sheet axes.
     table : (n1, n2, 2) array or None
-        δ cell by cell, indexed as the table of `clacad.sheet.cell_places.VertexChange`.
+        δ of each cell, indexed as the table of `clacad.sheet.cell_places.VertexChange`.
     ratios : (n1, n2) array or None
-        η, the ratio −f2/f1, cell by cell, of both lens axes, beside such a table; None: all have the law's.
+        η, the ratio −f2/f1 of both lens axes, of each cell, given with such a table; None: the law's η in all
+        cells.
     """
 
     law: Law
@@ -37,7 +39,7 @@ class CellLaws:
 
     @property
     def smooth(self) -> VaryingLaw | None:
-        """The law without cells; a table has none."""
+        """The law as a continuous function of position; None where a table gives δ."""
         return None if self.table is not None else VaryingLaw(self.law, self.gradient)
 
     def deltas(self, lattice: Lattice, index: Ints) -> Floats:
@@ -48,7 +50,9 @@ class CellLaws:
         return smooth.deltas(lattice.centres(index))
 
     def ratios_of(self, lattice: Lattice, index: Ints) -> Floats:
-        """η (..., 2) of the cells `index` (..., 2), along the lens axes; the law's of cells that are not kept."""
+        """η (..., 2) of the cells `index` (..., 2), along the lens axes;
+        the law's η for cells that are not kept.
+        """
         if self.ratios is None:
             return np.broadcast_to(ratios_of(self.law), (*index.shape[:-1], 2))
         return np.repeat(tabled(self.ratios, lattice, index, ratios_of(self.law)[0])[..., None], 2, axis=-1)
@@ -71,12 +75,12 @@ class CellLaws:
         return with_ratios(law, self.ratios_of(lattice, cell))
 
     def refract(self, lattice: Lattice, index: Ints, d: Floats) -> Floats:
-        """Directions (n, 3) behind the cells `index` (n, 2) that light (n, 3) meets."""
+        """Exit directions (n, 3) of light with directions `d` (n, 3) through the cells `index` (n, 2)."""
         own = None if self.ratios is None else self.ratios_of(lattice, index)
         return refract_each(self.law, self.deltas(lattice, index), d, own)
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> CellLaws:
-        """The same laws on `count` cells in the middle of the lattice they are for."""
+        """Laws of `count` cells in the centre of their lattice; tables are cut."""
         table, ratios = (
             None if whole is None else of_middle(whole, count, lattice) for whole in (self.table, self.ratios)
         )

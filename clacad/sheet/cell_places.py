@@ -1,15 +1,18 @@
-"""Where the cells of an array stand, and where in each of them its lens is.
+"""Positions of the cells of an array, and position of the lens within each cell.
 
-Cell (i, j) of every array is the partner of cell (i, j) of the others. A sheet whose cells are all alike has arrays of one
-pitch and lenses at one place in their cells (`Window.uniform`). A sheet that knows its viewer, or whose law varies, has
-arrays of other pitches and lenses that stand elsewhere in every cell:
+Cell (i, j) of every array is the partner of cell (i, j) of the other arrays. A uniform sheet
+(`Window.uniform`) has arrays of one pitch and lenses at one position in their cells. A sheet aimed at its
+viewer, or with a varying law, has arrays of different pitches and lenses at a different position in every
+cell:
 
-    centre of cell (i, j)     = T (pitch of the array × index) + shift                T: the turn of the array
-    vertex of its lens there  = Face.vertex + gradient × C + table[i, j]      C: centre of cell (i, j) of the lattice
+    centre of cell (i, j)     = T (pitch of the array × index) + shift        T: rotation of the array
+    vertex of its lens        = Face.vertex + gradient × C + table[i, j]      C: centre of the lattice's cell
+    (i, j)
 
-An array's pitch is a number of its own, not a factor on the lattice's: so the multiples of it that borders and centres
-are made of are formed exactly (`Lattice.locate`), however far out a cell lies. An array that is turned has its cells and
-with them their lenses turned about its middle; points in a cell and the axes of lenses stay along the sheet's.
+An array stores its own pitch, not a factor on the lattice's pitch. The multiples of the pitch in borders and
+centres are therefore formed exactly (`Lattice.locate`), at any distance from the centre. A turned array has
+its cells, and with them their lenses, rotated about its centre. Local coordinates in a cell and the axes of
+lenses stay along the sheet's axes.
 """
 
 from __future__ import annotations
@@ -26,21 +29,21 @@ from clacad.sheet.lattice import Lattice
 from clacad.sheet.turn import turned_pairs
 
 DIRECTIONS = 64
-"""Directions in which the farthest lenses are looked for."""
+"""Number of directions in which the farthest lenses are searched."""
 
 
 @dataclass(frozen=True)
 class CellPlacement:
-    """Where the cells of one array stand.
+    """Position of the cells of one array.
 
     Parameters
     ----------
     shift : (x, y), lengths
-        Displacement of the middle of the array against the lattice's.
+        Displacement of the centre of the array from that of the lattice.
     pitch : (p_x, p_y) or None, lengths
-        The array's own; None: the lattice's. Hexagonal: p_y is ignored.
+        The array's own pitch; None: the lattice's. Hexagonal: p_y is ignored.
     turn : float, radians
-        Of the array about its middle, from +x to +y.
+        Rotation of the array about its centre, from +x to +y.
     """
 
     shift: Pair2 = (0.0, 0.0)
@@ -49,11 +52,13 @@ class CellPlacement:
 
     @property
     def own(self) -> bool:
-        """Whether the array's pattern is another than the lattice's."""
+        """Whether the array's pattern differs from the lattice's."""
         return self.pitch is not None or self.turn != 0.0
 
     def lattice(self, base: Lattice) -> Lattice:
-        """The array's own pattern about its own middle; which cells exist is asked of `base`, for it alone has the outline."""
+        """The array's own pattern about its own centre; it has no outline,
+        `base` decides which cells exist.
+        """
         if not self.own:
             return base
         return replace(
@@ -61,7 +66,7 @@ class CellPlacement:
         )
 
     def scale(self, base: Lattice) -> Pair2:
-        """Pitch of the array over that of the lattice `base`, along x and y."""
+        """Ratio of the array's pitch to that of the lattice `base`, along x and y."""
         if self.pitch is None:
             return 1.0, 1.0
         across = self.pitch[0] / base.pitch[0]
@@ -81,20 +86,21 @@ class CellPlacement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LensPlaces:
-    """Where the lenses of given cells stand and how large each is, against the one lens that a face describes.
+    """Positions and sizes of the lenses of given cells, relative to the one lens that a face describes.
 
-    A lens of another size is the same figure enlarged about its apex: h(r) becomes k h(r/k), and no angle changes.
+    A lens of another size is the same shape scaled about its apex: h(r) becomes k h(r/k), and angles are
+    unchanged.
 
     Parameters
     ----------
     vertex : (3,) lengths
         Apex of the face's lens.
     moved : (..., 2) or None, lengths
-        How far the apexes stand from there; None: all lenses are the face's.
+        Lateral displacement of the apexes from `vertex`; None: all lenses are the face's lens.
     rise : (...) lengths
-        How much higher.
+        Displacement of the apexes along z.
     size : (...) or None
-        k; None: all are as large.
+        Scale factor k; None: 1 for all.
     """
 
     vertex: tuple[float, float, float]
@@ -103,7 +109,7 @@ class LensPlaces:
     size: Floats | None = None
 
     def seen(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Points (...), lengths, of the cells' frames as the face's one lens sees them."""
+        """Points (...), lengths, of the cells' frames mapped to the frame of the face's one lens."""
         if self.moved is None:
             return x, y
         x, y = x - self.moved[..., 0], y - self.moved[..., 1]
@@ -113,7 +119,9 @@ class LensPlaces:
         return vx + (x - vx) / self.size, vy + (y - vy) / self.size
 
     def raised(self, z: Floats) -> Floats:
-        """Heights (...), lengths, of the lenses from those of the face's one lens over points so seen."""
+        """Heights (...), lengths, of the lenses, from heights of the face's one lens over points mapped by
+        `seen`.
+        """
         if self.moved is None:
             return z
         if self.size is not None:
@@ -122,14 +130,14 @@ class LensPlaces:
 
     @property
     def apex(self) -> tuple[Floats | float, Floats | float, Floats | float]:
-        """Apexes of the lenses, x, y and z, (...) lengths; three numbers where all stand alike."""
+        """Apexes of the lenses, x, y and z, (...) lengths; three numbers where all lenses are alike."""
         x, y, z = self.vertex
         if self.moved is None:
             return x, y, z
         return x + self.moved[..., 0], y + self.moved[..., 1], z + self.rise
 
     def each(self) -> Iterator[LensPlaces]:
-        """The places of cells (n), one by one."""
+        """Iterate over the cells (n), one `LensPlaces` each."""
         assert self.moved is not None
         sizes = repeat(None) if self.size is None else self.size
         return (LensPlaces(self.vertex, *one) for one in zip(self.moved, np.asarray(self.rise), sizes))
@@ -137,18 +145,20 @@ class LensPlaces:
 
 @dataclass(frozen=True, eq=False)
 class VertexChange:
-    """How far the lens of a cell stands from where `Face.vertex` has it, an affine part and a table, and how large it is.
+    """Displacement of each cell's lens from `Face.vertex`, an affine part plus a table, and its scale factor.
 
     Parameters
     ----------
     gradient : ((xx, xy), (yx, yy))
-        Length per length of the cell's centre in the lattice.
+        Displacement per displacement of the cell's centre in the lattice (length per length).
     table : (n1, n2, 2) array or None, lengths
-        Added cell by cell; the first index of a hexagonal lattice is i + j // 2, the place in the row.
+        Displacement added per cell; the first index of a hexagonal lattice is i + j // 2, the position in the
+        row.
     slope : (along x, along y)
-        How far a lens rises on its way: tilted lenses that move in their own lens plane keep their distance from lens 1.
+        Rise in z per lateral displacement: tilted lenses that move in their own lens plane keep their
+        distance from lens 1.
     size : (n1, n2) array or None
-        How many times as large as the face's the lens of a cell is; indexed as `table`. None: all are as large.
+        Scale factor of each cell's lens relative to the face's lens; indexed as `table`. None: 1 for all.
     """
 
     gradient: tuple[Pair2, Pair2] = ((0.0, 0.0), (0.0, 0.0))
@@ -157,24 +167,28 @@ class VertexChange:
     size: Floats | None = None
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
-        """Change (..., 2), lengths, of the cells `index` (..., 2); the table has 0 for cells that are not kept."""
+        """Displacement (..., 2), lengths, of the cells `index` (..., 2);
+        the table gives 0 for cells that are not kept.
+        """
         x, y = np.moveaxis(lattice.centres(index), -1, 0)
         (xx, xy), (yx, yy) = self.gradient
         change = np.stack([xx * x + xy * y, yx * x + yy * y], axis=-1)
         return change if self.table is None else np.asarray(change + tabled(self.table, lattice, index, 0.0))
 
     def rise(self, moved: Floats) -> Floats:
-        """How much higher (...) lenses stand that moved so far (..., 2), lengths."""
+        """Rise in z (...), lengths, of lenses with lateral displacement `moved` (..., 2), lengths."""
         return np.asarray(moved @ np.array(self.slope))
 
     def places(self, vertex: tuple[float, float, float], lattice: Lattice, index: Ints) -> LensPlaces:
-        """Where the lenses of the cells `index` (..., 2) stand, against the one at `vertex`, lengths."""
+        """Positions of the lenses of the cells `index` (..., 2), relative to the lens at `vertex`,
+        lengths.
+        """
         moved = self.at(lattice, index)
         size = None if self.size is None else tabled(self.size, lattice, index, 1.0)
         return LensPlaces(vertex, moved, self.rise(moved), size)
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> VertexChange:
-        """The same change on `count` cells in the middle of the lattice it is for; a table is cut to them.
+        """Displacements of `count` cells in the centre of the lattice; a table is cut to them.
 
         Raises
         ------
@@ -188,26 +202,27 @@ class VertexChange:
 
 
 def of_middle(table: Floats, count: tuple[int, int], lattice: Lattice) -> Floats:
-    """The part of a table (n1, n2, ...) that is for `count` cells in the middle of the lattice it is for.
+    """Part of a table (n1, n2, ...) for `count` cells in the centre of its lattice.
 
     Raises
     ------
     ValueError
-        It has fewer cells.
+        The table has fewer cells.
     """
     over = [have - want for have, want in zip(table.shape[:2], count, strict=True)]
     if min(over) < 0:
         have, want = table.shape[:2], tuple(count)
         raise ValueError(f"a table of {have[0]} x {have[1]} cells has no {want[0]} x {want[1]}")
     i, j = over[0] // 2, over[1] // 2
-    j -= j % 2 if lattice.hexagonal else 0  # odd rows stand half a pitch over
+    j -= j % 2 if lattice.hexagonal else 0  # odd rows are displaced by half a pitch
     return table[i : i + count[0], j : j + count[1]]
 
 
 def tabled(table: Floats, lattice: Lattice, index: Ints, beyond: float) -> Floats:
-    """What a table (n1, n2, ...) has for the cells `index` (..., 2), and `beyond` for cells that are not kept.
+    """Entries of a table (n1, n2, ...) for the cells `index` (..., 2), and `beyond` for cells that are not
+    kept.
 
-    The first index of a hexagonal lattice's is i + j // 2, the place in the row.
+    The first index of the table of a hexagonal lattice is i + j // 2, the position in the row.
     """
     kept = lattice.contains(index)
     i, j = index[..., 0], index[..., 1]
@@ -217,9 +232,10 @@ def tabled(table: Floats, lattice: Lattice, index: Ints, beyond: float) -> Float
 
 
 def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
-    """List kept cells whose lenses stand farthest out, in each of 64 directions, (m, 2).
+    """List kept cells whose lenses are displaced farthest, in each of 64 directions, (m, 2).
 
-    Of lenses of many sizes also the largest and the smallest one, and those that lie steepest and highest in each direction.
+    For lenses of many sizes, add the largest, the smallest, and the steepest and highest at their rims in
+    each direction.
     """
     alike = change.table is None and change.size is None
     cells = row_ends(lattice) if alike else lattice.cells()
@@ -234,13 +250,15 @@ def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
 
 
 def row_ends(lattice: Lattice) -> Ints:
-    """List the first and the last kept cell of every row, (m, 2): whatever is affine in the cell is greatest at one of them."""
+    """List the first and the last kept cell of every row, (m, 2):
+    affine functions of the cell are greatest at one of them.
+    """
     ends = [row[[0, -1]] for j in range(lattice.count[1]) if len(row := lattice.row(j))]
     return np.unique(np.concatenate(ends), axis=0)
 
 
 def centre_pairs(lattice: Lattice, cell: Ints) -> tuple[Pair, Pair]:
-    """Centres of cells (m, 2) along x and y, unrounded: each a pair of (m,) lengths."""
+    """Centres of cells (m, 2) along x and y, unrounded: each a double-double pair of (m,) lengths."""
     if lattice.turn:
         return turned_pairs(*centre_pairs(lattice.straight, cell), lattice.turn)
     i, j = cell[:, 0].astype(np.float64), cell[:, 1].astype(np.float64)

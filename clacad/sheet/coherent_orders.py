@@ -1,9 +1,9 @@
-"""What equal cells do in coherent light: a grating, sin θ' = sin θ + mλ/p, under the far field of one cell.
+"""A uniform sheet in coherent light: a grating, sin θ' = sin θ + mλ/p, under the far field of one cell.
 
-Light that is one wave over many cells leaves in the directions of that grating alone. One of them lies within half a
-step of the law's direction, and the light goes to the few that the far field of one cell covers; the law itself is met
-only where an order happens to fall on it. Sunlight through a window pane is no such light: it agrees with itself over
-50 µm, less than a cell.
+Light that is coherent over many cells leaves only in the directions of that grating. One order lies within
+half a step of the law's direction. The light goes to the few orders that the far field of one cell covers;
+the law's own direction receives light only where an order coincides with it. Sunlight through a window pane
+does not show these orders: it is coherent over 50 µm, less than a cell.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from clacad.sheet.lattice import Lattice
 
 
 def order_steps(lattice: Lattice, wavelength: float) -> Pair2:
-    """Steps of the direction cosine from order to order along both vectors of the reciprocal lattice: λ/p on a square one.
+    """Steps of the direction cosine between orders along both reciprocal lattice vectors: λ/p on a square
+    lattice.
 
     wavelength : float, length
     """

@@ -1,21 +1,21 @@
-"""The gaps between bodies, and the refusal that every fixture may give."""
+"""Gaps between bodies, and the exception that every fixture may raise."""
 
 from __future__ import annotations
 
 from clacad.sheet.window import Body, Window
 
 FIELD = 2
-"""Number of the array of a field lens; lens 1 and lens 2 have 0 and 1."""
+"""Index of the array of a field lens; lens 1 and lens 2 have 0 and 1."""
 
 
 class NoFixture(ValueError):
-    """A fixture that this window leaves no room for; exit status 2."""
+    """The window leaves no room for the fixture; exit status 2."""
 
     exit_status = 2
 
 
 def bodies_apart(window: Window, what: str) -> tuple[Body, ...]:
-    """Bodies of the arrays, and of the field lens between them, in the order light meets them.
+    """Bodies of the arrays and of the field lens between them, in the order light reaches them.
 
     Raises
     ------
@@ -28,12 +28,12 @@ def bodies_apart(window: Window, what: str) -> tuple[Body, ...]:
 
 
 def array_of(body: Body) -> int:
-    """Number of the array on a body that has one."""
+    """Index of the array on a body that has one."""
     return next(face.array for face in (body.front, body.back) if face.array is not None)
 
 
 def plane_of(body: Body, side: int) -> float:
-    """Height (length) of the flat a fixture touches: the land or plane of a body's back (+1) or front (−1).
+    """Height (length) of the flat that a fixture touches: land or plane of a body's back (+1) or front (−1).
 
     Raises
     ------

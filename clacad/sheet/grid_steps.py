@@ -1,7 +1,7 @@
-"""Steps of a cell's facet grid in each of its directions: one along a cylinder, `quads` elsewhere.
+"""Steps of a cell's facet grid in each direction: one along a cylinder, `quads` otherwise.
 
-A surface that is ruled along a side of its cell is followed exactly by facets as long as the cell, so more of them would
-add bytes and no accuracy.
+Facets as long as the cell represent a surface ruled along a side of its cell exactly. More facets would add
+bytes and no accuracy.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from clacad.optics.surface import Biconic, Quadric
 from clacad.sheet.window import Body, Face, Window, optical_tile
 
 Steps = tuple[int, int]
-"""Along the first half axis of a rectangular cell (towards its first side), and along the second."""
+"""Steps along the first half axis of a rectangular cell (towards its first side), and along the second."""
 
 Number = TypeVar("Number", int, float)
 
 ALIGNED = 1e-12
-"""Sine of the largest angle between a cylinder and the side of its cell that counts as none."""
+"""Sine of the largest angle between a cylinder and the side of its cell that counts as 0."""
 
 
 def grid_steps(window: Window, array: int, faces: Sequence[Face], quads: Number) -> tuple[Number, Number]:
-    """Steps of the grid that some faces share over the cells of an array."""
+    """Steps of the grid that several faces share over the cells of an array."""
     if window.lattice.hexagonal:
         return quads, quads
     first, second = (
@@ -36,7 +36,7 @@ def grid_steps(window: Window, array: int, faces: Sequence[Face], quads: Number)
 
 
 def lens_squares(window: Window, quads: Number) -> Number:
-    """Squares of the grids over all lens faces of one cell; a hexagonal cell has three times as many."""
+    """Number of grid squares over all lens faces of one cell; a hexagonal cell has three times as many."""
     total = quads - quads
     for body in window.bodies:
         lenses = [face for face in (body.front, body.back) if face.array is not None]
@@ -49,12 +49,14 @@ def lens_squares(window: Window, quads: Number) -> Number:
 
 
 def half_axes(zone: Floats) -> tuple[Floats, Floats]:
-    """From the middle of a rectangle (4, 2), turned or not, to that of its first side and of its second, lengths."""
+    """Vectors from the centre of a rectangle (4, 2), turned or not, to the midpoints of its first two sides,
+    lengths.
+    """
     return 0.5 * (zone[0] + zone[1]), 0.5 * (zone[1] + zone[2])
 
 
 def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
-    """Give the array(s) whose cells cut a body: one where the faces' cells coincide, else both."""
+    """Return the array(s) whose cells cut a body: one where the faces' cells coincide, else both."""
     arrays = [face.array for face in (body.front, body.back) if face.array is not None]
     if not arrays:
         raise ValueError(f"body {body.name!r} has no lenslet face")
@@ -65,7 +67,9 @@ def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
 
 
 def _ruled(face: Face, axis: Floats) -> bool:
-    """Whether a face is the same all along a direction (2,) of the sheet: a plane, or a cylinder that lies so."""
+    """Whether a face is ruled along a direction (2,) of the sheet:
+    a plane, or a cylinder along that direction.
+    """
     if face.array is None:
         return True
     if not isinstance(face.surface, Quadric | Biconic):

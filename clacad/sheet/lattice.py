@@ -1,9 +1,10 @@
-"""The pattern of cells: which cell holds a point, and where in it the point lies.
+"""The pattern of cells: which cell contains a point, and where in the cell the point lies.
 
-Reference for cell-of-point; the compiled twins of `Lattice.locate` and `relocate` are held to it bit for bit
-by `test_trace_kernels`. Positions inside a cell are relative to the cell's centre and are formed with an exact
-product (Dekker's TwoProduct), so a cell a billion pitches away loses nothing but what its coordinate had
-already lost. A pattern that is turned is the same pattern seen along its own axes; points in a cell stay along the sheet's.
+This is the reference for cell-of-point; `test_trace_kernels` compares the compiled counterparts of
+`Lattice.locate` and `relocate` with it bit for bit. Positions inside a cell are relative to the cell's centre
+and formed with an exact product (Dekker's TwoProduct). A point a billion pitches away therefore keeps all
+accuracy of its coordinate. A turned pattern is the same pattern in its own rotated axes; local coordinates in
+a cell stay along the sheet's axes.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ Step = tuple[int, int]
 """Index step (di, dj) from one cell to another."""
 
 NodeCells = tuple[tuple[Step, int], ...]
-"""Cells round a node, counter-clockwise: index step from the first of them, and its tile's corner that lies there."""
+"""Cells around a node, counter-clockwise: index step from the first cell,
+and index of the tile's corner at the node.
+"""
 
 
 def polygon_area(points: Floats) -> float:
@@ -35,7 +38,7 @@ def polygon_area(points: Floats) -> float:
 
 
 def polygon_areas(points: Floats) -> Floats:
-    """Signed areas (k,), length², of polygons (k, m, 2) of as many corners each."""
+    """Signed areas (k,), length², of polygons (k, m, 2) with equal numbers of corners."""
     x, y = np.moveaxis(
         points - points[:, :1], -1, 0
     )  # shoelace about a corner: no cancellation far from the origin
@@ -43,7 +46,7 @@ def polygon_areas(points: Floats) -> Floats:
 
 
 def runs(columns: Ints) -> Ints:
-    """Runs (k, 2) of consecutive numbers, first and one past the last, the longest run first."""
+    """Runs (k, 2) of consecutive integers, first and one past the last, the longest run first."""
     if not len(columns):
         return np.empty((0, 2), dtype=np.int64)
     ends = np.flatnonzero(np.diff(columns) > 1)
@@ -53,7 +56,7 @@ def runs(columns: Ints) -> Ints:
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """A round outline of the given diameter (length), centred on the origin."""
+    """A circular outline of the given diameter (length), centred on the origin."""
 
     diameter: float
 
@@ -70,7 +73,9 @@ Outline = Circle | Rectangle | Plate
 
 
 def inside_outline(outline: Outline, points: Floats) -> Bools:
-    """Which points (..., 2), lengths, lie in an outline, its edge and what rounding leaves beyond it included."""
+    """Which points (..., 2), lengths, lie in an outline;
+    the edge counts as inside, with a tolerance of 1e-12 of its size.
+    """
     if isinstance(outline, Plate):
         return outline.inside(points)
     x, y = points[..., 0], points[..., 1]
@@ -81,7 +86,9 @@ def inside_outline(outline: Outline, points: Floats) -> Bools:
 
 
 def grown(outline: Outline, border: float) -> Outline:
-    """Outline with a border (length) of even width added round a circle or a rectangle; a `Plate` stays as drawn."""
+    """Outline with a border (length) of constant width added around a circle or a rectangle;
+    a `Plate` is returned as drawn.
+    """
     if isinstance(outline, Circle):
         return Circle(outline.diameter + 2.0 * border)
     if isinstance(outline, Rectangle):
@@ -90,7 +97,7 @@ def grown(outline: Outline, border: float) -> Outline:
 
 
 def _half_sizes(outline: Outline) -> tuple[float, float]:
-    """How far an outline reaches from the middle along x and y (lengths)."""
+    """Half sizes of an outline: its reach from the origin along x and y (lengths)."""
     if isinstance(outline, Plate):
         return outline.reach
     if isinstance(outline, Circle):
@@ -108,11 +115,11 @@ class Lattice:
     pitch : (p_x, p_y), lengths
         Hexagonal: p_x is centre to centre = flat to flat, p_y is ignored; cells point up.
     count : (n1, n2)
-        Hexagonal: n2 rows of n1 cells, odd rows moved by +p/2; indices are axial (i, j).
+        Hexagonal: n2 rows of n1 cells, odd rows displaced by +p/2; indices are axial (i, j).
     outline : Circle, Rectangle, Plate or None
         Only cells whose whole footprint lies inside are kept.
     turn : float, radians
-        By which the whole pattern is turned about its middle, from +x to +y. One that has an outline is not turned.
+        Rotation of the whole pattern about its centre, from +x to +y; 0 for a pattern with an outline.
     """
 
     kind: Kind
@@ -133,12 +140,12 @@ class Lattice:
 
     @property
     def row_height(self) -> float:
-        """From the middle of a row of cells to that of the next (length)."""
+        """Distance between the centre lines of adjacent rows of cells (length)."""
         return 0.5 * sqrt(3.0) * self.pitch[0] if self.hexagonal else self.pitch[1]
 
     @property
     def straight(self) -> Lattice:
-        """The same pattern seen along its own axes."""
+        """The pattern in its own axes, without rotation."""
         return replace(self, turn=0.0) if self.turn else self
 
     def _turned_step(self, step: tuple[float, float]) -> tuple[float, float]:
@@ -177,7 +184,7 @@ class Lattice:
         return float(np.max(np.hypot(*self.straight.tile().T)))
 
     def offset(self, di: int, dj: int) -> tuple[float, float]:
-        """Displacement (x, y) of a cell `di`, `dj` index steps away (lengths)."""
+        """Displacement (x, y) to the cell `di`, `dj` index steps away (lengths)."""
         (ax, ay), (bx, by) = self.a1, self.a2
         return (di * ax + dj * bx, di * ay + dj * by)
 
@@ -200,13 +207,15 @@ class Lattice:
         return np.array([(hx, -hy), (hx, hy), (-hx, hy), (-hx, -hy)])
 
     def with_count(self, count: tuple[int, int]) -> Lattice:
-        """Give the same lattice with another count and no outline, centred on the origin."""
+        """Return a lattice of the same kind and pitch with another count and no outline,
+        centred on the origin.
+        """
         return Lattice(self.kind, self.pitch, count)
 
     # -- cells that exist -------------------------------------------------------------------
 
     def contains(self, index: Ints) -> Bools:
-        """Tell which (..., 2) indices name a kept cell, (...) bool."""
+        """Whether each index (..., 2) names a kept cell, (...) bool."""
         i, j = index[..., 0], index[..., 1]
         first = -(j // 2) if self.hexagonal else np.zeros_like(j)
         n1, n2 = self.count
@@ -221,7 +230,7 @@ class Lattice:
         return np.asarray(inside & inside_outline(self.outline, corners).all(axis=-1))
 
     def _on_plate(self, plate: Plate) -> Bools:
-        """Which cells a plate holds, (n2, n1), rows from their first cell on; worked out once."""
+        """Which cells a plate holds, (n2, n1), each row from its first cell; computed once per pattern."""
         key = (self.kind, self.pitch, self.count)
         if key not in plate.kept:
             j, i = np.divmod(np.arange(self.count[0] * self.count[1]), self.count[0])
@@ -238,7 +247,9 @@ class Lattice:
         return np.concatenate(rows) if rows else np.empty((0, 2), dtype=np.int64)
 
     def row(self, j: int) -> Ints:
-        """List the kept cells of row j as (n, 2) indices; memory is that of one row, or of what the outline reaches of it."""
+        """List the kept cells of row j as (n, 2) indices;
+        memory is that of one row, limited to the outline's reach.
+        """
         first = -(j // 2) if self.hexagonal else 0
         last = first + self.count[0]
         if self.outline is not None:
@@ -257,7 +268,7 @@ class Lattice:
         return sum(len(self.row(j)) for j in self._rows())
 
     def _rows(self) -> range:
-        """Rows that the outline reaches; all without one."""
+        """Rows within the outline's reach; all rows without an outline."""
         if self.outline is None:
             return range(self.count[1])
         middle, reach = 0.5 * (self.count[1] - 1), _half_sizes(self.outline)[1] / self.row_height + 1.0
@@ -272,7 +283,7 @@ class Lattice:
         return bool(self.contains(self._middle()).any())
 
     def least_outline(self) -> Circle | Rectangle:
-        """Give the smallest outline, of the kind that the lattice has, round the cell nearest to the middle."""
+        """Return the smallest outline of the lattice's kind that contains the cell nearest to the centre."""
         corners = np.abs(self.centres(self._middle())[:, None, :] + self.tile())
         nearest = corners[np.argmin(np.hypot(corners[..., 0], corners[..., 1]).max(axis=1))]
         if isinstance(self.outline, Rectangle):
@@ -280,10 +291,10 @@ class Lattice:
         return Circle(2.0 * float(np.hypot(nearest[:, 0], nearest[:, 1]).max()))
 
     def _middle(self) -> Ints:
-        """List the cells, kept or not, that lie next to the middle, at most nine, (n, 2).
+        """List the cells, kept or not, next to the centre, at most nine, (n, 2).
 
-        Every outline is its own mirror image about both axes. A cell farther out in its row, and a row farther out, stand
-        like one of these, only farther from an axis: if any cell is kept, one of these is.
+        The outlines here are mirror-symmetric about both axes. A cell or a row farther out lies like one of
+        these, only farther from an axis. If any cell is kept, one of these is.
         """
         (n1, n2), middle = self.count, self.count[1] // 2
         found = []
@@ -332,7 +343,7 @@ class Lattice:
 
     def locate(self, x: Floats, y: Floats, x_low: Floats | float = 0.0, y_low: Floats | float = 0.0
                ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
-        """Find the cell that holds each point, and the point relative to the cell's centre.
+        """Find the cell that contains each point, and the point relative to the cell's centre.
 
         Parameters
         ----------
@@ -344,11 +355,11 @@ class Lattice:
         Returns
         -------
         index : (n, 2) int64
-            Cell indices, kept or not. A point on a wall belongs to the cell above it
-            (greater x or y).
+            Cell indices, kept or not. A point on a border belongs to the cell with the
+            greater x or y.
         local_x, local_y : (n,) arrays, lengths
-            Exact differences from the centre, rounded once; −p/2 ≤ local < p/2. Of a turned pattern they are along the
-            sheet's axes all the same, and rounded once more.
+            Exact differences from the centre, rounded once; −p/2 ≤ local < p/2. For a turned pattern they are
+            along the sheet's axes too, and rounded once more.
         """
         if self.turn:
             return self._locate_turned(
@@ -373,9 +384,10 @@ class Lattice:
         return index, local[:, 0], local[:, 1]
 
     def over_cell(self, unit_square: Floats) -> Floats:
-        """Points (n, 2) spread evenly over a cell, from its centre (lengths).
+        """Points (n, 2) spread uniformly over a cell, relative to its centre (lengths).
 
-        They come from points of the unit square (n, 2): the parallelogram of the lattice vectors, folded into the cell.
+        Points of the unit square (n, 2) are mapped to the parallelogram of the lattice vectors and folded
+        into the cell.
         """
         u, v = unit_square[:, 0] - 0.5, unit_square[:, 1] - 0.5
         (ax, ay), (bx, by) = self.a1, self.a2
@@ -387,7 +399,7 @@ class Lattice:
 def relocate(lattice: Lattice, local: Floats) -> tuple[Ints, Floats]:
     """Whole lattice steps (m, 2) and remaining local coordinates (m, 2) of points relative to a cell's centre, lengths.
 
-    The same rule as `Lattice.locate`: a wall belongs to the cell above it; multiples of the lattice
+    The rule is that of `Lattice.locate`: a border belongs to the cell above it. Multiples of the lattice
     vectors are formed exactly and the difference is rounded once.
     """
     if lattice.turn:
@@ -408,7 +420,7 @@ def relocate(lattice: Lattice, local: Floats) -> tuple[Ints, Floats]:
 
 
 def less_steps(lattice: Lattice, local: Floats, steps: Ints) -> Floats:
-    """Local coordinates (m, 2), lengths, seen from the cell `steps` (m, 2) away."""
+    """Local coordinates (m, 2), lengths, relative to the cell `steps` (m, 2) away."""
     if not steps.any():
         return local
     if lattice.turn:
@@ -421,10 +433,10 @@ def less_steps(lattice: Lattice, local: Floats, steps: Ints) -> Floats:
 
 
 def node_cells(lattice: Lattice) -> tuple[NodeCells, ...]:
-    """List each class of nodes (where corners of cells meet) as the cells around it.
+    """List each class of nodes (points where corners of cells coincide) as the cells around it.
 
-    Square and rectangular: one class, corner 1 (+x, +y) of its first cell. Hexagonal: two, corner 1 (upper right) and
-    corner 2 (top) of the first cell.
+    Square and rectangular: one class, corner 1 (+x, +y) of its first cell. Hexagonal: two classes, corner 1
+    (upper right) and corner 2 (top) of the first cell.
     """
     if lattice.hexagonal:
         # Walking counter-clockwise about a corner, a cell's corner index advances by two.
@@ -436,19 +448,20 @@ def node_cells(lattice: Lattice) -> tuple[NodeCells, ...]:
 
 
 def less_multiple(x: Floats, k: Floats, step: float) -> Floats:
-    """Give x − k·step (n,), lengths, with the product unrounded."""
+    """Return x − k·step (n,), lengths, without rounding the product."""
     high, low = two_product(k, step)
     return np.asarray((x - high) - low)
 
 
 def _in_hexagon(lattice: Lattice, local: Callable[[Floats, Floats], tuple[Floats, Floats]], x: Floats, y: Floats
                 ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
-    """Cells (n, 2) that hold points, and the points from their centres, by stepping over borders from a guess.
+    """Cells (n, 2) that contain points, and the points relative to their centres, by steps across borders
+    from a guess.
 
     local : callable
-        Indices i, j (n,) each → the points from those cells' centres.
+        Indices i, j (n,) each → the points relative to those cells' centres.
     x, y : (n,) lengths
-        From the centre of cell (0, 0), rounded: for the guess.
+        Points relative to the centre of cell (0, 0), rounded: for the guess.
     """
     pitch, row = lattice.pitch[0], lattice.row_height
     j: Floats = np.rint(y / row)
@@ -471,7 +484,7 @@ def _in_hexagon(lattice: Lattice, local: Callable[[Floats, Floats], tuple[Floats
 
 
 def _relocate_axis(x: Floats, pitch: float) -> tuple[Floats, Floats]:
-    """Whole steps and what remains along one axis of a rectangular lattice."""
+    """Whole steps and remainder along one axis of a rectangular lattice."""
     half = 0.5 * pitch
     k = np.floor(x / pitch + 0.5)
     local = less_multiple(x, k, pitch)
@@ -484,14 +497,15 @@ def _locate_axis(x: Floats, x_low: Floats | float, pitch: float, count: int) -> 
     guess = np.floor(x / pitch + 0.5 * count)
     half = 0.5 * pitch
     local = _minus_multiple(x, x_low, 2.0 * guess - (count - 1), half, 0.0)
-    # The quotient is rounded: a point within an ulp of a wall may be one cell off. Ask the exact remainder.
+    # The quotient is rounded: a point within an ulp of a border may be one cell off.
+    # The exact remainder decides.
     guess = guess + (local >= half) - (local < -half)
     local = _minus_multiple(x, x_low, 2.0 * guess - (count - 1), half, 0.0)
     return guess, local
 
 
 def _minus_multiple(x: Floats, x_low: Floats | float, k: Floats, step: float, origin: float) -> Floats:
-    """Give (x + x_low) − k·step − origin with k·step formed exactly, rounded once."""
+    """Return (x + x_low) − k·step − origin with k·step formed exactly, rounded once."""
     high, low = two_product(k, step)
     a, lost_a = two_sum(x, -high)
     b, lost_b = two_sum(a, -origin)

@@ -1,8 +1,9 @@
-"""Light through a sheet held against the law and against the exact surfaces, whatever the sheet is known as.
+"""Comparison of traced light with the law and with the exact surfaces, for any representation of the sheet.
 
-Facets in memory or a file's: the caller sends the rays. Only ALIVE rays count, and a number that fewer than FEWEST of
-them tell is NaN. Fits over a field of a degree are moved by aberration alone (2 % for the paper's sheet), so fitted laws
-and the shift of array 2 are differences: as sent, less through the exact surfaces, over the same rays.
+The caller traces the rays, through facets in memory or a file's facets. Only ALIVE rays count; a result from
+fewer than FEWEST of them is NaN. Aberration alone changes fits over a field of a degree (2 % for the paper's
+sheet). Fitted laws and the shift of array 2 are therefore differences: the traced result minus that of the
+exact surfaces, over the same rays.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import Window
 
 FEWEST = 64
-"""ALIVE rays below which a number is not given."""
+"""Least number of ALIVE rays for a result other than NaN."""
 
 SLIDE = 1e-3
-"""Trial shift of array 2 over the distance between the lenses, for the change of directions with it."""
+"""Trial shift of array 2, relative to the distance between the lenses, for the derivative of directions."""
 
 
 def law_errors(seen: TraceResult, asked: Floats) -> Floats:
-    """Angles (k,), radians, of the ALIVE rays to the law's directions (n, 3), where the law has one."""
+    """Angles (k,), radians, between the ALIVE rays and the law's directions (n, 3), where the law has one."""
     alive = seen.fate == Fate.ALIVE
     error = angle_between(seen.direction[alive], asked[alive])
     return error[np.isfinite(error)]
@@ -38,7 +39,9 @@ def rms_error(error: Floats) -> float:
 
 
 def mean_error(direction: Floats, fate: NDArray[np.uint8], expected: Floats) -> float:
-    """Angle (radians) of the mean of directions (n, 3) of parallel light behind the sheet to the one expected (3,)."""
+    """Angle (radians) between the mean exit direction (n, 3) of parallel light
+    and the expected direction (3,).
+    """
     alive = fate == Fate.ALIVE
     if alive.sum() < FEWEST or not np.isfinite(expected).all():
         return np.nan
@@ -48,31 +51,32 @@ def mean_error(direction: Floats, fate: NDArray[np.uint8], expected: Floats) -> 
 def fitted_laws(
     axes: Law, rays: Rays, one: TraceResult, other: TraceResult, good: Bools, fewest: int = FEWEST
 ) -> tuple[Law, Law] | None:
-    """Laws fitted to the same rays sent two ways; None where they show none.
+    """Laws fitted to the same rays traced in two ways; None where the rays determine none.
 
     Parameters
     ----------
     axes : Law
-        Whose axes both fits hold.
+        Its axes are used by both fits.
     rays : Rays
     one, other : TraceResult
     good : (n,) bool
         Rays that count.
     fewest : int
-        Rays below which nothing is fitted.
+        Least number of rays for a fit.
     """
     if good.sum() < fewest:
         return None
     into = rays.direction[good]
     try:
         first, second = (law_in_axes(into, found.direction[good], axes) for found in (one, other))
-    except ValueError:  # light that leaves without depending on how it came
+    except ValueError:  # exit directions that do not depend on the incident ones
         return None
     return first, second
 
 
 def change_with_shift(window: Window, cell: tuple[int, int], rays: Rays) -> Floats:
-    """Change of exit directions with a shift of array 2 along the sheet's normal, through the exact surfaces.
+    """Derivative of exit directions with respect to a shift of array 2 along the sheet's normal, through the
+    exact surfaces.
 
     Parameters
     ----------
@@ -85,7 +89,7 @@ def change_with_shift(window: Window, cell: tuple[int, int], rays: Rays) -> Floa
     Returns
     -------
     (n, 2) array
-        Along the axes of the lenses, a unit of shift being the distance between them; NaN where a ray is lost.
+        Components along the lens axes, per shift by the distance between the lenses; NaN where a ray is lost.
     """
     distance = lens_distance(window)
     centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0]
@@ -102,23 +106,25 @@ def change_with_shift(window: Window, cell: tuple[int, int], rays: Rays) -> Floa
 
 
 def shift_of_array_2(window: Window, seen: Floats, truth: Floats, change: Floats) -> Floats:
-    """Shift of array 2 along the normal that makes the rms to the law least, less that of the exact surfaces.
+    """Shift of array 2 along the normal that minimises the rms error to the law, minus that of the exact
+    surfaces.
 
-    One step of Gauss and Newton with the change of directions of the exact surfaces: facets' own slopes do not change
-    by a small shift, but their mean over a lens is the lens's.
+    One Gauss–Newton step with the derivative of the exact surfaces. A small shift does not change the slopes
+    of facets, but their mean over a lens is the lens's slope.
 
     Parameters
     ----------
     window : Window
     seen, truth : (n, 3) directions
-        Of the same rays, as sent and through the exact surfaces, ALIVE in both.
+        Directions of the same rays, as traced and through the exact surfaces, ALIVE in both.
     change : (n, 2) array
-        As `change_with_shift` gives it.
+        Result of `change_with_shift`.
 
     Returns
     -------
     (2,) array
-        Along each lens axis, over the distance between the lenses; NaN in an axis without power.
+        Shift along each lens axis, relative to the distance between the lenses; NaN along an axis without
+        power.
     """
     known = np.isfinite(change[:, 0])
     if known.sum() < FEWEST:

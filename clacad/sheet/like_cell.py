@@ -1,8 +1,9 @@
-"""A sheet of equal cells like one cell of a sheet whose cells differ: what is asked of one cell is asked of it.
+"""Uniform equivalent of one cell of a non-uniform sheet: checks of that cell run on the uniform sheet.
 
-Its partner stands where that cell's does, its lenses stand as there. Neighbours stand in for neighbours: of two that meet
-in a border the stand-in has the outer one twice, so that the step between them is bounded from above. Where array 2 has
-another pitch the cells of the stand-in are as wide as the wider array's, or as those of the array whose lens is judged.
+Its partner and its lenses have the same relative positions as in that cell. All its cells are identical, so
+of two neighbours the equivalent has the outer one twice, and the step at their border is an upper bound.
+Where array 2 has another pitch, the equivalent's cells are as wide as those of the wider array, or as those
+of the array under test.
 """
 
 from __future__ import annotations
@@ -19,29 +20,31 @@ from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 
 SAMPLED = 64
-"""Cells that a sheet of many is judged by, besides those that stand out."""
+"""Number of cells sampled on a large sheet, in addition to the extreme cells."""
 
 SIDES = 4
-"""Directions in which the cell is judged whose lens stands farthest out."""
+"""Number of directions in which the cell with the farthest lens is checked."""
 
 
 def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
-    """Give the window of equal cells like the cell at `index` (2,); the window itself if its cells are alike.
+    """Return the uniform equivalent of the cell at `index` (2,); a uniform window itself.
 
     widest : bool
-        Whether its cells are as wide as those of the wider array, else as those of array 1.
+        Whether its cells are as wide as those of the wider array; else as those of array 1.
     """
     scales = [max(place.scale(window.lattice)) for place in window.placements]
     return _of_width(window, index, max(scales) if widest else 1.0)
 
 
 def cell_of_array(window: Window, index: Ints, array: int) -> Window:
-    """Give the window of equal cells like the cell at `index` (2,), as wide as those of an array."""
+    """Return the uniform equivalent of the cell at `index` (2,), with cells as wide as those of an array."""
     return _of_width(window, index, max(window.placements[array].scale(window.lattice)))
 
 
 def _of_width(window: Window, index: Ints, wider: float) -> Window:
-    """The window of equal cells like the cell at `index` (2,), `wider` times as wide as those of array 1."""
+    """Uniform equivalent of the cell at `index` (2,),
+    with cells `wider` times as wide as those of array 1.
+    """
     if window.uniform:
         return window
     first = window.centres(0, index)
@@ -80,9 +83,11 @@ def _of_width(window: Window, index: Ints, wider: float) -> Window:
 
 
 def outer_cells(window: Window) -> Ints:
-    """Cells (m, 2) whose lenses stand farthest from where others have them, in four directions, or are the smallest, the largest and the steepest."""
+    """Cells (m, 2) whose lenses are displaced farthest, in four directions, or are the smallest,
+    largest or steepest.
+    """
     changes = [face.change for face in window.faces if face.change is not None]
-    if not changes:  # arrays of two pitches alone
+    if not changes:  # the arrays differ in pitch only
         return np.asarray(sampled_cells(window, SIDES))
     lattice = window.lattice
     found = []
@@ -102,7 +107,7 @@ def outer_cells(window: Window) -> Ints:
 
 
 def sampled_cells(window: Window, count: int = SAMPLED) -> Ints:
-    """As many kept cells (≤ count, 2), spread evenly over the sheet: Sobol points, the same every time."""
+    """At most `count` kept cells (n, 2), spread evenly over the sheet by Sobol points, deterministic."""
     lattice = window.lattice
     if lattice.cell_count <= count:
         return lattice.cells()
@@ -120,7 +125,7 @@ def sampled_cells(window: Window, count: int = SAMPLED) -> Ints:
 
 
 def _scaled(lattice: Lattice, factor: float) -> Lattice:
-    """The same cells, kept or not, `factor` times as wide."""
+    """Lattice with the same cells, kept or not, `factor` times as wide."""
     if factor == 1.0:
         return lattice
     pitch = (lattice.pitch[0] * factor, lattice.pitch[1] * factor)
@@ -132,7 +137,7 @@ def _larger(outline: Outline, factor: float) -> Outline:
     factor = max(factor, 1.0)
     if isinstance(outline, Circle):
         return Circle(outline.diameter * factor)
-    assert not isinstance(outline, Plate)  # plates are refused where cells differ
+    assert not isinstance(outline, Plate)  # plates are refused on non-uniform sheets
     return replace(outline, width=outline.width * factor, height=outline.height * factor)
 
 

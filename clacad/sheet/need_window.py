@@ -1,4 +1,4 @@
-"""What takes the sheet as built says what to call to whoever hands it what was asked for."""
+"""Helpful errors of functions that need a `Window`: given a `Design`, or given a non-uniform sheet."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from clacad.sheet.window import Window
 
 
 class CellsDiffer(ValueError):
-    """Something that is made for equal cells was asked of a sheet whose cells differ.
+    """A function for uniform sheets was called with a non-uniform sheet.
 
     Parameters
     ----------
     what : str
-        What was asked.
+        The requested function.
     instead : str
         What works on such a sheet.
     """
@@ -27,44 +27,44 @@ class CellsDiffer(ValueError):
         )
 
     def __reduce__(self) -> tuple[type[CellsDiffer], tuple[str, str]]:
-        """As it was made: it comes back from other processes with the same words."""
+        """Rebuild from both arguments, so that unpickling in another process gives the same message."""
         return CellsDiffer, (self.what, self.instead)
 
 
 def need_equal_cells(window: Window, what: str, instead: str = "") -> None:
-    """Refuse a window whose cells differ.
+    """Refuse a non-uniform window.
 
     Raises
     ------
     CellsDiffer
-        They do; the message says what was asked and what works.
+        The window is non-uniform; the message names the requested function and what works.
     """
     if not window.uniform:
         raise CellsDiffer(what, instead)
 
 
 def need_one_eta(window: Window, what: str, instead: str) -> None:
-    """Refuse a window whose cells have an η of their own; `CellsDiffer`, as `need_equal_cells`."""
+    """Refuse a window whose cells have their own η; raises `CellsDiffer`, as `need_equal_cells`."""
     if window.many_sizes:
         raise CellsDiffer(what, instead)
 
 
 def equal_cells(window: Window, what: str, instead: str = "") -> Window:
-    """The window, refused where its cells differ; see `need_equal_cells`."""
+    """Return the window; refuse it where it is non-uniform, see `need_equal_cells`."""
     need_equal_cells(window, what, instead)
     return window
 
 
 def need_window(value: object, verb: str, rest: str = "") -> None:
-    """Refuse what is no window.
+    """Refuse a value that is no window.
 
     Parameters
     ----------
     value : any
     verb : str
-        Public function that was called.
+        Name of the public function that was called.
     rest : str
-        Its other arguments, as they are written in a call.
+        Its other arguments, as written in a call.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Cells of a face that bound all others: whose lenses stand farthest out, are the smallest or largest, reach lowest or highest."""
+"""Cells of a face that bound all others: lenses displaced farthest, smallest, largest, lowest or highest."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from clacad.sheet.cell_places import extreme_cells
 from clacad.sheet.window import Face, Window, lens_height, lens_height_and_normal, optical_tile
 
 ALONG = 9
-"""Places on a side of a cell at which lenses are compared."""
+"""Number of points on a side of a cell at which lenses are compared."""
 BLOCK = 1 << 14
-"""Cells compared at a time."""
+"""Number of cells compared at a time."""
 
 
 def outermost_cells(window: Window, face: Face) -> Ints:
-    """List kept cells (m, 2) whose lenses bound those of all cells of a face whose cells differ."""
+    """List kept cells (m, 2) whose lenses bound those of all cells of a non-uniform face."""
     assert face.change is not None
     cells = extreme_cells(face.change, window.lattice)
     if face.change.size is None:
@@ -30,7 +30,9 @@ def outermost_cells(window: Window, face: Face) -> Ints:
 
 
 def _range_in(window: Window, face: Face, cells: Ints) -> Floats:
-    """Lowest and highest point (n, 2) of a lens in each of some cells (n, 2): on its borders, or where it is level."""
+    """Lowest and highest height (n, 2) of a lens in each cell (n, 2):
+    on the cell's borders, or at the level point.
+    """
     assert face.array is not None
     tile = optical_tile(window, face.array)
     t = np.linspace(0.0, 1.0, ALONG)[:-1, None, None]
@@ -51,9 +53,9 @@ def _range_in(window: Window, face: Face, cells: Ints) -> Floats:
 
 
 def level_point(window: Window, face: Face) -> tuple[float, float, float] | None:
-    """Where a lens is level: its highest or lowest point, cell frame; None where it has none.
+    """Point where a lens is level, its highest or lowest point, cell frame; None where it has none.
 
-    Follows the slope: Newton on the height's gradient, which is small and smooth on a lenslet.
+    Newton iteration on the height's gradient, which is small and smooth on a lenslet.
     """
     if face.untilted:
         return face.vertex

@@ -1,7 +1,7 @@
-"""Steps between neighbours of a sheet whose cells differ: over every border, not of one cell that stands for all.
+"""Steps between neighbours of a non-uniform sheet: over every border, not of one representative cell.
 
-Of two spheres of one radius the difference in height along their border is a straight line, so five places on it see the
-highest step; of two radii it bends, and is looked at in seventeen.
+The height difference of two spheres of one radius is linear along their border, so five points on it find the
+highest step. With two radii the difference is curved and is evaluated at seventeen points.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from clacad.base.types import Floats, Ints
 from clacad.sheet.window import Body, Face, Window, face_height
 
 PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Where on a border the two cells are compared."""
+"""Relative positions along a border where two cells are compared."""
 CLOSER = tuple(k / 16.0 for k in range(17))
-"""The same of lenses of many sizes."""
+"""Relative positions along a border for lenses of many sizes."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnStep:
-    """The highest step of a body (length), and the cell on the left of the border where it stands."""
+    """Highest step of a body (length), and the cell on the left of its border."""
 
     height: float
     cell: tuple[int, int]
@@ -51,7 +51,9 @@ def _of_face(window: Window, face: Face) -> OwnStep:
 
 
 def greatest_steps(window: Window, face: Face, index: Ints) -> Floats:
-    """Greatest step (n,), lengths, of a face between each cell `index` (n, 2) and its kept neighbours; 0 where land lies between."""
+    """Greatest step (n,), lengths, of a face between each cell `index` (n, 2) and its kept neighbours;
+    0 across land.
+    """
     made = np.zeros(len(index))
     if face.array is None or window.land.seam > 0.0:
         return made
@@ -77,13 +79,13 @@ def _across(window: Window, face: Face, left: Ints, k: int) -> Floats:
 
 
 def _along(start: Floats, end: Floats, at: tuple[float, ...]) -> Floats:
-    """Places (n, 2) on a border, n parts of the way along it, cell frame."""
+    """Points (n, 2) on a border at the relative positions `at` (n), cell frame."""
     t = np.array(at)[:, None]
     return np.asarray((1.0 - t) * start + t * end)
 
 
 def _heights(window: Window, face: Face, cells: Ints, places: Floats) -> Floats:
-    """Heights (cells, places) of a face over places (p, 2) of cells (c, 2)."""
+    """Heights (cells, places) of a face over points (p, 2) of cells (c, 2)."""
     index = np.repeat(cells, len(places), axis=0)
     x, y = np.tile(places, (len(cells), 1)).T
     return face_height(window, face, x, y, index).reshape(len(cells), len(places))

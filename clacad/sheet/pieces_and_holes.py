@@ -1,11 +1,11 @@
-"""Into how many pieces a body falls and how many holes go through it, from how neighbouring cells are joined.
+"""Number of pieces of a body and number of holes through it, from the joints between neighbouring cells.
 
-Every cell is one disc. Two neighbours that share height along a stretch of their border are glued there; a node is
-filled where the borders that end in it are glued up to it (intervals on one line of which neighbours overlap leave no
-loop round it). Then discs − glued stretches + filled nodes = pieces − holes (Euler).
+Every cell is one disc. Two neighbours that share height along a stretch of their border are glued there. A
+node is filled where all borders that end in it are glued up to it (overlapping intervals on one line leave no
+loop around it). Then discs − glued stretches + filled nodes = pieces − holes (Euler).
 
-Columns that touch in a line count as touching. A mesh keeps them apart, so where front and back air meet in such a line,
-its genus has a hole of no width that is none here.
+Columns that touch along a line count as joined. A mesh keeps them apart. Where front and back air are in
+contact along such a line, the mesh's genus counts a hole of zero width that is not counted here.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from clacad.sheet.lattice import Lattice, Step, node_cells
 
 
 class BorderJoint(NamedTuple):
-    """How the two cells at a class of borders are joined.
+    """Joint between the two cells at a class of borders.
 
     step : (di, dj)
-        From the left to the right cell: `lattice.steps[k]` of border class k.
+        Step from the left to the right cell: `lattice.steps[k]` of border class k.
     stretches : int
-        How many separate ones, along which they share height.
+        Number of separate stretches along which the cells share height.
     reaches : (start, end)
         Whether a stretch reaches the corner where the border starts (ends), seen from the left cell.
     """
@@ -42,7 +42,7 @@ def count_pieces_and_holes(lattice: Lattice, joints: Sequence[BorderJoint]) -> t
     ----------
     lattice : Lattice
     joints : sequence of BorderJoint
-        Of every class of borders, in the order of `lattice.steps`.
+        One for every class of borders, in the order of `lattice.steps`.
     """
     glued = sum(joint.stretches * count_together(lattice, [(0, 0), joint.step]) for joint in joints)
     pieces = _count_pieces(lattice, [joint.step for joint in joints if joint.stretches])
@@ -50,7 +50,7 @@ def count_pieces_and_holes(lattice: Lattice, joints: Sequence[BorderJoint]) -> t
 
 
 def count_together(lattice: Lattice, cells: Sequence[Step]) -> int:
-    """Count the places at which all of a cell's relatives (index steps, the cell itself being (0, 0)) are kept."""
+    """Count the cells all of whose relatives (index steps, the cell itself being (0, 0)) are kept."""
     if lattice.outline is None and not lattice.hexagonal:
         spans = np.ptp(np.array(cells), axis=0)
         return int(np.prod(np.maximum(np.array(lattice.count) - spans, 0)))
@@ -58,7 +58,9 @@ def count_together(lattice: Lattice, cells: Sequence[Step]) -> int:
 
 
 def connect(count: int, edges: Ints) -> Ints:
-    """Label the components of a graph of `count` nodes and edges (n, 2): each node's least companion, (count,)."""
+    """Label the components of a graph of `count` nodes and edges (n, 2):
+    least node of each node's component, (count,).
+    """
     label = np.arange(count, dtype=np.int64)
     a, b = edges[:, 0], edges[:, 1]
     while True:
@@ -76,12 +78,12 @@ def connect(count: int, edges: Ints) -> Ints:
 
 
 def _filled_nodes(lattice: Lattice, joints: Sequence[BorderJoint]) -> int:
-    """Inner nodes at which all borders that end there are glued up to them."""
+    """Number of inner nodes at which all borders that end there are glued up to them."""
     sides = len(lattice.steps)
     half = sides // 2
     found = 0
     for cells in node_cells(lattice):
-        # a border leaves a node between a cell and the next one: that cell's side which ends at its corner there
+        # the border between a cell and the next one is the cell's side that ends at its corner at the node
         ends = [(corner - 1) % sides for _, corner in cells]
         if all(joints[k % half].reaches[1 if k < half else 0] for k in ends):
             found += count_together(lattice, [step for step, _ in cells])
@@ -89,7 +91,7 @@ def _filled_nodes(lattice: Lattice, joints: Sequence[BorderJoint]) -> int:
 
 
 def _kept(lattice: Lattice) -> Bools:
-    """Kept cells as a (rows i, columns j) mask with one empty line all round."""
+    """Kept cells as a (rows i, columns j) mask with one empty line on every side."""
     n1, n2 = lattice.count
     first = -(n2 // 2) if lattice.hexagonal else 0
     i, j = np.meshgrid(np.arange(first, n1), np.arange(n2), indexing="ij")
@@ -97,7 +99,7 @@ def _kept(lattice: Lattice) -> Bools:
 
 
 def _together(kept: Bools, cells: Sequence[Step]) -> Bools:
-    """Where all relatives (index steps) of a cell are kept, as a mask like `kept`."""
+    """Mask like `kept` of the cells all of whose relatives (index steps) are kept."""
     everywhere = np.ones_like(kept)
     for di, dj in cells:
         everywhere &= np.roll(kept, (-di, -dj), axis=(0, 1))
@@ -105,7 +107,7 @@ def _together(kept: Bools, cells: Sequence[Step]) -> Bools:
 
 
 def _count_pieces(lattice: Lattice, steps: Sequence[Step]) -> int:
-    """Connected pieces of the kept cells when neighbours along `steps` are joined."""
+    """Number of connected pieces of the kept cells when neighbours along `steps` are joined."""
     if not steps:
         return lattice.cell_count
     if lattice.outline is None and not lattice.hexagonal:

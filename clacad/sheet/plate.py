@@ -1,12 +1,14 @@
 """A plate: the side outline of a body as straight and round edges, with holes through it.
 
-One noun that mesh, solid, tracer, masks and drawings all ask. The outer boundary is a closed polygon whose sides may
-be arcs (as in a DXF polyline: the *bulge* of a side is the tangent of a quarter of its arc's angle, positive where the
-arc bends to the right of the way from its first point to its second, so outwards on a boundary that runs counter-clockwise).
-Holes are circles. Lengths in design units, centred as drawn: a plate stands where its points say, whatever its cells do.
+Mesh, solid, tracer, masks and drawings all use this class. The outer boundary is a closed polygon whose sides
+may be arcs, as in a DXF polyline. The *bulge* of a side is the tangent of a quarter of its arc's angle. It is
+positive where the arc bends to the right of the way from its first point to its second: outwards on a
+counter-clockwise boundary. Holes are circles. Coordinates are in design units and absolute: the plate lies
+where it is drawn, independent of its cells.
 
-Kept are the cells that lie wholly inside the plate, off its holes, `CLEARANCE` of a pitch from every edge: a narrower
-sliver of land would not survive the rounding of a mesh file. So no cell ever touches the edge of a plate.
+A cell is kept if it lies wholly inside the plate, outside its holes, and at least `CLEARANCE` of a pitch from
+every edge: a narrower sliver of land would not survive the rounding of a mesh file. No cell ever touches the
+edge of a plate.
 """
 
 from __future__ import annotations
@@ -35,18 +37,22 @@ from clacad.sheet.plate_edges import (
 )
 
 CLEARANCE = 1e-3
-"""Part of the pitch that a cell keeps from every edge and hole of its plate."""
+"""Least distance between a cell and the edges and holes of its plate, as part of the pitch."""
 
 SLIVER = 4e-6
-"""Part of the plate's size that a cell keeps at least: four times what a float32 coordinate resolves."""
+"""Least distance between a cell and the edges, as part of the plate's size:
+four times the resolution of float32.
+"""
 
 QUARTER = sqrt(2.0) - 1.0
-"""Bulge of a quarter of a circle: tan(90°/4)."""
+"""Bulge of a quarter circle: tan(90°/4)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """A round hole through a plate: centre and diameter (lengths), what it is for, and by how much it is wider than its pin."""
+    """A round hole through a plate: centre and diameter (lengths), purpose,
+    and excess of its diameter over its pin's.
+    """
 
     x: float
     y: float
@@ -62,10 +68,10 @@ class Plate:
     Parameters
     ----------
     vertices : tuple of (x, y, bulge)
-        Lengths; of the side from this vertex to the next.
+        Lengths; bulge of the side from this vertex to the next.
     holes : tuple of Hole
     moved : (x, y), lengths
-        A second place in which every kept cell must lie inside as well: that of array 2's cells.
+        Displacement at which every kept cell must lie inside as well: that of array 2's cells.
     """
 
     vertices: tuple[Vertex, ...]
@@ -76,12 +82,14 @@ class Plate:
         return f"Plate({len(self.vertices)} corners, {len(self.holes)} holes)"
 
     def __getstate__(self) -> dict[str, Any]:
-        """What it was made of, without what follows from that."""
+        """Return the constructor's values, without cached results."""
         return {name: self.__dict__[name] for name in ("vertices", "holes", "moved")}
 
     @cached_property
     def loops(self) -> tuple[Floats, ...]:
-        """Edges (k, EDGE_NUMBERS) of the boundary and of each hole, the material on their left; arcs of 90° at most."""
+        """Edges (k, EDGE_NUMBERS) of the boundary and of each hole, the material on their left;
+        arcs span at most 90°.
+        """
         return closed_loop(self.vertices), *(
             closed_loop(tuple((*p, -QUARTER) for p in _quarters(hole))) for hole in self.holes
         )
@@ -105,13 +113,15 @@ class Plate:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """How far it reaches from the origin along x and y (lengths)."""
+        """Greatest |x| and |y| of the plate (lengths)."""
         x0, x1, y0, y1 = self.box
         return max(abs(x0), abs(x1)), max(abs(y0), abs(y1))
 
     @cached_property
     def free_box(self) -> tuple[float, float]:
-        """Half sides of a rectangle about the middle of the box that no edge reaches into; (0, 0) where there is none."""
+        """Half sides of a rectangle about the centre of the box that no edge enters;
+        (0, 0) where there is none.
+        """
         x0, x1, y0, y1 = self.box
         centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
         if not self.inside(centre[None])[0]:
@@ -127,7 +137,9 @@ class Plate:
 
     @property
     def least_land(self) -> float:
-        """Least distance of a hole's side from the boundary or from another hole (length); infinite without holes."""
+        """Least distance between a hole's side and the boundary or another hole (length);
+        infinite without holes.
+        """
         middles = np.array([(hole.x, hole.y) for hole in self.holes]).reshape(-1, 2)
         radii = np.array([0.5 * hole.diameter for hole in self.holes])
         gaps = [nearest_edges(self.loops[0], middles)[0] - radii] if self.holes else []
@@ -136,7 +148,9 @@ class Plate:
         return float(np.min(np.concatenate(gaps))) if gaps else np.inf
 
     def free_width(self, low: float, high: float) -> float:
-        """Width of the widest rectangle about x = 0 between two heights y that no edge reaches into; 0 without one."""
+        """Width of the widest rectangle about x = 0 between two heights y that no edge enters;
+        0 without one.
+        """
         narrow, wide = 0.0, 2.0 * self.reach[0]
         for _ in range(40):
             x = 0.25 * (narrow + wide)
@@ -152,27 +166,30 @@ class Plate:
         )
 
     def inside(self, points: Floats) -> Bools:
-        """Which points (..., 2), lengths, lie in the material; see `inside`."""
+        """Which points (..., 2), lengths, lie in the material; see `clacad.sheet.plate_edges.inside`."""
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         return inside(self.edges, flat).reshape(np.shape(points)[:-1])
 
     @cached_property
     def kept(self) -> dict[Any, Any]:
-        """What others worked out from this plate; neither compared, copied nor pickled with it."""
+        """Cache for results that other modules compute from this plate;
+        not compared, copied or pickled with it.
+        """
         return {}
 
     def room(self, pitch: tuple[float, float]) -> float:
-        """Distance that a cell keeps from every edge (length)."""
+        """Distance kept between a cell and every edge (length)."""
         x0, x1, y0, y1 = self.box
         return max(CLEARANCE * min(pitch), SLIVER * max(x1 - x0, y1 - y0, *self.reach))
 
     def holds(self, tile: Floats, centres: Floats, room: float) -> Bools:
-        """Which cells lie wholly inside, `room` from every edge, at their place and `moved` from it.
+        """Which cells lie wholly inside, at least `room` from every edge, both in place and displaced by
+        `moved`.
 
         Parameters
         ----------
         tile : (m, 2), lengths
-            Corners of a cell about its centre, counter-clockwise.
+            Corners of a cell relative to its centre, counter-clockwise.
         centres : (n, 2), lengths
         room : length
         """
@@ -192,14 +209,16 @@ class Plate:
             for start in range(0, len(near), 4096):
                 some = near[start : start + 4096]
                 held[some] = keeps_off(edge, tile, centres[some], room)
-        rest = np.flatnonzero(held)  # no edge is near: a cell is inside if its middle is
+        rest = np.flatnonzero(held)  # no edge is near: a cell is inside if its centre is
         held[rest] = inside(self.edges, centres[rest])
         return held
 
     def polygons(self, steps: int) -> tuple[Floats, ...]:
-        """The loops as polygons (n, 2) of the same areas, an arc of angle φ as ⌈φ·steps/2π⌉ sides, two at least.
+        """The loops as polygons (n, 2) of equal areas; an arc of angle φ becomes ⌈φ·steps/2π⌉ sides, at least
+        two.
 
-        The inner corners of an arc stand so far off it that the fan has the sector's area; its ends stay.
+        The inner corners of an arc lie off it by such a distance that the fan has the sector's area; its ends
+        are exact.
         """
         return tuple(
             np.concatenate(
@@ -210,7 +229,7 @@ class Plate:
 
 
 def plate_of_circle(diameter: float) -> tuple[Vertex, ...]:
-    """Boundary of a round plate about the origin, in four quarters."""
+    """Boundary of a round plate about the origin, as four quarter circles."""
     r = 0.5 * diameter
     return (0.0, -r, QUARTER), (r, 0.0, QUARTER), (0.0, r, QUARTER), (-r, 0.0, QUARTER)
 
@@ -230,7 +249,7 @@ def plate_of_rectangle(
 
 
 def counter_clockwise(vertices: tuple[Vertex, ...]) -> tuple[Vertex, ...]:
-    """The same closed polygon run counter-clockwise."""
+    """Return a closed polygon in counter-clockwise order."""
     if loop_area(closed_loop(vertices)) > 0.0:
         return vertices
     back = vertices[::-1]
@@ -238,6 +257,6 @@ def counter_clockwise(vertices: tuple[Vertex, ...]) -> tuple[Vertex, ...]:
 
 
 def _quarters(hole: Hole) -> tuple[tuple[float, float], ...]:
-    """Four points of a hole, clockwise."""
+    """Four points of a hole's circle, clockwise."""
     x, y, r = hole.x, hole.y, 0.5 * hole.diameter
     return (x + r, y), (x, y - r), (x - r, y), (x, y + r)

@@ -1,7 +1,7 @@
-"""Edges of plates, straight and round: areas, insides, distances, crossings. Lengths in design units.
+"""Edges of plates, straight and round: areas, inside tests, distances, crossings. Lengths in design units.
 
-An edge is a row of the columns in `clacad.sheet.edge_columns`; an arc spans 90° at most, so a point of its circle is on the
-arc if it lies on the arc's side of the chord.
+An edge is a row with the columns of `clacad.sheet.edge_columns`. An arc spans at most 90°, so a point of its
+circle is on the arc if it lies on the arc's side of the chord.
 """
 
 from __future__ import annotations
@@ -18,11 +18,15 @@ Vertex = tuple[float, float, float]
 
 
 STRAIGHT = 1e-12
-"""Bulge below which a side is straight: its arc rises above its chord by half of this part of it, less than rounding leaves."""
+"""Bulge below which a side is straight: the arc's rise is half the bulge times the chord,
+less than rounding error.
+"""
 
 
 def loop_area(edges: Floats) -> float:
-    """Signed area of a closed loop of edges, length²: the polygon of their chords and the segments of their arcs."""
+    """Signed area of a closed loop of edges, length²:
+    the polygon of their chords plus the segments of their arcs.
+    """
     x, y = edges[:, X0] - edges[0, X0], edges[:, Y0] - edges[0, Y0]
     u, v = np.roll(x, -1), np.roll(y, -1)
     total = 0.5 * float(np.sum(x * v - u * y))
@@ -38,10 +42,10 @@ def bulges(edges: Floats) -> Floats:
 
 
 def inside(edges: Floats, points: Floats) -> Bools:
-    """Which points (n, 2) lie in the region that edges (e, EDGE_NUMBERS) bound.
+    """Which points (n, 2) lie in the region bounded by edges (e, EDGE_NUMBERS).
 
-    Crossings of the chords to the right of a point are counted, and each arc's segment turns the answer over; both
-    ask the same side of the same chord, so that a point on a chord is decided once.
+    Crossings of the chords to the right of a point are counted, and each arc's segment inverts the result.
+    Both use the same side test of the same chord, so that a point on a chord is decided once.
     """
     found = np.zeros(len(points), dtype=bool)
     step = max(1, 4_000_000 // max(1, len(edges)))
@@ -60,7 +64,9 @@ def inside(edges: Floats, points: Floats) -> Bools:
 
 
 def edge_gaps(edge: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Distance (n,) of points (n, 2) from one edge, and the unit normal (n, 2) of the edge nearest there, to its right."""
+    """Distance (n,) of points (n, 2) from one edge, and the edge's unit normal (n, 2) at the nearest point,
+    to its right.
+    """
     a, b = edge[:2], edge[2:4]
     if edge[SENSE] == 0.0:
         along = b - a
@@ -80,7 +86,9 @@ def edge_gaps(edge: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 
 def crossings(edges: Floats, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Floats:
-    """Distances (2 e, n) at which lines (x, y) + t (dx, dy), (n,) each, cross edges; NaN where they do not."""
+    """Parameters t (2 e, n) at which lines (x, y) + t (dx, dy), (n,) each, cross edges;
+    NaN where they do not.
+    """
     x0, y0, x1, y1, cx, cy, r, sense = (column[:, None] for column in edges.T)
     with np.errstate(all="ignore"):
         u, v = x1 - x0, y1 - y0
@@ -109,7 +117,9 @@ def distances(edges: Floats, polygon: Floats) -> Floats:
 
 
 def closed_loop(vertices: tuple[Vertex, ...]) -> Floats:
-    """Edges of a closed polygon of straight and round sides; arcs beyond 90° are cut into equal parts."""
+    """Edges of a closed polygon of straight and round sides;
+    arcs of more than 90° are cut into equal parts.
+    """
     made: list[Floats] = []
     for (x0, y0, bulge), (x1, y1, _) in zip(vertices, (*vertices[1:], vertices[0]), strict=True):
         if abs(bulge) < STRAIGHT:
@@ -118,7 +128,7 @@ def closed_loop(vertices: tuple[Vertex, ...]) -> Floats:
         angle = 4.0 * atan(abs(bulge))
         sense, chord = (1.0 if bulge > 0.0 else -1.0), hypot(x1 - x0, y1 - y0)
         radius = 0.25 * chord * (1.0 + bulge * bulge) / abs(bulge)
-        # the centre lies on the left of the chord for a short arc that bends to its right
+        # the centre lies to the left of the chord of a short arc that bends to its right
         over = 0.25 * chord * (1.0 / bulge - bulge) / chord
         centre = 0.5 * (x0 + x1) - over * (y1 - y0), 0.5 * (y0 + y1) + over * (x1 - x0)
         parts = ceil(angle / (0.5 * pi) - 1e-9)
@@ -135,7 +145,7 @@ def closed_loop(vertices: tuple[Vertex, ...]) -> Floats:
 
 
 def arc_angle(edge: Floats) -> float:
-    """Angle (radians) of an arc of at most 90°; 0 of a straight edge."""
+    """Angle (radians) of an arc of at most 90°; 0 for a straight edge."""
     if edge[SENSE] == 0.0:
         return 0.0
     chord = hypot(edge[X1] - edge[X0], edge[Y1] - edge[Y0])
@@ -143,7 +153,7 @@ def arc_angle(edge: Floats) -> float:
 
 
 def as_sides(edge: Floats, sides: int) -> Floats:
-    """Points (sides, 2) of an edge, its end left out; of a straight one its beginning alone."""
+    """Points (sides, 2) of an edge without its end; only the start of a straight edge."""
     if edge[SENSE] == 0.0:
         return edge[None, :2]
     angle, r = arc_angle(edge) / sides, float(edge[RADIUS])
@@ -161,7 +171,7 @@ def as_sides(edge: Floats, sides: int) -> Floats:
 
 
 def edge_box(edge: Floats) -> tuple[Floats, Floats]:
-    """Corners of a box that holds an edge."""
+    """Corners of an axis-aligned box that contains an edge."""
     if edge[SENSE] != 0.0 and arc_angle(edge) > 0.0:
         points = extremes(edge[None])
         return points.min(axis=0), points.max(axis=0)
@@ -169,7 +179,9 @@ def edge_box(edge: Floats) -> tuple[Floats, Floats]:
 
 
 def extremes(edges: Floats) -> Floats:
-    """Points among which the outermost of some edges are: their beginnings and ends, and where arcs run along an axis."""
+    """Candidate points for the extremes of edges: their starts and ends,
+    and points where arcs are parallel to an axis.
+    """
     points = [edges[:, :2], edges[:, 2:4]]
     for edge in edges[edges[:, SENSE] != 0.0]:
         around = edge[CX : CY + 1] + edge[RADIUS] * np.array(
@@ -177,14 +189,14 @@ def extremes(edges: Floats) -> Floats:
         )
         a, b = edge[:2], edge[2:4]
         left = (b[0] - a[0]) * (around[:, 1] - a[1]) > (b[1] - a[1]) * (around[:, 0] - a[0])
-        # a point that rounding alone sets beside the chord's end is that end
+        # a point that differs from the chord's end only by rounding error is that end
         deep = np.minimum(np.hypot(*(around - a).T), np.hypot(*(around - b).T)) > 1e-9 * edge[RADIUS]
         points.append(around[(~left if edge[SENSE] > 0.0 else left) & deep])
     return np.concatenate(points)
 
 
 def keeps_off(edge: Floats, tile: Floats, centres: Floats, room: float) -> Bools:
-    """Which cells (n,) keep `room` from an edge."""
+    """Which cells (n,) keep the distance `room` from an edge."""
     gaps = polygon_gaps(edge, tile, centres)
     held = gaps >= room
     ends = edge[:2] - centres
@@ -195,7 +207,9 @@ def keeps_off(edge: Floats, tile: Floats, centres: Floats, room: float) -> Bools
 
 
 def polygon_gaps(edge: Floats, polygon: Floats, centres: Floats) -> Floats:
-    """Least distance (n,) of an edge from the sides of a polygon (m, 2) about each of some centres (n, 2); 0 where they cross."""
+    """Least distance (n,) of an edge from the sides of a polygon (m, 2) about each centre (n, 2);
+    0 where they cross.
+    """
     least = np.full(len(centres), np.inf)
     for p, q in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         start = centres + p
@@ -213,7 +227,9 @@ def polygon_gaps(edge: Floats, polygon: Floats, centres: Floats) -> Floats:
 
 
 def _near_points(edge: Floats, way: Floats) -> Floats:
-    """Points of an edge among which the nearest to a straight side along `way` is: its ends, and where an arc runs along it."""
+    """Candidate points of an edge nearest to a straight side along `way`:
+    its ends, and where an arc is parallel to it.
+    """
     ends = np.stack([edge[:2], edge[2:4]])
     if edge[SENSE] == 0.0:
         return ends
@@ -225,7 +241,7 @@ def _near_points(edge: Floats, way: Floats) -> Floats:
 
 
 def within_polygon(polygon: Floats, points: Floats) -> Bools:
-    """Which points (n, 2) lie in a convex polygon (m, 2) that runs counter-clockwise."""
+    """Which points (n, 2) lie in a convex, counter-clockwise polygon (m, 2)."""
     found = np.ones(len(points), dtype=bool)
     for p, q in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         found &= (q[0] - p[0]) * (points[:, 1] - p[1]) >= (q[1] - p[1]) * (points[:, 0] - p[0])
@@ -246,7 +262,9 @@ def nearest_edges(edges: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 
 def next_crossing(edges: Floats, points: Floats, ways: Floats, after: Floats) -> Floats:
-    """Least distance (n,) beyond `after` (n,) at which rays over points along ways (n, 2) cross an edge; infinite if none."""
+    """Least parameter (n,) beyond `after` (n,) at which rays from points along ways (n, 2) cross an edge;
+    infinite if none.
+    """
     least = np.full(len(points), np.inf)
     step = max(1, 1_000_000 // max(1, len(points)))
     for first in range(0, len(edges), step):

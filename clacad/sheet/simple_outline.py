@@ -1,4 +1,6 @@
-"""Whether a closed polygon of straight and round sides is the boundary of a plate: no side without length, none that meets another."""
+"""Validity of a closed polygon of straight and round sides as a plate's boundary:
+no zero-length side, no intersection.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,16 @@ from clacad.sheet.plate import Plate
 from clacad.sheet.plate_edges import Vertex
 
 CHORDS = 8
-"""Sides an arc of 90° is held against others by: they leave it by 1/50 of its radius, a thousandth of what a mill needs."""
+"""Number of chords that replace an arc of 90° in intersection tests.
+
+They deviate from it by 1/50 of its radius, a thousandth of what a mill needs.
+"""
 
 
 def fault(vertices: tuple[Vertex, ...]) -> str:
-    """Say what is wrong with a closed polygon, "" where nothing is; sides are counted from 0 as their first corners are."""
+    """Describe the fault of a closed polygon, "" for a valid one;
+    sides count from 0, as their first corners.
+    """
     if len(vertices) < 3 and not any(bulge for _, _, bulge in vertices):
         return f"{len(vertices)} corners with straight sides enclose nothing"
     points = np.array(vertices)[:, :2]
@@ -40,7 +47,7 @@ def _shown(point: Floats) -> str:
 
 
 def _chords(vertices: tuple[Vertex, ...]) -> tuple[Floats, Ints]:
-    """Straight pieces (m, 4) of all sides, in order, and the side each is of."""
+    """Straight pieces (m, 4) of all sides, in order, and the index of the side of each piece."""
     points, side = [], []
     for n in range(len(vertices)):
         for edge in _edges_of(vertices, n):
@@ -60,7 +67,7 @@ def _chords(vertices: tuple[Vertex, ...]) -> tuple[Floats, Ints]:
 
 
 def _edges_of(vertices: tuple[Vertex, ...], n: int) -> Floats:
-    """The edges of one side: one, or the parts an arc beyond 90° is cut into."""
+    """Edges of one side: one edge, or the parts of an arc of more than 90°."""
     bulge = vertices[n][2]
     parts = 1 if bulge == 0.0 else ceil(4.0 * atan(abs(bulge)) / (0.5 * pi) - 1e-9)
     (x, y, _), (u, v, _) = vertices[n], vertices[(n + 1) % len(vertices)]
@@ -68,13 +75,15 @@ def _edges_of(vertices: tuple[Vertex, ...], n: int) -> Floats:
 
 
 def _swept(edge: Floats) -> float:
-    """Angle (radians) of an arc, with its sense."""
+    """Signed angle (radians) of an arc."""
     a, b = edge[:2] - edge[CX : CY + 1], edge[2:4] - edge[CX : CY + 1]
     return float(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b))
 
 
 def _first_meeting(chords: Floats, near: float) -> tuple[int, int] | None:
-    """Two pieces (4,) of a closed chain that have a point in common and are not neighbours, or fold back; None if there are none."""
+    """First two pieces (4,) of a closed chain that intersect without being neighbours, or fold back;
+    None if none do.
+    """
     low, high = (
         np.minimum(chords[:, :2], chords[:, 2:]) - near,
         np.maximum(chords[:, :2], chords[:, 2:]) + near,
@@ -101,14 +110,14 @@ def _first_meeting(chords: Floats, near: float) -> tuple[int, int] | None:
 
 
 def _folds(chords: Floats, k: int, j: int, near: float) -> bool:
-    """Whether two neighbours run back over one another."""
+    """Whether two neighbouring pieces fold back over one another."""
     first, second = (k, j) if (j - k) % len(chords) == 1 else (j, k)
     u, v = chords[first, 2:] - chords[first, :2], chords[second, 2:] - chords[second, :2]
     return bool(u @ v < 0.0 and abs(u[0] * v[1] - u[1] * v[0]) <= near * max(np.hypot(*u), np.hypot(*v)))
 
 
 def _meets(one: Floats, others: Floats, near: float) -> Bools:
-    """Which of some pieces (k, 4) have a point in common with one, to `near` (length)."""
+    """Which of the pieces `others` (k, 4) intersect the piece `one`, within `near` (length)."""
     a, b, c, d = one[:2], one[2:], others[:, :2], others[:, 2:]
 
     def beside(p: Floats, q: Floats, r: Floats) -> Floats:
@@ -119,7 +128,7 @@ def _meets(one: Floats, others: Floats, near: float) -> Bools:
         )
 
     def within(x: Floats, y: Floats) -> Bools:
-        """Whether two distances do not lie on the same side beyond `near`."""
+        """Whether two signed distances do not lie on the same side beyond `near`."""
         return np.asarray(~(((x > near) & (y > near)) | ((x < -near) & (y < -near))))
 
     return np.asarray(within(beside(a, b, c), beside(a, b, d)) & within(beside(c, d, a), beside(c, d, b)))

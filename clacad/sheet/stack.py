@@ -1,7 +1,8 @@
-"""Sheets behind one another: which window stands where, and the planes between which each acts.
+"""Several sheets in series: position of each window, and the planes between which each sheet acts.
 
 The stack's frame is that of its first sheet: z = 0 is that sheet's own plane, and lengths are in that sheet's unit.
-Other sheets are moved along z alone; sheets of other units are told in their own, and converted where rays pass.
+Other sheets are displaced along z only. Sheets of other units keep their own unit; lengths are converted
+where rays pass.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from clacad.sheet.gap import FIELD
 from clacad.sheet.window import Body, Face, Window
 
 MOST = len(ascii_lowercase)
-"""Sheets in a stack: as many as there are letters to name them by."""
+"""Greatest number of sheets in a stack: one letter names each."""
 
 
 class BadStack(ValueError):
-    """Sheets that cannot stand as asked; exit status 2."""
+    """Sheets cannot be placed as requested; exit status 2."""
 
     exit_status = 2
 
@@ -34,9 +35,9 @@ class StackedSheet:
         Name within the stack.
     window : Window
     z : float, length of the stack
-        Where the sheet's own z = 0 lies.
+        Position of the sheet's own z = 0.
     scale : float
-        Lengths of the stack in one of the window.
+        Stack lengths per window length.
     """
 
     id: str
@@ -52,21 +53,21 @@ class StackedSheet:
 
     @property
     def lens_planes(self) -> tuple[float, float]:
-        """Planes at which lens 1 takes light in and lens 2 lets it go, the mean of both meridians, lengths of the stack."""
+        """Entrance plane of lens 1 and exit plane of lens 2, mean of both meridians, lengths of the stack."""
         first, last = (self.z + self.scale * sum(two) / 2.0 for two in lens_planes(self.window))
         return first, last
 
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Sheets in the order light meets them.
+    """Sheets in the order light reaches them.
 
     Parameters
     ----------
     sheets : tuple of StackedSheet
-        Apart from one another, towards +z.
+        Separate from one another, towards +z.
     unit : float, metres
-        Of all lengths of the stack.
+        Unit of all lengths of the stack.
     """
 
     sheets: tuple[StackedSheet, ...]
@@ -82,21 +83,21 @@ class Stack:
 
 
 def stacked(windows: Sequence[Window], gaps: Sequence[float], ids: Sequence[str] | None = None) -> Stack:
-    """Put windows behind one another.
+    """Place windows in series.
 
     Parameters
     ----------
     windows : sequence of Window
-        In the order light meets them; the same one may stand several times.
+        In the order light reaches them; one window may occur several times.
     gaps : sequence of float
-        Clear distances between neighbours, ≥ 0, in the unit of the first window; one less than windows.
+        Clear distances between neighbours, ≥ 0, in the unit of the first window; one fewer than windows.
     ids : sequence of str or None
         Names; None: a, b, c, …
 
     Raises
     ------
     BadStack
-        No windows or too many, gaps of another number, or a gap that is negative or no number.
+        No windows or too many, a wrong number of gaps, or a gap that is negative or not finite.
     """
     names = [chr(ord("a") + k) for k in range(len(windows))] if ids is None else list(ids)
     if not 1 <= len(windows) <= MOST:
@@ -120,19 +121,19 @@ def stacked(windows: Sequence[Window], gaps: Sequence[float], ids: Sequence[str]
 
 
 def standing(sheets: Sequence[StackedSheet], unit: float, unit_name: str) -> Stack:
-    """Sheets whose places are given, as a stack; in any order.
+    """Combine sheets with given positions, in any order, into a stack.
 
     Parameters
     ----------
     sheets : sequence of StackedSheet
     unit : float, metres
     unit_name : str
-        For the message.
+        Used in the message.
 
     Raises
     ------
     BadStack
-        Two of them overlap; the message says which, by how much, and where the second one may stand.
+        Two of them overlap; the message names both, the overlap and a valid position of the second.
     """
     order = sorted(sheets, key=lambda one: one.span)
     for before, after in zip(order, order[1:]):
@@ -146,12 +147,13 @@ def standing(sheets: Sequence[StackedSheet], unit: float, unit_name: str) -> Sta
 
 
 def lens_planes(window: Window) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Principal planes at which lens 1 takes light in and lens 2 lets it go, ((x, y), (x, y)), z in the sheet frame.
+    """Entrance principal plane of lens 1 and exit principal plane of lens 2, ((x, y), (x, y)), z in the sheet
+    frame.
 
-    Between them the sheet acts as its ideal pair of thin lenses does over the separation; what is solid is more or less
-    deep than that. A single face, as a slab has two, and a plate that carries a face of a field lens besides, bends at its
-    vertex. Meridians are the sheet's: lenses turned about z
-    by less than 45° count as not turned.
+    Between them the sheet acts as its ideal pair of thin lenses does over the separation; the material is
+    more or less deep than that. The plane of a single face is at its vertex: each face of a slab, or the face
+    of a plate that also carries a field lens. Meridians are the sheet's: lenses turned about z by less than
+    45° count as not turned.
     """
     first, last = window.bodies[0], window.bodies[-1]
     if first is last or first.back.array == last.front.array == FIELD:
@@ -165,7 +167,9 @@ def lens_planes(window: Window) -> tuple[tuple[float, float], tuple[float, float
 
 
 def _principal(body: Body, axis: str) -> tuple[float, float]:
-    """Front and back principal plane of a lens in a meridian, z; those of a plate without power lie as those of a weak lens."""
+    """Front and back principal plane of a lens in a meridian, z;
+    a plate without power counts as a weak lens.
+    """
     low, high, n = body.front.vertex[2], body.back.vertex[2], body.index
     thick = (high - low) / n
     front, back = ((n - 1.0) * _curvature(face, axis) for face in (body.front, body.back))
@@ -177,5 +181,5 @@ def _principal(body: Body, axis: str) -> tuple[float, float]:
 
 
 def _curvature(face: Face, axis: str) -> float:
-    """Curvature of a face at its apex in a meridian, > 0 convex, one over a length."""
+    """Curvature of a face at its apex in a meridian, > 0 convex, 1/length."""
     return float(face.surface.curvature_x if axis == "x" else face.surface.curvature_y)

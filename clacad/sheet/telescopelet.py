@@ -1,4 +1,4 @@
-"""One telescopelet as explicit surfaces, cell borders left out."""
+"""One telescopelet as explicit surfaces, without cell borders."""
 
 from __future__ import annotations
 

@@ -1,13 +1,14 @@
-"""Which share of the light stays in its telescopelet, and where ghosts go: exact for thin lenses.
+"""Share of the light that stays in its telescopelet, and directions of ghosts: exact for thin lenses.
 
 Notation, lens frame, relative to lens 1's centre: a ray of slope t that enters lens 1 at x reaches the
-plane of lens 2 at m x + s t with m = −f2/f1 per meridian (because 1 − s/f1 = m). So the optical zone of
-lens 1 arrives as a copy of itself, scaled by m and moved by s t, and the share that meets a lenslet of
+plane of lens 2 at m x + s t with m = −f2/f1 per meridian (because 1 − s/f1 = m). The optical zone of
+lens 1 arrives as a copy of itself, scaled by m and moved by s t. The share that hits a lenslet of
 array 2 is the part of that copy which covers the lenslet's zone. Zones are convex polygons: the zone of a
 lens in its own plane is the cell's column cut by that plane.
 
-With a field lens the copy does not move with t: all light of one slope meets the field lens in one point, and the field
-lens of that cell, k steps from the partner's, puts the copy on the middle of cell 2 moved by (1 − m) of these steps.
+With a field lens the copy does not move with t: all light of one slope hits the field lens in one point. If
+that point lies in the cell k steps from the partner's, the copy is at the centre of cell 2, moved by (1 − m)
+of these steps.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from clacad.sheet.lattice import Lattice, polygon_area, polygon_areas, relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
 LEAST_SHARE = 1e-3
-"""Share of the light from which a ghost order is listed."""
+"""Least share of the light for which a ghost order is listed."""
 
 MOST_ORDERS = 30_000
-"""Cells of array 2 under a copy of lens 1, beyond which no order has the share `LEAST_SHARE`."""
+"""Number of cells of array 2 under a copy of lens 1 beyond which no order has the share `LEAST_SHARE`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +38,14 @@ class ThinCells:
     """One telescopelet as thin lenses with cells, in the lens frame about lens 1's centre.
 
     zone : (m, 2) lengths
-        Outline of the optical zone of either lens, about its own cell's centre, counter-clockwise.
+        Outline of the optical zone of either lens, relative to its own cell's centre, counter-clockwise.
     image : (m, 2) lengths
-        The zone of lens 1 as it arrives in the plane of lens 2 for light along the axis.
+        Copy of the zone of lens 1 in the plane of lens 2 for light along the axis.
     centre : (2,) lengths
-        Where the middle of cell 2 lies in the plane of lens 2.
+        Position of the centre of cell 2 in the plane of lens 2.
     separation : float, length
     part : float
-        Optical zone over cell area: what the seam leaves.
+        Area of the optical zone over area of the cell (1 without a seam).
     pair : ThinPair
     window : Window
     """
@@ -63,13 +64,15 @@ class ThinCells:
         return np.asarray(turned[:, :2] / turned[:, 2:])
 
     def neighbour(self, order: tuple[int, int]) -> Floats:
-        """Middle (2,) of the cell of array 2 that lies `order` index steps from the partner (lengths)."""
+        """Centre (2,) of the cell of array 2 that lies `order` index steps from the partner (lengths)."""
         step = self.window.lattice.offset(*order)
         return np.asarray(self.centre + _in_lens_plane(self.pair.rotation, np.array([step]))[0])
 
 
 def focal_ratio(pair: ThinPair) -> tuple[float, float]:
-    """Signed scale m = −f2/f1 of the copy of lens 1 at lens 2, per meridian; 1 where there is no power."""
+    """Signed scale m = −f2/f1 of the copy of lens 1 at lens 2, per meridian;
+    1 in a meridian without power.
+    """
     first, second = pair.focal_length
     x, y = (1.0 if np.isinf(f1) else -f2 / f1 for f1, f2 in zip(first, second, strict=True))
     return x, y
@@ -83,7 +86,7 @@ def thin_cells(window: Window) -> ThinCells:
     image = zone * np.array(focal_ratio(pair))
     if polygon_area(image) < 0.0:
         image = image[::-1]
-    # the middle of cell 2: above `shift`, in the plane through lens 2's centre across the axis
+    # centre of cell 2: above `shift`, in the plane through lens 2's centre perpendicular to the axis
     rest = np.array([[pair.shift[0] - pair.offset[0], pair.shift[1] - pair.offset[1]]])
     centre = np.asarray(pair.offset) @ pair.rotation[:, :2] + _in_lens_plane(pair.rotation, rest)[0]
     part = abs(polygon_area(lit)) / window.lattice.cell_area
@@ -91,7 +94,7 @@ def thin_cells(window: Window) -> ThinCells:
 
 
 def _lit_tile(window: Window) -> Floats:
-    """Part of a cell that light may use: the optical zone, and the channel of a baffle."""
+    """Part of a cell that light may use: the optical zone, reduced to the channel of a baffle."""
     if window.baffle is None:
         return optical_tile(window)
     widest = max(window.land.seam, window.baffle.wall)
@@ -99,14 +102,14 @@ def _lit_tile(window: Window) -> Floats:
 
 
 def _in_lens_plane(rotation: Floats, points: Floats) -> Floats:
-    """Lens-frame coordinates (n, 2) of the points of the plane across the axis that lie over (x, y)."""
+    """Lens-frame coordinates (n, 2) of points over (x, y) in the plane perpendicular to the axis."""
     axis = rotation[:, 2]
     height = -(points @ axis[:2]) / axis[2]
     return np.asarray(np.column_stack([points, height]) @ rotation[:, :2])
 
 
 def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 0)) -> Floats:
-    """Share of the light on a cell of array 1 that meets the cell of array 2 `order` steps from its partner.
+    """Share of the light on a cell of array 1 that hits the cell of array 2 `order` steps from its partner.
 
     Parameters
     ----------
@@ -119,8 +122,8 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     Returns
     -------
     (n,) array, 0 … 1
-        Over all orders it sums to the share of the cell that is optical zone (1 without a seam). A baffle
-        stops every ghost, and what meets its walls.
+        The sum over all orders is the optical zone's share of the cell (1 without a seam). A baffle
+        stops every ghost, and light that hits its walls.
     """
     if cells.window.baffle is not None and order != (0, 0):
         return np.zeros(len(np.asarray(directions)))
@@ -132,9 +135,10 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
 
 
 def order_shares(cells: ThinCells, direction: Floats) -> dict[tuple[int, int], float]:
-    """Shares of the light of one direction (3,), sheet frame, that meet each cell of array 2: order to share, largest first.
+    """Shares of the light of one direction (3,), sheet frame, on each cell of array 2: order to share,
+    largest first.
 
-    The partner, order (0, 0), is always listed; other orders from `LEAST_SHARE` on.
+    The partner, order (0, 0), is always listed; other orders only with a share of at least `LEAST_SHARE`.
     """
     around = np.column_stack([cells.neighbour(step) - cells.centre for step in ((1, 0), (0, 1))])
     arrival = arrivals(cells, cells.slopes(direction[None]))[0] - cells.centre
@@ -151,12 +155,12 @@ def order_shares(cells: ThinCells, direction: Floats) -> dict[tuple[int, int], f
 
 
 def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
-    """Share (n,) of light of one direction a cell that meets the partner of that cell, thin lenses.
+    """Share (n,) of the light of one direction per cell that hits the partner of that cell, thin lenses.
 
     Parameters
     ----------
     window : Window
-        Whose cells may differ.
+        Uniform or not.
     index : (n, 2) ints
         Cells of array 0.
     directions : (n, 3) array
@@ -171,7 +175,9 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
 
 
 def share_of_zone(cells: ThinCells, shift: Floats, ratio: Floats | None) -> Floats:
-    """Share (n,) of light whose copies of lens 1's zone, `ratio` (n,) times the image, lie `shift` (n, 2) from lens 2's."""
+    """Share (n,) of light from a copy of lens 1's zone, `ratio` (n,) times the image,
+    `shift` (n, 2) from lens 2's zone.
+    """
     image, whole = cells.image, np.asarray(polygon_area(cells.image))
     if ratio is not None:
         image, whole = image * ratio[:, None, None], whole * ratio**2
@@ -179,22 +185,23 @@ def share_of_zone(cells: ThinCells, shift: Floats, ratio: Floats | None) -> Floa
 
 
 def scale_of_image(cells: ThinCells, index: Ints) -> Floats | None:
-    """How many times as large as `ThinCells.image` the copy of lens 1's zone is that the cells `index` (n, 2) make, (n,); None
-    where those of all are alike.
+    """Scale (n,) of the copy of lens 1's zone that the cells `index` (n, 2) make, relative to
+    `ThinCells.image`; None where all cells are alike.
     """
     first, second = (cells.pair.lenses(array, cells.window.lattice, index).size for array in (0, 1))
     return None if first is None or second is None else np.asarray(second / first)
 
 
 def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
-    """Where (n, 2) the middle of the copy of lens 1's zone lies from the middle of its partner, in the plane of lens 2.
+    """Displacement (n, 2) of the centre of the copy of lens 1's zone from its partner's centre, in the plane
+    of lens 2.
 
     Parameters
     ----------
     cells : ThinCells
-        Of a window whose cells may differ.
+        Of a uniform or non-uniform window.
     index : (n, 2) ints
-        Cells of array 0 that the light comes through.
+        Cells of array 0 through which the light comes.
     slopes : (n, 2)
         Incident slopes, lens frame.
     """
@@ -208,7 +215,7 @@ def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
 
 
 def partner_zone(cells: ThinCells) -> Floats:
-    """Outline (m, 2) of the optical zone of lens 2 about its own cell's centre, lens frame, lengths."""
+    """Outline (m, 2) of the optical zone of lens 2 relative to its own cell's centre, lens frame, lengths."""
     window, pair = cells.window, cells.pair
     if not pair.second.own:
         return cells.zone
@@ -217,7 +224,9 @@ def partner_zone(cells: ThinCells) -> Floats:
 
 
 def partner_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
-    """How far (2,) the middle of the cell of array 2 `order` index steps from the partner lies from it, lens frame, lengths."""
+    """Displacement (2,) from the partner to the cell of array 2 `order` index steps away, centres,
+    lens frame, lengths.
+    """
     if not cells.pair.second.own:
         return np.asarray(cells.neighbour(order) - cells.centre)
     step = _second_array(cells.window).offset(*order)
@@ -225,13 +234,13 @@ def partner_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
 
 
 def _second_array(window: Window) -> Lattice:
-    """Pattern of the cells of array 2 of the thin pair about its own middle."""
+    """Pattern of the cells of array 2 of the thin pair about its own centre."""
     return window.thin.second.lattice(window.lattice)
 
 
 def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
-    """Where (n, 2) the middle of the copy of lens 1's zone lies in the plane of lens 2, for light of lens-frame slopes (n, 2);
-    lengths.
+    """Position (n, 2) of the centre of the copy of lens 1's zone in the plane of lens 2, for light of
+    lens-frame slopes (n, 2); lengths.
     """
     pair = cells.pair
     if not pair.field:
@@ -253,7 +262,9 @@ def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
 
 
 def _in_channels(cells: ThinCells, slopes: Floats) -> Bools:
-    """Whether light of lens-frame slopes (n, 2) meets the field lens between the walls of a baffle, which end there (n,)."""
+    """Whether light of lens-frame slopes (n, 2) hits the field lens between the walls of a baffle,
+    which end there (n,).
+    """
     open_to = np.ones(len(slopes), dtype=bool)
     window, pair = cells.window, cells.pair
     if window.baffle is None:
@@ -268,19 +279,22 @@ def _in_channels(cells: ThinCells, slopes: Floats) -> Bools:
 
 
 def lit_zone(cells: ThinCells) -> Floats:
-    """What is lit of lens 2 (m, 2), about its own middle, by light along the middle of the field, lens frame, lengths.
+    """Lit part of lens 2 (m, 2), relative to its centre, for light along the centre of the field, lens frame,
+    lengths.
 
-    The image of lens 1's zone where it lies within lens 2's; for cells along the lens axes p·min(1, |m|) wide.
+    It is the intersection of the image of lens 1's zone and lens 2's zone; for cells along the lens axes
+    p·min(1, |m|) wide.
     """
     return clip(cells.image, cells.zone)
 
 
 def fresnel_numbers(cells: ThinCells, wavelength: float, lit: Floats | None = None) -> tuple[float, float]:
-    """(w/2)²/(λ|f2|) along lens x and y, w what is lit of lens 2; infinite across an axis without power, where there is no lens.
+    """Fresnel numbers (w/2)²/(λ|f2|) along lens x and y, w the lit width of lens 2; infinite along an axis
+    without power.
 
     wavelength : float, length
     lit : (m, 2) lengths or None
-        What is lit of lens 2 by light along the middle of the field; None: as for equal cells.
+        Lit part of lens 2 for light along the centre of the field; None: that of a uniform sheet.
     """
     widths = equivalent_widths(lit_zone(cells) if lit is None else lit)
     x, y = (
@@ -291,9 +305,10 @@ def fresnel_numbers(cells: ThinCells, wavelength: float, lit: Floats | None = No
 
 
 def ghost_step(cells: ThinCells, order: tuple[int, int], index: Ints | None = None) -> Floats:
-    """Change (2,) of the exit slope, lens frame, that sets ghost order `order` apart from the image.
+    """Change (2,) of the exit slope, lens frame, between the image and the ghost order `order`.
 
-    Where cells differ it is (n, 2), of light through the cells `index` (n, 2): how far the lens met stands from the partner's.
+    On a non-uniform sheet it is (n, 2), for light through the cells `index` (n, 2): it includes the different
+    position of the lens that is hit.
     """
     moved = partner_step(cells, order)
     change = cells.pair.change
@@ -306,13 +321,15 @@ def ghost_step(cells: ThinCells, order: tuple[int, int], index: Ints | None = No
 
 
 def aperture_slope(window: Window) -> tuple[float, float]:
-    """Sheet-frame slope at the middle of the field of view: from cell 1's middle to cell 2's."""
+    """Sheet-frame slope at the centre of the field of view: from cell 1's centre to cell 2's."""
     height = window.thin.offset[2]
     return window.thin.shift[0] / height, window.thin.shift[1] / height
 
 
 def aperture_slopes(window: Window, index: Ints) -> Floats:
-    """Sheet-frame slopes (n, 2) at the middle of the field of view of the cells `index` (n, 2): from cell 1's to cell 2's."""
+    """Sheet-frame slopes (n, 2) at the centre of the field of view of the cells `index` (n, 2):
+    from cell 1's to cell 2's.
+    """
     height, pair = window.thin.offset[2], window.thin
     apart = _second_array(window).centres(index) - window.lattice.centres(index) + np.asarray(pair.shift)
     return np.asarray(apart / height)
@@ -321,17 +338,17 @@ def aperture_slopes(window: Window, index: Ints) -> Floats:
 def half_field(cells: ThinCells) -> tuple[float, float]:
     """Half width in slope of the field of view along lens x and y: beyond it no light arrives.
 
-    (p/s)(1 + |m|)/2 on a square lattice whose axes are the lens's.
+    (p/s)(1 + |m|)/2 on a square lattice along the lens axes.
     """
     x, y = (_half_width(cells.zone, k) + _half_width(cells.image, k) for k in (0, 1))
     return x / cells.separation, y / cells.separation
 
 
 def ghost_onset(cells: ThinCells) -> tuple[float, float]:
-    """Slope off the middle of the field at which the first light meets a wrong lenslet, lens x and y.
+    """Slope relative to the centre of the field at which the first light hits a wrong lenslet, lens x and y.
 
-    (p/s)(1 − |m|)/2; 0 where the copy is larger than the cell, so that ghosts never vanish. With a field lens there are
-    none in all of the field of view, unless the copy is larger than the cell.
+    (p/s)(1 − |m|)/2; 0 where the copy is larger than the cell, so that ghosts never vanish. With a field
+    lens, the whole field of view is free of ghosts, unless the copy is larger than the cell.
     """
     if cells.pair.field:
         field = half_field(cells)
@@ -346,10 +363,10 @@ def _half_width(polygon: Floats, axis: int) -> float:
 
 
 def _common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
-    """Areas (k,), length², that a convex polygon (m, 2), or one (k, m, 2) each, moved to each of some places (k, 2) has in common
-    with another one.
+    """Areas (k,), length², of the intersections of a convex polygon (m, 2), or one (k, m, 2) each, moved to
+    positions (k, 2), with another convex polygon.
 
-    `clip` of all of them in step, with the same bits: a row that has fewer corners than others is filled up behind them.
+    Vectorised `clip` with identical bits: rows with fewer corners than others are padded.
     """
     corners = polygon + places[:, None]
     count = np.full(len(places), polygon.shape[-2])
@@ -376,7 +393,9 @@ def _common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
 
 
 def clip(subject: Floats, window: Floats) -> Floats:
-    """Cut a convex polygon (m, 2), lengths, by another one, both counter-clockwise (Sutherland and Hodgman)."""
+    """Clip a convex polygon (m, 2), lengths, by another one,
+    both counter-clockwise (Sutherland and Hodgman).
+    """
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
         if len(subject) == 0:
             break

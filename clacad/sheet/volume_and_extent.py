@@ -1,6 +1,6 @@
-"""What a written file is held against: heights, volumes and extents asked of the design's own surfaces.
+"""Reference values for written files: heights, volumes and extents computed from the design's own surfaces.
 
-Nothing here uses a mesh or a solid; every number comes from `clacad.sheet.window` heights and quadrature.
+This module uses no mesh and no solid: only heights of `clacad.sheet.window` and quadrature.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from clacad.sheet.window import Body, Face, Window, column, face_height, lens_he
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 DEPTH = 9
-"""Quarterings at a rim: relative error 1e-8 or less in half a second; 11 give 1e-9 in four."""
+"""Levels of subdivision at a rim: relative error 1e-8 or less in half a second;
+11 levels give 1e-9 in four seconds.
+"""
 
 EDGE_DEPTH = 5
 
@@ -33,7 +35,7 @@ Height = Callable[[Floats, Floats], Floats]
 
 @dataclass(frozen=True, slots=True)
 class Integral:
-    """A volume and the error its quadrature owns up to, design units cubed."""
+    """A volume and the error estimate of its quadrature, design units cubed."""
 
     value: float
     error: float
@@ -42,8 +44,8 @@ class Integral:
 def body_volume(window: Window, body: Body, depth: int = DEPTH) -> Integral | None:
     """Volume of a body by quadrature of its columns; None where its outline cuts through lenslets.
 
-    Gauss–Legendre 8 × 8 on parallelograms that tile the optical zone of one cell, halved where two levels
-    differ (rims, webs); land and border are prisms. All cells are the same piece.
+    Gauss–Legendre 8 × 8 on parallelograms that tile the optical zone of one cell, subdivided where two levels
+    differ (rims, webs). Land and border are prisms. On a uniform sheet one cell represents all.
     """
     if not window.uniform:
         return _volume_cell_by_cell(window, body)
@@ -65,9 +67,9 @@ def body_volume(window: Window, body: Body, depth: int = DEPTH) -> Integral | No
 
 
 def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
-    """Volume of a body whose cells differ, none of them with a rim: the columns of its back less those of its front.
+    """Volume of a body of a non-uniform sheet without rims: the columns of its back minus those of its front.
 
-    None where a lens ends inside its cell, at its rim or where front and back meet.
+    None where a lens ends inside its cell, at its rim or where front and back intersect.
     """
     outline, cells = window.outline, window.lattice.cells()
     if body.columnar and _meets_itself(window, body, cells):
@@ -97,7 +99,9 @@ def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
 
 
 def _meets_itself(window: Window, body: Body, cells: Ints) -> bool:
-    """Whether the back of a column comes under its front in a cell (n, 2): between convex faces it does so at a corner first."""
+    """Whether the back of a column lies below its front in a cell (n, 2):
+    convex faces intersect at a corner first.
+    """
     low, high = (_at_corners(window, face, cells) for face in (body.front, body.back))
     return bool((high < low).any())
 
@@ -111,7 +115,9 @@ def _at_corners(window: Window, face: Face, cells: Ints) -> Floats:
 
 
 def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts: int) -> Floats:
-    """Integrals (n,) of a face's height over the optical zones of cells (n, 2), each cut into parts² boxes a parallelogram."""
+    """Integrals (n,) of a face's height over the optical zones of cells (n, 2),
+    parts² boxes per parallelogram.
+    """
     low = np.arange(parts) / parts
     boxes = np.stack(np.meshgrid(low, low, indexing="ij"), axis=-1).reshape(-1, 2)
 
@@ -130,7 +136,7 @@ def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts
 
 
 def volume_sum(integrals: Mapping[str, Integral | None], names: Sequence[str]) -> Integral | None:
-    """Volume of several bodies together; None if one of them is not known."""
+    """Total volume of several bodies; None if one of the volumes is not known."""
     value = error = 0.0
     for name in names:
         part = integrals[name]
@@ -141,12 +147,12 @@ def volume_sum(integrals: Mapping[str, Integral | None], names: Sequence[str]) -
 
 
 def _in_columns(body: Body) -> bool:
-    """Whether one tiling cuts the body into columns: both faces on one array, or one of them a plane."""
+    """Whether one tiling cuts the body into columns: both faces on one array, or one face a plane."""
     return body.columnar or None in (body.front.array, body.back.array)
 
 
 def _footprint_area(window: Window, body: Body) -> float | None:
-    """Area of a body seen along z, None if its outline does not hold all of its cells."""
+    """Area of a body seen along z; None if its outline does not contain all of its cells."""
     outline = window.outline
     if outline is None:
         return window.lattice.cell_count * window.lattice.cell_area
@@ -191,13 +197,13 @@ def _filled(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
 
 
 def _cell_integral(window: Window, height: Height, depth: int) -> Integral:
-    """Integrate height(x, y) over one cell; the seam around the optical zone is integrated as it is."""
+    """Integrate height(x, y) over one cell, including the seam around the optical zone."""
     value = error = 0.0
     tile, zone = window.lattice.tile(), optical_tile(window)
     regions = _parallelograms(zone)
     if window.land.seam > 0.0:
         m = len(tile)
-        for k in range(m):  # trapezoids between zone and tile: land, so any rule is exact; two triangles each
+        for k in range(m):  # trapezoids of flat land: any rule is exact; two triangles each
             a, b, c, d = zone[k], zone[(k + 1) % m], tile[(k + 1) % m], tile[k]
             area = _triangle_area(a, d, c) + _triangle_area(a, c, b)
             middle = 0.25 * (a + b + c + d)
@@ -221,7 +227,9 @@ def _parallelograms(polygon: Floats) -> list[tuple[Floats, Floats, Floats]]:
 
 
 def _adaptive(height: Height, origin: Floats, u: Floats, v: Floats, depth: int) -> Integral:
-    """Integrate over a parallelogram; boxes whose quarters disagree with them are quartered again."""
+    """Integrate over a parallelogram; a box that disagrees with the sum of its quarters is quartered
+    again.
+    """
     scale = abs(float(u[0] * v[1] - u[1] * v[0]))
     boxes = np.array([[0.0, 0.0]])
     coarse = _rule(height, origin, u, v, boxes, 1.0)
@@ -233,7 +241,7 @@ def _adaptive(height: Height, origin: Floats, u: Floats, v: Floats, depth: int) 
         quarters = (boxes[:, None] + size * np.array([[0, 0], [1, 0], [0, 1], [1, 1]])).reshape(-1, 2)
         fine = _rule(height, origin, u, v, quarters, size).reshape(-1, 4)
         gap = np.abs(fine.sum(axis=1) - coarse)
-        # A smooth box agrees to rounding; what is given up is at most 1e-13 of the whole each.
+        # A smooth box agrees to rounding error; each settled box adds an error of at most 1e-13 of the whole.
         settled = (gap <= 1e-13 * reference) & ~_suspect(boxes, 2.0 * size, level)
         if level == depth - 1:
             total += float(fine.sum())
@@ -248,7 +256,7 @@ def _adaptive(height: Height, origin: Floats, u: Floats, v: Floats, depth: int) 
 
 
 def _suspect(boxes: Floats, size: float, level: int) -> NDArray[np.bool_]:
-    """Boxes that are quartered whatever they seem: a lens may miss a sliver of a border, or the tip of a corner."""
+    """Boxes that are always quartered: a lens may miss a sliver of a border, or the tip of a corner."""
     touches = (boxes <= 0.0) | (boxes + size >= 1.0 - 1e-12)
     return np.asarray(touches.all(axis=1) | (touches.any(axis=1) & (level < EDGE_DEPTH)))
 
@@ -298,8 +306,9 @@ def whole_extent(window: Window) -> tuple[float, float, float, float]:
 
 
 def least_extent(window: Window) -> tuple[float, float, float, float]:
-    """A box that all bodies surely reach, seen along z, design units: less than `whole_extent` where lenses without
-    land end inside their cells.
+    """Bounding box (x_min, x_max, y_min, y_max) that the material reaches, seen along z, design units.
+
+    It is smaller than `whole_extent` where lenses without land end inside their cells.
     """
     whole = whole_extent(window)
     if window.outline is not None:
@@ -323,20 +332,20 @@ def least_extent(window: Window) -> tuple[float, float, float, float]:
 
 
 def distance_to_face(window: Window, face: Face, points: Floats, inside: Floats) -> Floats:
-    """Vertical distance of points to the surfaces a face consists of: its lens and its land.
+    """Vertical distance of points to the surfaces of a face: its lens and its land.
 
     Parameters
     ----------
     points : (n, k, 3) array, design units
         Sheet frame.
     inside : (n, 2) array
-        A point of each group's own cell; all k points are judged by that cell's lens, so points on a wall
-        are judged by the right neighbour.
+        A point of each group's own cell; all k points are compared with that cell's lens, so that points on a
+        border are compared with the right neighbour.
 
     Returns
     -------
     (n, k) array
-        Infinite where the face has neither.
+        Infinite where the face has neither lens nor land.
     """
     if face.array is None:
         return distance_in_cell(window, face, points, np.zeros((len(points), 2), dtype=np.int64))
@@ -346,7 +355,9 @@ def distance_to_face(window: Window, face: Face, points: Floats, inside: Floats)
 
 
 def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) -> Floats:
-    """The same (n, k) for points (n, k, 3) whose cells (n, 2) in the face's own array are known."""
+    """Vertical distance (n, k) of points (n, k, 3) to a face;
+    their cells (n, 2) in the face's own array are known.
+    """
     if face.array is None:
         return np.asarray(np.abs(points[..., 2] - face.vertex[2]))
     lattice: Lattice = window.lattice

@@ -1,16 +1,16 @@
-"""The sheet as built: faces, bodies, window. No optics intent lives here, only geometry.
+"""The sheet as built: faces, bodies, window. This module contains geometry only, no optical intent.
 
-Export and trace read the same `Window`, so a report speaks of the part that was written.
+Export and trace read the same `Window`, so that a report describes the written part.
 
 Frames
 ------
-*Sheet frame*: right-handed, sheet plane z = 0, light meets body 0 first and travels towards +z.
+*Sheet frame*: right-handed, sheet plane z = 0, light reaches body 0 first and travels towards +z.
 *Cell frame* of array k: axes of the sheet, x and y from the centre of the cell, z of the sheet.
-*Lens frame* of a face: origin at the face's apex, axes turned by `Face.rotation` (lens → sheet).
+*Lens frame* of a face: origin at the face's apex, axes rotated by `Face.rotation` (lens → sheet).
 
-The cells of array k stand where `Window.placements[k]` says. As a rule every cell of an array is the same
-piece, so that one cell describes all of them (`Window.uniform`); else `Window.vertices` tells where the lens
-of a cell stands, cell by cell.
+`Window.placements[k]` gives the positions of the cells of array k. On a uniform sheet (`Window.uniform`) all
+cells of an array are identical and one cell describes all of them. On a non-uniform sheet `Window.vertices`
+gives the position of each cell's lens.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ WALL = 0.05
 
 
 TURNED_ROOM = 0.05
-"""Part of a pitch that is left beside the corners of a turned array."""
+"""Clearance at the corners of a turned array, as part of a pitch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +62,12 @@ class Face:
     rotation : (3, 3)
         Lens → sheet.
     array : int or None
-        Which lens array's cells the face repeats on; None is an unstructured plane.
+        Index of the lens array on whose cells the face repeats; None is an unstructured plane.
     land : float or None
-        Sheet-frame z of the flat land of this face (web, seam, border); None: there is no land, so
-        where the lenslet does not reach there is no face (a hole).
+        Sheet-frame z of the flat land of this face (web, seam, border). None: there is no land, and
+        the face has a hole where the lenslet does not reach.
     change : VertexChange or None
-        How far the lens of each cell stands from `vertex`, and how large it is; None: all are alike.
+        Displacement of each cell's lens from `vertex`, and its scale factor; None: all lenses are alike.
     """
 
     surface: Surface
@@ -79,12 +79,12 @@ class Face:
 
     @property
     def untilted(self) -> bool:
-        """Whether lens and sheet axes coincide exactly, so that no rotation need be applied."""
+        """Whether lens and sheet axes coincide exactly, so that no rotation is applied."""
         return bool(np.array_equal(self.rotation, IDENTITY))
 
     @property
     def blind(self) -> int:
-        """Index, 1 (i) or 2 (j), along which the cells of a field lens are one cylinder, cut nowhere; else 0."""
+        """Index, 1 (i) or 2 (j), along which the cells of a field lens form one uncut cylinder; else 0."""
         curvatures = (self.surface.curvature_x, self.surface.curvature_y)
         if (
             self.array != 2
@@ -106,17 +106,17 @@ class Face:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """The material between two faces, cut into cells by walls along z.
+    """Material between two faces, cut into cells by walls along z.
 
     front : Face
-        The face light meets first; the material is behind it.
+        The face light reaches first; the material is behind it.
     back : Face
     index : float
         Refractive index at the design wavelength (air is 1).
     name : str
-        "array1", "array2", "field" or "sheet"; names files, labels and solids.
+        "array1", "array2", "field" or "sheet"; used for files, labels and solids.
     material : Material or None
-        For other wavelengths; None is a constant index.
+        Gives the index at other wavelengths; None is a constant index.
     """
 
     front: Face
@@ -127,7 +127,7 @@ class Body:
 
     @property
     def columnar(self) -> bool:
-        """Whether both faces share one array, so that the body is a bundle of columns."""
+        """Whether both faces repeat on one array, so that the body is a bundle of columns."""
         return self.front.array is not None and self.front.array == self.back.array
 
     def index_at(self, wavelength: float | None) -> float:
@@ -145,12 +145,12 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class FieldLens:
-    """An ideal lens at a common focus: it images lens 1 onto lens 2 in the meridians in which it has power.
+    """An ideal lens at a common focus: it images lens 1 onto lens 2 in its meridians with power.
 
     focal_length : (f_x, f_y), lengths
         Infinite in a meridian without power.
     depth : float, length
-        Along the lens axis from lens 1.
+        Distance from lens 1 along the lens axis.
     """
 
     focal_length: tuple[float, float]
@@ -159,7 +159,7 @@ class FieldLens:
 
 @dataclass(frozen=True, eq=False)
 class ThinPair:
-    """The ideal pair the real one stands for: two thin lenses sharing a focal plane.
+    """The ideal counterpart of the real pair: two thin lenses; an afocal pair shares a focal plane.
 
     focal_length : ((f1x, f1y), (f2x, f2y)), lengths
         Infinite in a meridian without power.
@@ -168,17 +168,18 @@ class ThinPair:
     rotation : (3, 3)
         Lens → sheet, common to both lenses.
     shift : (2,) lengths
-        Displacement of the cells of array 2 against those of array 1 in the thin model.
+        Displacement of the cells of array 2 from those of array 1 in the thin model.
     pitch : (p_x, p_y) or None, lengths
         Pitch of array 2's cells; None: the lattice's.
     turn : float, radians
-        Of array 2's cells about their middle.
+        Rotation of array 2's cells about their centre.
     change : VertexChange or None
-        How far lens 2 of each cell stands, in its own cell, from where the middle cell has it, and how large it is.
+        Displacement of lens 2 in its cell, relative to the central cell's, and its scale factor, for each
+        cell.
     change_1 : VertexChange or None
-        How large lens 1 of each cell is; None: all are alike.
+        Scale factor of lens 1 of each cell; None: all are alike.
     field : tuple of FieldLens
-        In the order of the light: none, one, or two where the meridians' foci lie apart.
+        In the order light reaches them: none, one, or two where the meridians have different foci.
     """
 
     focal_length: tuple[tuple[float, float], tuple[float, float]]
@@ -193,38 +194,40 @@ class ThinPair:
 
     @property
     def second(self) -> CellPlacement:
-        """Where the cells of array 2 stand in the thin model."""
+        """Positions of the cells of array 2 in the thin model."""
         return CellPlacement(self.shift, self.pitch, self.turn)
 
     @property
     def separation(self) -> float:
-        """Distance s between the lens planes along the lens axis (length), equal to f1 + f2."""
+        """Distance s between the lens planes along the lens axis (length), f1 + f2 for an afocal pair."""
         return float(self.rotation[:, 2] @ np.asarray(self.offset))
 
     def lenses(self, array: int, lattice: Lattice, index: Ints) -> LensPlaces:
-        """Where lens `array` (0, 1) of the cells `index` (..., 2) stands, from where the middle cell has it, and how large it is."""
+        """Positions of lens `array` (0, 1) in the cells `index` (..., 2), relative to the central cell's,
+        and scale factors.
+        """
         change = (self.change_1, self.change)[array]
         middle = (0.0, 0.0, 0.0)
         return LensPlaces(middle) if change is None else change.places(middle, lattice, index)
 
     def field_centre(self, lens: FieldLens) -> Floats:
-        """Vertex (3,) of a field lens, sheet frame, from lens 1's centre: on the line from the middle of cell 1 to that of
-        cell 2, so that the light in the middle of the field goes through undeviated.
+        """Vertex (3,) of a field lens, sheet frame, from lens 1's centre: on the line from the centre of cell
+        1 to that of cell 2, so that light in the centre of the field passes undeviated.
         """
         axis, (x, y) = self.rotation[:, 2], self.shift
         across = np.asarray(self.offset) - np.array([x, y, 0.0])
-        middle = np.array([x, y, float(across @ axis) / axis[2]])  # of cell 2, in the plane of lens 2
+        middle = np.array([x, y, float(across @ axis) / axis[2]])  # centre of cell 2, in the plane of lens 2
         return np.asarray(middle * (lens.depth / self.separation))
 
 
 @dataclass(frozen=True)
 class Land:
-    """What lies between and around the lenslets.
+    """The flat land between and around the lenslets.
 
     seam : float
-        Width of the land between two lenslets (length); each cell's lens keeps seam/2 from its border.
+        Width of the land between two lenslets (length); each cell's lens ends seam/2 from its border.
     opaque : bool
-        Whether land stops light (fate VIGNETTED) or lets it pass (fate LAND).
+        Whether land stops light (fate VIGNETTED) or transmits it (fate LAND).
     border : float
         Width of plain land around the cells (length).
     """
@@ -243,15 +246,15 @@ class Baffle:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The whole sheet: bodies in the order light meets them, and the lattice they repeat on.
+    """The whole sheet: bodies in the order light reaches them, and the lattice they repeat on.
 
     Attributes
     ----------
     form : "biconvex", "plano" or "slab"
     bodies : tuple of Body
     lattice : Lattice
-    placements : tuple of CellPlacement, one an array
-        Where the cells of each array stand; array 0's are the lattice's.
+    placements : tuple of CellPlacement, one per array
+        Positions of the cells of each array; array 0's are the lattice's.
     unit : float
         One design unit in metres.
     wavelength : float or None
@@ -259,19 +262,20 @@ class Window:
     z_range : (low, high), lengths
         Lowest and highest point of any body.
     law : Law
-        What was asked. The tracer calls its `refract` on rung "law" and reads nothing else of it.
+        The requested law. On rung "law" the tracer calls its `refract` and reads nothing else of it.
     cell_laws : CellLaws or None
-        The law of each cell where they differ; `law` is then that of the sheet's middle. None: all obey `law`.
+        Law of each cell of a sheet with a varying law; `law` is then that of the sheet's centre. None: all
+        obey `law`.
     thin : ThinPair
     land : Land
     baffle : Baffle or None
     outline : Circle, Rectangle, Plate or None
         Side outline of every body where it is not simply the boundary of the cells (a border, a round
         window, a slab whose arrays are displaced). Centred on the origin for a slab, on its array's
-        displacement for a body that carries one array. Between cells and outline lies land. Which cells
-        exist depends on `lattice.outline` alone: a border or `body.outline` makes the plate larger.
+        displacement for a body with one array. Land lies between cells and outline. `lattice.outline`
+        alone decides which cells exist: a border or `body.outline` makes the plate larger.
     recipe : mapping
-        How radii and poses were found (kept for reports and the manifest).
+        Recipe of radii and poses (kept for reports and the manifest).
     residual : mapping
         Parabasal law error and decollimation left by the recipe.
     name : str
@@ -303,7 +307,7 @@ class Window:
         )
 
     def _repr_html_(self) -> str:
-        from clacad import as_html  # the package's own door: pictures are made in a room below this one
+        from clacad import as_html  # at run time only: the module that makes pictures imports this one
 
         return str(as_html(self))
 
@@ -316,26 +320,30 @@ class Window:
 
     @cached_property
     def kept(self) -> dict[str, Any]:
-        """What others worked out from this window, kept as long as it lives; neither copied nor pickled with it."""
+        """Cache for results that other modules compute from this window;
+        neither copied nor pickled with it.
+        """
         return {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but what is kept."""
+        """Return all attributes except the cache."""
         return {name: value for name, value in self.__dict__.items() if name != "kept"}
 
     @property
     def faces(self) -> tuple[Face, ...]:
-        """All faces in the order light meets them."""
+        """All faces in the order light reaches them."""
         return tuple(face for body in self.bodies for face in (body.front, body.back))
 
     @property
     def shifts(self) -> tuple[tuple[float, float], ...]:
-        """Displacement (x, y) of the cells of each array against the lattice, lengths."""
+        """Displacement (x, y) of the cells of each array relative to the lattice, lengths."""
         return tuple(place.shift for place in self.placements)
 
     @property
     def level_and_straight(self) -> bool:
-        """Whether every array lies along the sheet's axes and the lenses of each face are of one size at one height."""
+        """Whether every array lies along the sheet's axes and each face has lenses of one size at one
+        height.
+        """
         return not any(place.turn for place in self.placements) and not any(
             face.change is not None and (any(face.change.slope) or face.change.size is not None)
             for face in self.faces
@@ -343,17 +351,17 @@ class Window:
 
     @property
     def many_sizes(self) -> bool:
-        """Whether lenses of one face are of many sizes, each for an η of its own."""
+        """Whether the lenses of one face have different sizes, each for its own η."""
         return any(face.change is not None and face.change.size is not None for face in self.faces)
 
     @property
     def uniform(self) -> bool:
-        """Whether all cells of each array are the same piece, partners displaced alike: one cell tells of all."""
+        """Whether all cells of each array, and the displacements of their partners, are identical."""
         own = any(place.own for place in self.placements)
         return not own and self.cell_laws is None and all(face.change is None for face in self.faces)
 
     def lattice_of(self, array: int) -> Lattice:
-        """Pattern of the cells of an array about its own middle; which cells exist is asked of `lattice`."""
+        """Pattern of the cells of an array about its own centre; `lattice` decides which cells exist."""
         return self.placements[array].lattice(self.lattice)
 
     def centres(self, array: int, index: Ints) -> Floats:
@@ -368,15 +376,15 @@ class Window:
         return found
 
     def lenses(self, face: Face, index: Ints | None) -> LensPlaces:
-        """Where a face's lenses stand in the cells `index` (..., 2), and how large they are, against the one that the face
-        describes; None: that one.
+        """Positions and scale factors of a face's lenses in the cells `index` (..., 2), relative to the lens
+        that the face describes; None: that lens.
         """
         if face.change is None or index is None:
             return LensPlaces(face.vertex)
         return face.change.places(face.vertex, self.lattice, index)
 
     def law_at(self, index: ArrayLike) -> Law:
-        """The law that the cell `index` (i, j) is built for and judged by; that of the sheet where all obey one.
+        """The design law of the cell `index` (i, j); that of the sheet where all cells obey one.
 
         Raises
         ------
@@ -387,18 +395,22 @@ class Window:
         return laws.law_at(self.lattice, index)
 
     def locate(self, array: int, x: Floats, y: Floats) -> tuple[Ints, Floats, Floats]:
-        """The cell (n, 2) of an array that holds each sheet point, and the point from its centre, (n,) each, lengths."""
+        """Cell (n, 2) of an array that contains each sheet point, and the point from its centre, (n,) each,
+        lengths.
+        """
         dx, dy = self.placements[array].shift
         return self.lattice_of(array).locate(x - dx, y - dy)
 
     def seen_by_lens(self, face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Sheet points, (n,) each, in the cell frame in which the lens of their cell stands at `Face.vertex`, lengths."""
+        """Sheet points, (n,) each, in the frame of their cell, mapped to the lens at `Face.vertex`,
+        lengths.
+        """
         assert face.array is not None
         index, x, y = self.locate(face.array, x, y)
         return self.lenses(face, index).seen(x, y)
 
     def in_cell(self, face: Face, index: Ints) -> Face:
-        """The face of a sheet whose cells are all like the one at `index` (2,)."""
+        """Face of the uniform equivalent of the cell at `index` (2,)."""
         if face.change is None:
             return face
         places = self.lenses(face, index)
@@ -407,14 +419,14 @@ class Window:
         return replace(face, surface=surface, vertex=(x, y, z), change=None)
 
     def with_cells(self, count: tuple[int, int]) -> Window:
-        """Give the same design with another cell count, centred on the origin, without a cut outline.
+        """Return the design with another cell count, centred on the origin, without a cut outline.
 
-        Of lenses that stand as a table says, the middle ones.
+        Tables are cut to their central cells.
 
         Raises
         ------
         ValueError
-            The table has fewer.
+            A table has fewer cells.
         """
 
         def fewer(face: Face) -> Face:
@@ -445,8 +457,8 @@ class Window:
 def side_outline(window: Window) -> Outline | None:
     """Side outline of the bodies where it is not the boundary of their cells; see `Window.outline`.
 
-    The lattice's own outline and the border round it; else a rectangle where there is a border, or a slab whose arrays
-    are displaced against one another.
+    It is the lattice's own outline with the border around it. Otherwise it is a rectangle where there is a
+    border, or a slab whose arrays are displaced relative to one another.
     """
     border, second = window.land.border, window.placements[1]
     if window.lattice.outline is not None:
@@ -457,7 +469,7 @@ def side_outline(window: Window) -> Outline | None:
         return None
     extents = np.array([place.extent(window.lattice) for place in window.placements])
     x0, x1, y0, y1 = window.lattice.extent()
-    if own:  # the widest array, about its own middle
+    if own:  # the widest array, relative to its own centre
         off = np.array([[x, x, y, y] for x, y in window.shifts])
         x1, y1 = float(np.abs(extents - off)[:, :2].max()), float(np.abs(extents - off)[:, 2:].max())
     reach_x, reach_y = max(-x0, x1) + border, max(-y0, y1) + border
@@ -469,7 +481,9 @@ def side_outline(window: Window) -> Outline | None:
 
 
 def optical_tile(window: Window, array: int = 0) -> Floats:
-    """Corners of the optical zone of a cell of an array: the tile less seam/2 along every border, (m, 2), lengths."""
+    """Corners of the optical zone of a cell of an array:
+    the tile without seam/2 along every border, (m, 2), lengths.
+    """
     lattice = window.lattice_of(array)
     tile = lattice.tile()
     half = lattice.half_widths
@@ -483,7 +497,9 @@ def optical_tile(window: Window, array: int = 0) -> Floats:
 
 
 def in_optical_tile(window: Window, x: Floats, y: Floats, array: int = 0) -> NDArray[np.bool_]:
-    """Tell which points (cell frame, (n,), lengths) lie in the optical zone of their cell of an array, (n,) bool."""
+    """Which points (cell frame, (n,), lengths) lie in the optical zone of their cell of an array,
+    (n,) bool.
+    """
     margin = 0.5 * window.land.seam
     lattice = window.lattice_of(array)
     inside = np.ones(np.shape(x), dtype=bool)
@@ -505,12 +521,12 @@ def lens_height(face: Face, x: Floats, y: Floats) -> Floats:
     Returns
     -------
     (n,) array, lengths
-        NaN where the lenslet has no point above (x, y), or where its graph has passed the equator.
+        NaN where the lenslet has no point above (x, y), or beyond the equator of the surface.
 
     Notes
     -----
-    A vertical ray meets the surface in the lens frame; the quadric's cancellation-free root is used,
-    so the height above the apex keeps its relative accuracy however flat the lens is.
+    A vertical ray is intersected with the surface in the lens frame. The quadric's cancellation-free root
+    keeps the relative accuracy of the height above the apex, even for very flat lenses.
     """
     if face.untilted and isinstance(face.surface, Quadric):
         sag = upright_sag(face.surface, np.asarray(x) - face.vertex[0], np.asarray(y) - face.vertex[1])
@@ -550,8 +566,11 @@ def column(
 ) -> tuple[Floats, Floats]:
     """Front and back height of a columnar body's column over cell-frame points, (n,) each, lengths.
 
-    `index` (n, 2): the points' cells, where they differ. Lens where the lens stands proud of the land inside its optical zone, land elsewhere, NaN in both
-    where there is no material (outside the rim of a lens without a web).
+    index : (n, 2) or None
+        The points' cells, for a non-uniform sheet.
+
+    The height is the lens's where the lens protrudes from the land inside its optical zone, and the land's
+    elsewhere. It is NaN in both where there is no material (outside the rim of a lens without a web).
     """
     front, back = (face_height(window, face, x, y, index) for face in (body.front, body.back))
     if not body.columnar:
@@ -569,7 +588,7 @@ def face_height(window: Window, face: Face, x: Floats, y: Floats, index: Ints | 
     """Height (length) of one face over cell-frame points (n,): the outermost of lens and land, NaN at a hole.
 
     index : (n, 2) or None
-        The points' cells, where they differ; None: the cell whose lens stands at `Face.vertex`.
+        The points' cells, for a non-uniform sheet; None: the cell whose lens is at `Face.vertex`.
     """
     if face.array is None:
         return np.full(np.shape(x), face.vertex[2])

@@ -7,7 +7,7 @@ from typing import Protocol
 from clacad.base.types import Rung
 
 
-class Effect(Protocol):
+class TracedEffect(Protocol):
     """An effect as the tracer sees it; `clacad.effects.Effect` is one."""
 
     @property

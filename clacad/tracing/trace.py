@@ -13,7 +13,7 @@ from clacad.base.types import Rung
 from clacad.optics.rays import OneRay, Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.window import Window
-from clacad.tracing.effect_protocol import Effect
+from clacad.tracing.effect_protocol import TracedEffect
 from clacad.tracing.tracer import Tracer
 from clacad.tracing.which_path import Path
 
@@ -25,7 +25,7 @@ __all__ = ["Interface", "trace", "trace_sequence"]
 
 
 def trace(
-    window: Window, rays: Rays | OneRay, rung: Rung = "surfaces", effects: Sequence[str | Effect] = (), record: bool = False,
+    window: Window, rays: Rays | OneRay, rung: Rung = "surfaces", effects: Sequence[str | TracedEffect] = (), record: bool = False,
     mesh: AnyMesh | int | None = None, normals: Normals = "facet", threads: int | None = None, path: Path | None = None,
     precision: Literal["float64", "float32"] = "float64", continuous: bool = False,
 ) -> TraceResult:  # fmt: skip

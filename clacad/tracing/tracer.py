@@ -18,7 +18,7 @@ from clacad.base.types import Rows, Rung
 from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
-from clacad.tracing.effect_protocol import Effect
+from clacad.tracing.effect_protocol import TracedEffect
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.law_rung import trace_law
@@ -72,7 +72,7 @@ class Tracer:
 
     window: Window
     rung: Rung = "surfaces"
-    effects: Sequence[str | Effect] = ()
+    effects: Sequence[str | TracedEffect] = ()
     mesh: AnyMesh | int | None = None
     normals: Normals = "facet"
     threads: int | None = None

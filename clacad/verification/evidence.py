@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
 from clacad.base.types import Progress
 from clacad.effects.registry import declared_all
-from clacad.sheet.feasibility import feasibility
+from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy.report_ladder import Ladder, climb
+from clacad.verification.file_report import FileReport
 from clacad.verification.light.caustic import MeridianFocus, foci
 from clacad.verification.light.error_attribution import (
     Attribution,
@@ -21,8 +23,8 @@ from clacad.verification.light.error_attribution import (
 from clacad.verification.light.ghost_map import GhostMap, ghost_map
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.effects import Plan
-    from clacad.verification.verification_report import Report
     from clacad.waves import WaveReport
 
 
@@ -66,14 +68,16 @@ class Evidence:
         return dict(plain(found))
 
 
-def gather_evidence(report: Report, progress: Progress) -> Evidence:
-    """Measure what the page of a report shows beside its checks."""
+def gather_evidence(
+    design: Design, window: Window, files: Sequence[FileReport], progress: Progress
+) -> Evidence:
+    """Measure what the page of a report shows next to its checks; of a non-uniform sheet, of its worst cell's uniform equivalent."""
     from clacad.effects import plan_effects
 
-    report, _ = of_worst_cell(report)
-    window = report.window
+    if not window.uniform:
+        window = worst_cell(window, design.check.field).buildable
     progress("telling the errors apart", 0.0)
-    attributions = _attributions(report)
+    attributions = _attributions(design, window, files)
     progress("tracing the foci", 0.0)
     try:
         focus = foci(window)
@@ -81,50 +85,36 @@ def gather_evidence(report: Report, progress: Progress) -> Evidence:
         focus = None
     progress("mapping the ghosts", 0.0)
     ghosts = ghost_map(window)
-    ladder = climb(report.design, window, progress)
+    ladder = climb(design, window, progress)
     progress("planning the effects", 0.0)
     try:
-        plan = plan_effects(report.design)
+        plan = plan_effects(design)
     except ValueError:
         plan = None
-    called = report.design.light.coherent or (
+    called = design.light.coherent or (
         plan is not None and any(kind.waves for kind in declared_all(plan.names))
     )
-    return Evidence(attributions, focus, ghosts, ladder, plan, _waves(report, progress) if called else None)
+    return Evidence(attributions, focus, ghosts, ladder, plan, _waves(design, progress) if called else None)
 
 
-def _waves(report: Report, progress: Progress) -> WaveReport | None:
+def _waves(design: Design, progress: Progress) -> WaveReport | None:
     from clacad.storage.errors import BadRequest, LimitRefused
     from clacad.waves import wave
 
     progress("sending waves through a telescopelet", 0.0)
     try:
-        return wave(report.design)
+        return wave(design)
     except (BadRequest, LimitRefused):
         return None
 
 
-def of_worst_cell(report: Report) -> tuple[Report, str]:
-    """The report, of a sheet whose cells differ as of a sheet of cells like the worst; and a sentence that says so, else ""."""
-    if report.window.uniform:
-        return report, ""
-    seen = worst_cell(report.window, report.design.check.field)
-    i, j = seen.cell.tolist()
-    words = (
-        f"Every cell of this sheet differs. Numbers and drawings are those of the uniform equivalent of cell ({i}, {j}), by which "
-        "the sheet is judged; the count of cells, outer sizes, volumes, plan, side view and the viewer's share are of the whole sheet"
-    )
-    facts = feasibility(seen.buildable, *report.design.viewing_places).with_steps_of(report.facts)
-    return replace(report, window=seen.buildable, facts=facts), words
-
-
-def _attributions(report: Report) -> tuple[Attribution, ...]:
+def _attributions(design: Design, window: Window, files: Sequence[FileReport]) -> tuple[Attribution, ...]:
     found = []
-    for one in report.files:
+    for one in files:
         if one.mesh is not None and one.mesh.gathered is not None:
-            window = report.window if one.window is None else one.window
-            held = as_written(window, one.mesh.gathered, one.subject.name, one.present)
-            found.append(attribute(report.design, window, held))
+            own = window if one.window is None else one.window
+            held = as_written(own, one.mesh.gathered, one.subject.name, one.present)
+            found.append(attribute(design, own, held))
     if not found:
-        found.append(attribute(report.design, report.window, as_it_would_be_written(report.window)))
+        found.append(attribute(design, window, as_it_would_be_written(window)))
     return tuple(a for a in found if a is not None)

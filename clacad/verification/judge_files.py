@@ -13,6 +13,7 @@ from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 from clacad.storage.overheard import Overheard
 from clacad.verification.checks import Check, not_run, unreadable
+from clacad.verification.file_report import FileReport
 from clacad.verification.files.copied_table import table_check
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
 from clacad.verification.files.find_files import Delivery, Subject, integrity, same_design
@@ -24,7 +25,6 @@ from clacad.verification.files.unit_and_cells import held_bodies, unit_of, writt
 from clacad.verification.returned.judge_part import judge_placed
 from clacad.verification.returned.registration import place
 from clacad.verification.returned.turned_step_file import judge_turned
-from clacad.verification.verification_report import FileReport
 
 if TYPE_CHECKING:
     from clacad.design import Design

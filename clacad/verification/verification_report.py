@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
 from clacad.exporting.roles import Role
-from clacad.sheet.feasibility import Feasibility, describe
+from clacad.sheet.feasibility import Feasibility, describe, feasibility
 from clacad.sheet.window import Window
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification import checks as judging
 from clacad.verification.checks import RAYS_NEEDED, Check, wrong
-from clacad.verification.files.find_files import Subject
-from clacad.verification.files.mesh_light import MeshEvidence
+from clacad.verification.file_report import FileReport
 from clacad.verification.light.direction_curves import Meridian
 from clacad.verification.light.facet_convergence import Convergence
 from clacad.verification.light.law_checks import Optics
@@ -32,31 +32,6 @@ if TYPE_CHECKING:
 FORMAT = 1
 NAMED = 4
 """Files that a verdict names; of more it gives the number."""
-
-
-@dataclass(frozen=True, eq=False)
-class FileReport:
-    """One file that was judged: what it is, and the evidence gathered on it.
-
-    window : Window or None
-        With the cells of the file; None where they are the design's.
-    present : names of the bodies in it, or None for all
-    role : Role or None
-        As it was judged, where that is not what it was handed in as.
-    """
-
-    subject: Subject
-    note: str = ""
-    mesh: MeshEvidence | None = None
-    solid: Mapping[str, Any] | None = None
-    window: Window | None = None
-    present: tuple[str, ...] | None = None
-    role: Role | None = None
-
-    @property
-    def judged_as(self) -> Role:
-        """What it was judged as."""
-        return self.subject.role if self.role is None else self.role
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +91,8 @@ class Report:
             return self
         from clacad.verification.evidence import gather_evidence
 
-        return replace(self, evidence=gather_evidence(self, progress or silent))
+        evidence = gather_evidence(self.design, self.window, self.files, progress or silent)
+        return replace(self, evidence=evidence)
 
     @cached_property
     def verdicts(self) -> tuple[FileVerdict, ...]:
@@ -224,6 +200,20 @@ class Report:
         return (
             json.dumps(self.to_dict(), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
         )
+
+
+def of_worst_cell(report: Report) -> tuple[Report, str]:
+    """The report of a non-uniform sheet as that of its worst cell's uniform equivalent, and a sentence that says so, else ""."""
+    if report.window.uniform:
+        return report, ""
+    seen = worst_cell(report.window, report.design.check.field)
+    i, j = seen.cell.tolist()
+    words = (
+        f"Every cell of this sheet differs. Numbers and drawings are those of the uniform equivalent of cell ({i}, {j}), by which "
+        "the sheet is judged; the count of cells, outer sizes, volumes, plan, side view and the viewer's share are of the whole sheet"
+    )
+    facts = feasibility(seen.buildable, *report.design.viewing_places).with_steps_of(report.facts)
+    return replace(report, window=seen.buildable, facts=facts), words
 
 
 def _listed(names: Sequence[str]) -> str:

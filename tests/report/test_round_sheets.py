@@ -11,8 +11,7 @@ from clacad.advice import judge
 from clacad.design import Design
 from clacad.report.content import Content
 from clacad.sheet.feasibility import describe
-from clacad.verification.evidence import of_worst_cell
-from clacad.verification.verification_report import Report
+from clacad.verification.verification_report import Report, of_worst_cell
 
 ROUND = {
     "format": 1, "name": "round", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

@@ -1,6 +1,6 @@
-"""What a window is made of, in the numbers a maker and a user ask for: derived, never assumed.
+"""Derived numbers of a window for makers and users: computed, never assumed.
 
-Everything is measured on the window's own faces, so it is true of the part that is written. Lengths in
+All numbers are computed from the window's own faces and therefore describe the written part. Lengths are in
 the window's unit unless a name ends in `_m` (metres); angles in radians; slopes are tangents.
 """
 
@@ -54,12 +54,13 @@ __all__ = [
 
 
 def feasibility(window: Window, viewer: float | None = None, distance: float | None = None) -> Feasibility:
-    """Derive all numbers of a window: of its central cell, where cells differ, except steps and heights of bodies.
+    """Derive all numbers of a window; a non-uniform window: its central cell's, with steps and heights of the
+    whole.
 
     Parameters
     ----------
     viewer, distance : float, metres, optional
-        From the sheet to the eye before it (1 m), and to what is looked at behind it (ten separations).
+        Distance from the sheet to the eye before it (1 m), and to the object behind it (ten separations).
     """
     found = cell_feasibility(window, np.array(central_cell(window)), viewer, distance)
     if window.uniform:
@@ -71,15 +72,16 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
 def cell_feasibility(
     whole: Window, cell: Ints, viewer: float | None = None, distance: float | None = None
 ) -> Feasibility:
-    """Derive all numbers of a sheet of equal cells like one of a window, each lens over a cell of its own array.
+    """Derive all numbers of the uniform equivalent of one cell of a window, each lens over a cell of its own
+    array.
 
     Parameters
     ----------
     whole : Window
     cell : (2,) ints
-        Without effect where cells are equal.
+        Without effect on a uniform window.
     viewer, distance : float, metres, optional
-        As of `feasibility`.
+        As for `feasibility`.
     """
     window = like_cell(whole, cell)
     cells = thin_cells(window)
@@ -123,7 +125,7 @@ def _lens_facts(whole: Window, cell: Ints, array: int) -> LensFacts:
 
 
 def _of_the_whole(cell: BodyFacts, whole: Window, body: Body) -> BodyFacts:
-    """Give the numbers of a body in one cell the highest step, lowest and highest point of the whole sheet."""
+    """Return the numbers of a body in one cell with step, lowest and highest point of the whole sheet."""
     low, high = whole_body_range(whole, body)
     return replace(cell, step=highest_step(whole, body).height, low=low, high=high)
 

@@ -1,4 +1,4 @@
-"""The derived numbers as rows for a person."""
+"""Derived numbers of a window as rows of text."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 
 LENGTHS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"))
-"""Metres and name of the units a length is shown in, largest first."""
+"""Metres and name of each unit in which lengths are shown, largest first."""
 
 
 class FactRow(NamedTuple):
-    """One line of the table of derived numbers: what it is about, its name, value and unit as text, and what it means.
+    """One row of the table of derived numbers: subject, name, value and unit as text, and definition.
 
     means : str
-        Definition in a few words; "" where the name says it.
+        Short definition; "" where the name is sufficient.
     """
 
     about: str
@@ -122,7 +122,7 @@ def _sheet_rows(
     rim = window.outline
     is_round = isinstance(rim, Circle) and x1 - x0 <= rim.diameter * (
         1.0 + 1e-12
-    )  # no array stands beside the other
+    )  # no array protrudes from the other
     low, top = min(body.low for body in facts.bodies), max(body.high for body in facts.bodies)
     return [
         FactRow("sheet", "outer size", f"{wide} round" if is_round else f"{wide} x {high}", name, "of all bodies, seen along z"),
@@ -136,13 +136,13 @@ def _sheet_rows(
 
 
 def cells_text(lattice: Lattice) -> str:
-    """How many cells a sheet has: "24 x 24", or "392 of 24 x 24" where an outline leaves some out."""
+    """Number of cells of a sheet: "24 x 24", or "392 of 24 x 24" where an outline leaves some out."""
     n1, n2 = lattice.count
     return f"{n1} x {n2}" if lattice.outline is None else f"{lattice.cell_count} of {n1} x {n2}"
 
 
 def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
-    """Rows of the holes of a plate; none where there are none."""
+    """Rows of the holes of a plate; empty without holes."""
     if not isinstance(rim, Plate) or not rim.holes:
         return []
     return [
@@ -152,7 +152,7 @@ def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], 
 
 
 def _view_rows(facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
-    """Rows of what is seen through the sheet; `of_length` writes lengths in the unit `name`."""
+    """Rows of the view through the sheet; `of_length` writes lengths in the unit `name`."""
     wave = f"λ = {digits(1e9 * facts.wavelength)} nm"
     return [
         FactRow("view", "middle of the field, x, y", _angles(facts.aperture), "deg",
@@ -179,7 +179,7 @@ def _view_rows(facts: Feasibility, of_length: Callable[[float | Pair2], str], na
 def _pitch_rows(
     facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str, unit: float
 ) -> list[FactRow]:
-    """Rows of the pitches an eye asks for; `unit` is the window's, metres."""
+    """Rows of the pitches recommended for an eye; `unit` is the window's, metres."""
     eye = facts.viewing
     place = f"{digits(eye.object)} m behind, seen from {digits(eye.viewer)} m"
     return [
@@ -195,7 +195,7 @@ def _pitch_rows(
 
 
 def _conflict(eye: EyeAdvice) -> str:
-    """Say what the choice between cells that are not seen and cells that are sharp costs."""
+    """Describe the trade-off between invisible cells and sharp cells."""
     if eye.invisible >= eye.advised:
         return "the sharpest pitch is among them"
     return f"they blur more than the sharpest pitch, {digits(eye.advised / eye.invisible)} times as large"
@@ -235,7 +235,7 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
 
 
 def _shape_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
-    """Radii and conic constants, face by face where the faces differ."""
+    """Rows of radii and conic constants, face by face where the faces differ."""
     about, rows = lens.name, []
     one = FaceShape("", lens.radius, lens.conic, None)
     for shape in lens.shapes or (one,):

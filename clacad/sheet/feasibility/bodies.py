@@ -51,7 +51,7 @@ def body_range(window: Window, body: Body) -> tuple[float, float]:
 
 
 def whole_body_range(window: Window, body: Body) -> tuple[float, float]:
-    """Lowest and highest point (lengths) of a body of the whole sheet, also where its cells differ."""
+    """Lowest and highest point (lengths) of a body of the whole sheet, uniform or not."""
     if window.uniform:
         return body_range(window, body)
     number = window.bodies.index(body)
@@ -61,23 +61,23 @@ def whole_body_range(window: Window, body: Body) -> tuple[float, float]:
 
 
 def _border_facts(window: Window, body: Body, number: int) -> BorderFacts:
-    """Compare the two columns that meet along border `number`."""
+    """Compare the two columns on either side of border `number`."""
     step = window.lattice.steps[number]
     here = border(window.lattice.tile(), number)
     there = here - np.asarray(window.lattice.offset(*step))
     front, back = _heights(window, body)
     f = np.stack([front(*p.T) for p in (here, there)])
     b = np.stack([back(*p.T) for p in (here, there)])
-    rounding = 1e-12 * window.lattice.circumradius  # two roots of one height differ by less: no step
+    rounding = 1e-12 * window.lattice.circumradius  # a smaller difference of two computed heights is no step
     rise = [np.nan_to_num(np.abs(z[0] - z[1]), nan=0.0) for z in (f, b)]
     rise = [np.where(r <= rounding, 0.0, r) for r in rise]
-    if body.columnar:  # a lens that has ended: by how much it misses its neighbour
+    if body.columnar:  # where a lens has ended: the gap to its neighbour
         f, b = (
             np.where(np.isnan(z), [lens_height(face, *p.T) for p in (here, there)], z)
             for z, face in ((f, body.front), (b, body.back))
         )
     if not body.columnar and body.front.array is not None and body.back.array is not None:
-        # slab: the other face's cells lie elsewhere; its extreme height is the safe bound
+        # slab: the other face's cells are displaced; its extreme height is the safe bound
         tile = window.lattice.tile()
         b_low, _ = least(back, tile)
         f_high = -least(lambda x, y: -front(x, y), tile)[0]
@@ -109,7 +109,7 @@ def _edge(window: Window, body: Body) -> float:
             back = body.back.vertex[2] if body.back.land is None else body.back.land
             return back - front
         rim = np.concatenate([border(tile, k) for k in range(len(tile))])
-        # where the lens has ended before the border the column is missing: its shortfall, not its absence
+        # where the lens ends before the border, the column is missing: use the negative thickness, not NaN
         lens = thickness_over_cell(
             window, next(a for a in (body.front.array, body.back.array) if a is not None)
         )

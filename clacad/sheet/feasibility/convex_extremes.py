@@ -1,7 +1,7 @@
 """Least values, covered shares and half widths of a function over a convex cell.
 
-The functions met here are smooth and nearly convex on a lenslet, so a sampled start followed by zooming
-finds the least value to rounding; corners and borders are always among the samples.
+The functions here are smooth and nearly convex on a lenslet. A sampled start followed by zooming
+finds the least value to rounding error; corners and borders are always among the samples.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from clacad.base.unique_rows import distinct
 Heights = Callable[[Floats, Floats], Floats]
 """A function of cell-frame x and y, (n,) lengths each; NaN where it has no value."""
 Inside = Callable[[Floats, Floats], Bools]
-"""Which points (n,) belong."""
+"""Which points (n,) belong to a region."""
 
 BORDER_SAMPLES = 257
 GRID = 25
@@ -36,7 +36,7 @@ def outline(polygon: Floats, samples: int = BORDER_SAMPLES) -> Floats:
 
 
 def within(polygon: Floats, x: Floats, y: Floats) -> Bools:
-    """Tell which points (n, 2) lie in a convex counter-clockwise polygon, rim included."""
+    """Which points (n, 2) lie in a convex counter-clockwise polygon, rim included."""
     inside = np.ones(np.shape(x), dtype=bool)
     for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         inside &= (end[0] - start[0]) * (y - start[1]) - (end[1] - start[1]) * (x - start[0]) >= 0.0
@@ -44,9 +44,9 @@ def within(polygon: Floats, x: Floats, y: Floats) -> Bools:
 
 
 def least(function: Heights, polygon: Floats) -> tuple[float, tuple[float, float]]:
-    """Least value of a function over a convex polygon, and where.
+    """Least value of a function over a convex polygon, and its position.
 
-    Returns −inf where the function has no value (NaN) at some sample: nothing smaller can be said.
+    Returns −inf where the function has no value (NaN) at some sample: no bound can be given.
     """
     rim = outline(polygon, 65)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
@@ -70,10 +70,10 @@ def _first(pair: tuple[float, Floats]) -> float:
 
 
 def _zoom_inside(function: Heights, polygon: Floats, at: Floats, size: Floats) -> tuple[float, Floats]:
-    """Search ever smaller boxes about the best point so far."""
+    """Search ever smaller boxes around the best point so far."""
     found = (np.inf, at)
     steps = np.linspace(-1.0, 1.0, 9)
-    for _ in range(8):  # to 1e-7 of the cell, where a smooth least value is exact
+    for _ in range(8):  # to 1e-7 of the cell, where a smooth minimum is exact
         x, y = (g.ravel() for g in np.meshgrid(at[0] + size[0] * steps, at[1] + size[1] * steps))
         value = np.where(within(polygon, x, y), function(x, y), np.inf)
         best = int(np.nanargmin(value))
@@ -85,7 +85,7 @@ def _zoom_inside(function: Heights, polygon: Floats, at: Floats, size: Floats) -
 
 
 def _zoom_along(function: Heights, polygon: Floats, sample: int) -> tuple[float, Floats]:
-    """Search ever smaller pieces of the edge that holds rim sample number `sample` (65 an edge)."""
+    """Search ever smaller pieces of the edge that contains rim sample number `sample` (65 per edge)."""
     edge, place = divmod(sample, 65)
     start, end = polygon[edge], polygon[(edge + 1) % len(polygon)]
     middle, size = place / 64.0, 1.0 / 64.0
@@ -103,9 +103,9 @@ def _zoom_along(function: Heights, polygon: Floats, sample: int) -> tuple[float,
 
 
 def reach(inside: Inside, directions: Floats, limit: float) -> Floats:
-    """Distance from the origin to where a star-shaped region ends along unit directions (n, 2), (n,) lengths.
+    """Distance from the origin to the end of a star-shaped region along unit directions (n, 2), (n,) lengths.
 
-    Infinite where it goes on beyond `limit`; 0 if the origin is outside.
+    Infinite where the region extends beyond `limit`; 0 if the origin is outside.
     """
     ends = _end(inside, np.zeros((1, 2)), directions, np.full(len(directions), limit))
     beyond = inside(directions[:, 0] * limit, directions[:, 1] * limit)
@@ -113,7 +113,7 @@ def reach(inside: Inside, directions: Floats, limit: float) -> Floats:
 
 
 def _end(inside: Inside, start: Floats, direction: Floats, outside: Floats) -> Floats:
-    """Last inner point along rays from inner points `start`, whose points at `outside` do not belong, (n,)."""
+    """Last inner point along rays from inner points `start`, whose points at `outside` are outside, (n,)."""
     low, width = np.zeros_like(outside), outside
     fraction = np.arange(1, 16) / 16.0
     for _ in range(13):  # each round cuts the interval in sixteen: 52 bits

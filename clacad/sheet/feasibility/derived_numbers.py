@@ -1,6 +1,6 @@
-"""The derived numbers as nouns.
+"""Data classes of the derived numbers.
 
-Lengths in the window's unit unless a name says metres; angles in radians; slopes are tangents.
+Lengths are in the window's unit unless a name states metres; angles in radians; slopes are tangents.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from clacad.base.types import Pair2
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
 
 DEFAULT_WAVELENGTH = 550e-9
-"""Metres; for windows whose index was given bare."""
+"""Wavelength in metres for windows whose index was given as a number."""
 
 
 @dataclass(frozen=True)
 class FaceShape:
-    """One face of a lens whose faces differ, or have terms on top of their conic.
+    """One face of a lens whose faces differ, or have terms in addition to their conic.
 
     side : "front" or "back"
     radius : (R_x, R_y), lengths
@@ -26,7 +26,7 @@ class FaceShape:
     a4 : (3,) 1/length³, or None
         Coefficients of x⁴, x² y² and y⁴.
     a6, a8 : (4,) 1/length⁵ and (5,) 1/length⁷, or None
-        Of the next orders, where a face has them.
+        Coefficients of the next orders, where a face has them.
     """
 
     side: str
@@ -39,7 +39,7 @@ class FaceShape:
 
 @dataclass(frozen=True)
 class LensFacts:
-    """One lens of a telescopelet, or what one body carries of its field lens.
+    """One lens of a telescopelet, or the part of its field lens on one body.
 
     array : 0, 1 or 2
         Lens 1, lens 2, field lens.
@@ -50,7 +50,7 @@ class LensFacts:
     kappa : float or None, 1/length
         Coefficient of z² of a quadric; None for a biconic.
     focal_length, built_focal_length : (f_x, f_y), lengths
-        Of the thin lens it stands for; of the lens as built about its own axis (in air; slab: R/(n − 1)).
+        Of the equivalent thin lens; of the lens as built about its own axis (in air; slab: R/(n − 1)).
     sag : float, length
         Height range of the face over its optical zone.
     thickness : float, length
@@ -61,9 +61,9 @@ class LensFacts:
     corner : float, length
         Least thickness of the lens over its optical zone, along z; negative where it does not reach.
     cover : float
-        Share of the optical zone where the lens exists and stands proud of its land.
+        Share of the optical zone where the lens exists and protrudes from its land.
     rim : (x, y), lengths
-        Half width of the lens along its own axes, were it not cut by the cell; infinite if it has no rim.
+        Half width of the lens along its own axes, not cut by the cell; infinite if it has no rim.
     rim_at : (2,) lengths
         Point of the zone where the lens is thinnest, cell frame.
     least_normal_z : float
@@ -71,7 +71,7 @@ class LensFacts:
     f_number : (x, y)
         Focal length over the full width of the zone along the lens axes.
     shapes : tuple of FaceShape
-        The faces one by one where `radius` and `conic` do not tell all of them; else empty.
+        All faces where `radius` and `conic` do not describe all of them; else empty.
     name : str
         "lens 1", "lens 2" or "field lens", with its body where two bodies carry it.
     body : str
@@ -110,11 +110,11 @@ class BorderFacts:
     step : (i, j)
         Index step across the border.
     neck : float, length
-        Least common height of the two columns along the border; negative: they stand apart.
+        Least common height of the two columns along the border; negative: there is a gap.
     joint : float, length
         Greatest common height; the two are joined if it is positive.
     joints : int
-        Separate stretches of the border along which they are joined.
+        Number of separate stretches of the border along which they are joined.
     corners : (bool, bool)
         Whether they are joined at the two ends of the border.
     rise : (front, back), lengths
@@ -163,23 +163,25 @@ class Feasibility:
     """All derived numbers of a window.
 
     lenses : tuple of LensFacts
-        Lens 1, lens 2, then what there is of a field lens.
+        Lens 1, lens 2, then the parts of a field lens.
     clearance : float, length
-        Lowest of a body less highest of the one before it, the least of them; infinite for one body.
+        Least gap between consecutive bodies: lowest point of a body minus highest of the one before; infinite
+        for one.
     aperture, undeviated : (x, y), slopes
-        Middle of the field of view; direction through both lens centres. Sheet frame.
+        Centre of the field of view; direction through both lens centres. Sheet frame.
     half_field, ghost_onset : (x, y), slopes along lens x, y
     offset_blur : (x, y), lengths
         Full range of the ray offset on the sheet.
     diffraction_blur : (x, y), radians
-        λ/w along the lens axes, w the equivalent width of what is lit of lens 2 in the middle of the field: the slit
-        whose pattern has the same core (see `clacad.optics.aperture`).
+        λ/w along the lens axes, w the equivalent width of the lit part of lens 2 in the centre of the field:
+        the slit whose pattern has the same core (see `clacad.optics.aperture`).
     first_zero : (x, y), radians
-        Of the Fraunhofer pattern of that zone along the lens axes; λ/w where the zone is a rectangle along them.
+        First zero of the Fraunhofer pattern of that zone along the lens axes; λ/w where the zone is a
+        rectangle along them.
     fresnel_number : float
         (w/2)²/(λ |f2|), the least over the lens axes, with the same widths.
     viewing : EyeAdvice
-        Pitches that an eye before array 1 asks for.
+        Pitches recommended for an eye before array 1.
     wavelength : float, metres
     """
 
@@ -199,12 +201,12 @@ class Feasibility:
     wavelength: float
 
     def with_steps_of(self, whole: Feasibility) -> Feasibility:
-        """These numbers of one cell's like, with the steps between the cells of the whole sheet."""
+        """These numbers of one cell's uniform equivalent, with the steps of the whole sheet."""
         bodies = tuple(replace(one, step=of.step) for one, of in zip(self.bodies, whole.bodies, strict=True))
         return replace(self, bodies=bodies)
 
 
 def two(values: Iterable[float]) -> Pair2:
-    """Pair2 floats from any iterable of two."""
+    """Two floats from any iterable of two."""
     x, y = values
     return float(x), float(y)

@@ -1,4 +1,6 @@
-"""What a sheet whose law varies images: foci and nodal point by the law, and how far a superlens is one lens."""
+"""Imaging by a sheet with a varying law: foci and nodal point by the law,
+and the area where a superlens is one lens.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from clacad.sheet.window import Window
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """How far a superlens is one lens: light along the normal stays with its partner over `width`, (2,) lengths.
+    """Area where a superlens acts as one lens: normal light stays with its partner over `width`, (2,)
+    lengths.
 
     moire : (2,) lengths
         Period of the pattern that both arrays make.
@@ -25,7 +28,7 @@ class Zone:
 
 
 def zone_of(window: Window) -> Zone | None:
-    """The zone of a sheet whose array 2 has a pitch of its own, along the cells' axes; None of others."""
+    """Zone of a sheet whose array 2 has its own pitch, along the cells' axes; None for other sheets."""
     second = window.thin.second
     if not second.own or window.cell_laws is None:
         return None
@@ -41,7 +44,10 @@ def zone_of(window: Window) -> Zone | None:
 def imaging_rows(
     window: Window, of_length: Callable[[float | Pair2], str], name: str
 ) -> list[tuple[str, ...]]:
-    """Name, value, unit and meaning of each number; `of_length` writes lengths in the unit `name`; none where cells are alike."""
+    """Name, value, unit and definition of each number; empty for uniform sheets.
+
+    `of_length` writes lengths in the unit `name`.
+    """
     laws = window.cell_laws
     if laws is not None and laws.ratios is not None:
         etas = laws.ratios_of(window.lattice, window.lattice.cells())

@@ -25,13 +25,13 @@ def body_of(window: Window, array: int) -> tuple[Body, Face]:
 
 
 def lens_margin(window: Window, array: int, body: Body | None = None) -> Heights:
-    """How far the lens of an array is from ending: a function of cell-frame x, y (lengths).
+    """Distance of an array's lens from its end: a function of cell-frame x, y (lengths).
 
-    The least of its thickness along z and the heights of its faces over their land; NaN where a face has no
-    point. The lens is the face wherever it is positive. A slab's lens has no thickness of its own.
+    It is the least of the lens's thickness along z and the heights of its faces over their land; NaN where a
+    face has no point. The lens is the face where it is positive. A slab's lens has no thickness of its own.
 
     body : Body or None
-        That carries the lens; None: the first that carries the array.
+        Body that carries the lens; None: the first body of the array.
     """
     if body is None:
         body, _ = body_of(window, array)
@@ -66,7 +66,7 @@ def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
 
 
 def field_facts(window: Window, width: list[float]) -> tuple[LensFacts, ...]:
-    """Numbers of the field lens, body by body; none without one. `width` as of `lens_facts`."""
+    """Numbers of the field lens, body by body; empty without one. `width` as for `lens_facts`."""
     if not window.thin.field:
         return ()
     focal = two(min(lens.focal_length[axis] for lens in window.thin.field) for axis in (0, 1))
@@ -115,7 +115,7 @@ def _facts(
 
 
 def _shapes(body: Body, array: int) -> tuple[FaceShape, ...]:
-    """The faces of a lens one by one, unless both are one quadric or biconic."""
+    """All faces of a lens, unless they are one quadric or biconic."""
     faces = [
         (side, f.surface) for side, f in (("front", body.front), ("back", body.back)) if f.array == array
     ]
@@ -125,7 +125,7 @@ def _shapes(body: Body, array: int) -> tuple[FaceShape, ...]:
 
 
 def _terms(surface: Surface) -> tuple[A4 | None, A6 | None, A8 | None]:
-    """Coefficients of an even polynomial, None of the higher orders that it does not have."""
+    """Coefficients of an even polynomial; None for orders that it does not have."""
     if not isinstance(surface, EvenPolynomial):
         return None, None, None
     a6, a8 = surface.a6, surface.a8
@@ -133,7 +133,9 @@ def _terms(surface: Surface) -> tuple[A4 | None, A6 | None, A8 | None]:
 
 
 def thickness_over_cell(window: Window, array: int, body: Body | None = None) -> Heights:
-    """Thickness of an array's lens along z, a function of cell-frame x, y; infinite for a slab's. `body` as of `lens_margin`."""
+    """Thickness of an array's lens along z, a function of cell-frame x, y; infinite for a slab's.
+    `body`: see `lens_margin`.
+    """
     if body is None:
         body, _ = body_of(window, array)
 
@@ -202,7 +204,7 @@ def _rim(window: Window, face: Face, margin: Heights) -> Pair2:
 def _least_normal_z(face: Face, margin: Heights, zone: Floats) -> float:
     def normal_z(x: Floats, y: Floats) -> Floats:
         _, normal = lens_height_and_normal(face, x, y)
-        # where the lens has ended the face is not built; where the face has no graph it is undercut
+        # beyond the lens's end the face is not built; a face without a graph is undercut
         return np.where(margin(x, y) < 0.0, 1.0, np.nan_to_num(normal[:, 2], nan=0.0))
 
     return least(normal_z, zone)[0]
@@ -211,15 +213,15 @@ def _least_normal_z(face: Face, margin: Heights, zone: Floats) -> float:
 def least_thickness(window: Window, array: int) -> float:
     """Smallest centre thickness (length) at the radii as built that covers the whole optical zone.
 
-    Untilted biconvex ellipsoids: 2ρ/(1 + sqrt(1 − κρ)), ρ = c_x x² + c_y y² at the worst corner, to which
-    the solve reduces. Infinite where the radii are too small for any thickness; 0 for a slab.
+    For untilted biconvex ellipsoids this equals 2ρ/(1 + sqrt(1 − κρ)), ρ = c_x x² + c_y y² at the worst
+    corner. Infinite where the radii are too small for any thickness; 0 for a slab.
     """
     body, face = body_of(window, array)
     if window.form == "slab":
         return 0.0
     thickness = _centre_thickness(body, face)
     zone, change = optical_tile(window), 0.0
-    for _ in range(40):  # Newton: thickness along z grows by 1/n_z or so, a tilt apart, per unit of T
+    for _ in range(40):  # Newton: per unit of T, thickness along z grows by about 1/n_z, except for tilt
         moved = replace(window, bodies=tuple(thicker(b, change) if b is body else b for b in window.bodies))
         missing, _ = least(lens_margin(moved, array), zone)
         if missing == -np.inf:
@@ -234,7 +236,9 @@ def least_thickness(window: Window, array: int) -> float:
 
 
 def thicker(body: Body, change: float) -> Body:
-    """Body whose lens faces stand `change` (length) farther apart along the lens axis (plano: its plane face moves)."""
+    """Body with `change` (length) more distance between its lens faces along the
+    lens axis (plano: its plane face moves).
+    """
 
     def moved(face: Face, sign: float) -> Face:
         if face.array is None:

@@ -1,11 +1,12 @@
-"""What an eye before array 1 sees sharp: the pitch that diffraction and the size of the cells ask for.
+"""Recommended pitch for an eye before array 1: trade-off of diffraction and cell size.
 
-Light that comes back to the viewer leaves a cell of array 1 in a beam w = p·min(1, 1/|η|) wide. Each cell is a
-telescope of its own, whose image of a point at z lies at z/η², while the sheet's lies at z/η: seen through the sheet
-the light of one cell is out of focus. A small cell blurs by diffraction, a large one by that defocus, and least where
-the defocus is a quarter wave at the beam's edge, (w/2)²/2 · |η(η − 1)/z| = λ/4. Waves through a row of cells that do
-not interfere put the least blur between .90 and 1.05 of that pitch, for η from −2 to 1/2 and z from .05 to 3 m; half
-that pitch blurs 1.55 times as much and twice that pitch 2.5 times.
+Light returned to the viewer leaves a cell of array 1 in a beam of width w = p·min(1, 1/|η|). Each cell is a
+telescope of its own, whose image of a point at z lies at z/η², while the sheet's lies at z/η. Seen through
+the sheet, the light of one cell is therefore out of focus. A small cell blurs by diffraction, a large one by
+that defocus. The blur is least where the defocus is a quarter wave at the beam's edge, (w/2)²/2 · |η(η −
+1)/z| = λ/4. Waves through a row of cells that do not interfere put the least blur between .90 and 1.05 of
+that pitch, for η from −2 to 1/2 and z from .05 to 3 m. Half that pitch blurs 1.55 times as much and twice
+that pitch 2.5 times.
 
 Lengths in metres, angles in radians.
 """
@@ -19,37 +20,42 @@ from math import inf, isfinite, pi, sqrt
 from clacad.base.types import Pair2
 
 VIEWING_DISTANCE = 1.0
-"""Metres from the sheet to the eye, where a design names none."""
+"""Default distance from the sheet to the eye, metres."""
 
 SEPARATIONS = 10.0
-"""Distance of what is looked at over the separation of the pair, where a design names none."""
+"""Default distance of the object, in separations of the pair."""
 
 ARC_MINUTE = pi / 10800.0
-"""What an eye resolves, radians."""
+"""Resolution of an eye, radians."""
 
 HALF_ENERGY = 0.72
-"""Width that holds half of the light at the sharpest pitch, over λ/w as the eye sees it (waves: .70 to .75)."""
+"""Width that contains half of the light at the sharpest pitch,
+over λ/w as the eye sees it (waves: .70 to .75).
+"""
 
 LOST = 0.164
-"""Share that diffraction takes to the neighbours of the partner, times √N, of a beam that fills its cell."""
+"""Share of light that diffraction moves to the partner's neighbours, times √N,
+for a beam that fills its cell.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class EyeAdvice:
-    """Pitches for one place of the eye and one of what it looks at.
+    """Recommended pitches for one position of the eye and one of the object.
 
     viewer, object : float, metres
-        From the sheet to the eye before array 1, and to what is looked at behind array 2.
+        Distance from the sheet to the eye before array 1, and to the object behind array 2.
     sharpest : (x, y), metres
         Pitch of least blur along each lens axis; infinite for η = 1, where no cell is out of focus.
     blur : (x, y), radians
-        Width there that holds half of the light, as the eye sees it; infinite where the image lies in the eye.
+        Width at that pitch that contains half of the light, at the eye; infinite where the image lies in the
+        eye.
     invisible : float, metres
         Pitch that subtends one minute of arc.
     fine : (x, y), metres
         Pitch whose diffraction is one minute of arc.
     lost : (x, y)
-        Share of the light that diffraction may take to other cells than the partner, at most.
+        Greatest share of the light that diffraction may move to cells other than the partner.
     """
 
     viewer: float
@@ -62,12 +68,12 @@ class EyeAdvice:
 
     @property
     def advised(self) -> float:
-        """The sharpest pitch of the axis that is blurred more."""
+        """Sharpest pitch of the lens axis with more blur."""
         return pitch_of_more_blurred(self.sharpest, self.blur)
 
 
 def pitch_of_more_blurred(sharpest: Sequence[float], blur: Sequence[float]) -> float:
-    """The sharpest pitch of the axis that is blurred more, of pitches and blurs along some axes; of equals the last."""
+    """Sharpest pitch of the axis with the greatest blur; of equal blurs the last."""
     worse = max(range(len(blur)), key=lambda k: (blur[k], k))
     return sharpest[worse]
 
@@ -79,7 +85,7 @@ def sharpest_pitch(eta: float, distance: float, wavelength: float) -> float:
     ----------
     eta : float
     distance : float, metres
-        z, from the sheet to the object behind it.
+        Distance z from the sheet to the object behind it.
     wavelength : float, metres
     """
     defocus = abs(eta * (1.0 - eta))
@@ -87,7 +93,9 @@ def sharpest_pitch(eta: float, distance: float, wavelength: float) -> float:
 
 
 def sharpest_blur(eta: float, distance: float, viewer: float, wavelength: float) -> float:
-    """Angle at the eye that holds half of the light of a point at the sharpest pitch: .72 λ|z/η|/(w |D + z/η|)."""
+    """Angle at the eye that contains half of the light of a point at the sharpest pitch:
+    .72 λ|z/η|/(w |D + z/η|).
+    """
     beam = sharpest_pitch(eta, distance, wavelength) * min(1.0, 1.0 / abs(eta))
     image = distance / eta
     if not isfinite(beam):
@@ -96,9 +104,11 @@ def sharpest_blur(eta: float, distance: float, viewer: float, wavelength: float)
 
 
 def diffraction_loss(fresnel: Sequence[float]) -> Pair2:
-    """Share of the light that diffraction may take to the partner's neighbours along two axes: .164/√N, at most 1.
+    """Greatest share of light that diffraction moves to the partner's neighbours along two axes: .164/√N, at
+    most 1.
 
-    So much where the beam fills its cell (|η| ≥ 1), within 12 % from Fresnel number 1.5 on; less where it has room.
+    The share is reached within 12 % from Fresnel number 1.5 on where the beam fills its cell (|η| ≥ 1);
+    otherwise less.
     """
     x, y = (min(1.0, LOST / sqrt(n)) for n in fresnel)
     return x, y
@@ -107,7 +117,9 @@ def diffraction_loss(fresnel: Sequence[float]) -> Pair2:
 def viewing(
     etas: Sequence[float], fresnel: Sequence[float], viewer: float, distance: float, wavelength: float
 ) -> EyeAdvice:
-    """All advice for a pair of these η along lens x and y, and Fresnel numbers of what is lit (infinite: none)."""
+    """All advice for a pair of these η along lens x and y,
+    and Fresnel numbers of the lit part (infinite: no lens).
+    """
     x, y = etas
     fine = tuple(wavelength / ARC_MINUTE * max(1.0, abs(eta)) for eta in (x, y))
     return EyeAdvice(

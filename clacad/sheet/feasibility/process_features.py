@@ -1,4 +1,6 @@
-"""What a process meets on its way: grooves, walls, slopes, thin and tall features; all from the faces themselves."""
+"""Features that matter to a process: grooves, walls, slopes, thin and tall features,
+computed from the faces.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,12 @@ from clacad.sheet.feasibility.derived_numbers import Feasibility
 from clacad.sheet.window import Face, Window, lens_height_and_normal, optical_tile
 
 FINE = 20
-"""Voxels across a lenslet below which it is not drawn, and layers in its height below which it is stairs."""
+"""Least voxels across a lenslet to resolve it, and least layers in its height to avoid stairs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """A number and what it is the number of."""
+    """A number and its description."""
 
     value: float
     what: str
@@ -59,7 +61,7 @@ def steepest(facts: Feasibility) -> Named:
 
 
 def draft(window: Window, facts: Feasibility, negligible: float) -> Named:
-    """Least angle of anything that must release to the sheet's normal (radians); 0 for a vertical wall.
+    """Least angle of any surface that must release to the sheet's normal (radians); 0 for a vertical wall.
 
     negligible : float, length
         Walls lower than this do not count.
@@ -72,7 +74,7 @@ def draft(window: Window, facts: Feasibility, negligible: float) -> Named:
 
 
 def narrowest(window: Window) -> Named:
-    """Narrowest thing that must be drawn across the sheet (length), halved where two voxels must fit."""
+    """Narrowest feature that must be resolved across the sheet (length), halved where two voxels must fit."""
     found = [Named(min(window.lattice.pitch) / FINE, f"a {FINE}th of the pitch")]
     if window.land.seam > 0.0:
         found.append(Named(0.5 * window.land.seam, "half of the seam"))
@@ -82,7 +84,7 @@ def narrowest(window: Window) -> Named:
 
 
 def shallowest(facts: Feasibility) -> Named:
-    """A part of the height of the flatter lens: the least number of layers it takes to shape it (length)."""
+    """Layer height that shapes the flatter lens in the least number of layers (length)."""
     lens = min(facts.lenses, key=lambda lens: lens.sag)
     return Named(lens.sag / FINE, f"a {FINE}th of the height of {lens.name}")
 
@@ -131,7 +133,7 @@ def _rounded(window: Window, name: str, face: Face, radius: float) -> Named:
         here = border(tile, number, 65)
         offset = np.asarray(window.lattice.offset(*step))
         outward, width = offset / np.linalg.norm(offset), float(np.linalg.norm(offset))
-        # the neighbour across is the same piece: its side of the border is this cell's opposite one
+        # the neighbour is identical: its side of the border is the opposite side of this cell
         across = here - outward * 2.0 * (here @ outward)[:, None]
         angles = [_falling(face, here, outward), _falling(face, across, -outward)]
         if seam:
