@@ -107,7 +107,7 @@ def offset_slope(window: Window, axis: int, m: float, centre: float) -> float:
 
 
 def tilt_term(window: Window, epsilon: float) -> float:
-    """Rotation of the tilted axis of a plano pair by its plane faces as the index changes: Δn θ s/(f1 |m|)."""
+    """Rotation of a plano pair's tilted axis by its plane faces as the index changes: Δn θ s/(f1 |m|)."""
     if window.form == "biconvex":
         return 0.0
     theta = float(np.arccos(np.clip(window.thin.rotation[2, 2], -1.0, 1.0)))

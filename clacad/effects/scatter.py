@@ -71,7 +71,10 @@ def _by_cell(window: Window, cell: Ints, slope_rms: float) -> Floats:
 
 
 def faces_of_lens(window: Window, array: int) -> int:
-    """Number of faces of lens 1 or 2, plane ones included: two in air, one on a slab or shared field-lens plate."""
+    """Number of faces of lens 1 or 2, plane ones included.
+
+    Two in air; one on a slab or on a plate shared with a field lens.
+    """
     body = next(b for b in window.bodies if array in (b.front.array, b.back.array))
     return sum(face.array in (array, None) for face in (body.front, body.back))
 

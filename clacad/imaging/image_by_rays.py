@@ -261,7 +261,7 @@ def _astray(seen: TraceResult) -> tuple[int, int] | None:
 
 
 def _middle(window: Window, source: Floats, rung: Rung) -> Middle:
-    """Light along the middle of the field, from an equally distant source, and the share that gets through."""
+    """Light along the middle of the field, from an equally distant source; share that gets through."""
     slopes = np.mean(aperture_slopes(window, window.lattice.cells()), axis=0)
     far = np.isinf(source[2])
     place = np.array([*(slopes if far else source[2] * slopes), source[2]])

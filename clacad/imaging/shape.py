@@ -1,8 +1,8 @@
 """A table of cells that sends parallel light into a picture or pattern on a screen.
 
 Cell (i, j) at C sends light of slope t to T on a screen Z behind array 2:  δ = t − η (T − C − s t)/Z.
-Cells are separate, so no integrable surface is needed. The trade-off: the picture has one spot for each cell, of
-the width
+Cells are separate, so no integrable surface is needed. The trade-off: the picture has one spot for each
+cell, of the width
 
     |η| p + 2 Z α/|η| + λ Z/(|η| p)      α: half angle of the source
 """

@@ -90,7 +90,7 @@ class Target:
 
 
 def _box_over_box(x: Floats, first: float, second: float) -> Floats:
-    """Share below x (lengths) of a box of width `first` blurred by one of width `second` > 0, both about 0."""
+    """Share below x (lengths) of a box of width `first` blurred by a box `second` > 0, both about 0."""
     if first == 0.0:
         return np.clip(x / second + 0.5, 0.0, 1.0)
 

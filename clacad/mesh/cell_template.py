@@ -211,7 +211,7 @@ class TemplateMaker:
         return self._rings[key]
 
     def _wedges(self, point: int, states: dict[Offset, int]) -> list[tuple[Hashable, Column]]:
-        """Columns around a point counter-clockwise, each tagged by the index step to its cell and its triangle."""
+        """Columns around a point counter-clockwise, each tagged by index step to its cell and triangle."""
         half = len(self.tile.plan.sides) // 2
         # cells around the point in canonical order; the point in each: (side, index of the point on it)
         around: list[tuple[Offset, tuple[int, int]]] = []

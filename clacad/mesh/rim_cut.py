@@ -184,7 +184,7 @@ def _forced(make: CellLevels, xy: Floats, curve: Curve) -> Ints:
 def _snap(
     make: CellLevels, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curves: list[Curve]
 ) -> Ints:
-    """Set the levels of points within a small tolerance of the last curve to lie on it: no sliver is cut off."""
+    """Set the levels of points within a small tolerance of the last curve to lie on it, to avoid slivers."""
     length = np.hypot(*(plan.xy[outside] - plan.xy[inside]).T)
     point = np.concatenate([inside, outside])
     away = np.concatenate([t, 1.0 - t]) * np.concatenate([length, length])

@@ -92,7 +92,7 @@ def strip(
 
 
 def _lines(left: tuple[Column, Column], right: tuple[Column, Column]) -> list[tuple[int, int, BorderCurve]]:
-    """Fronts and backs of both columns, ascending: level at p, level at q, and the column and face of each."""
+    """Fronts and backs of both columns, ascending: level at p, level at q, column and face of each."""
     lines = []
     for which, (at_p, at_q) in enumerate((left, right)):
         # a column without thickness (two faces meeting along the edge) does not divide the other's wall

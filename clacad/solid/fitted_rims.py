@@ -278,7 +278,7 @@ def _divisions(gap: Gap, points: Floats, closed: bool) -> list[int]:
 
 
 def _fitted(gap: Gap, path: Floats, tolerance: float, noise: float, depth: int) -> tuple[list[Arc], float]:
-    """One arc between the ends of a path of exact points (n, 2), or several where one misses the tolerance."""
+    """One arc between the ends of a path of exact points (n, 2), or several if one misses the tolerance."""
     start, end = path[0], path[-1]
     best: tuple[Arc, float] | None = None
     middle = path[len(path) // 2] if len(path) > 2 else None
@@ -307,7 +307,10 @@ def _fitted(gap: Gap, path: Floats, tolerance: float, noise: float, depth: int) 
 
 
 def _least_degree(true: Floats, reach: float) -> tuple[Arc, float]:
-    """The least-degree curve within `reach` of rim points (n, 3) at `_NODES`, ends exact; its largest distance."""
+    """The least-degree curve within `reach` of rim points (n, 3) at `_NODES`, ends exact.
+
+    Its largest distance.
+    """
     for degree in DEGREES:
         basis = bernstein(degree, _NODES)
         bare = true - basis[:, :1] * true[0] - basis[:, -1:] * true[-1]

@@ -1,4 +1,4 @@
-"""Name and orientation marks engraved into the border: the part's name, its viewer side, and its up direction.
+"""Name and orientation marks engraved into the border: the part's name, viewer side and up direction.
 
 The viewer is on the −z side. The marks are engraved in the face towards the viewer and are readable from
 there; the arrow points to the sheet's +y. Lengths in mm.

@@ -305,7 +305,10 @@ def flat_faces(shells: Shells, f: int, face: CellFace, key: str) -> None:
 def _with_their_holes(
     loops: list[tuple[Loop, Floats, int]],
 ) -> list[tuple[tuple[Loop, Floats, int], list[Loop]]]:
-    """Outer loops with their holes. A hole belongs to the smallest loop around it: land may lie among cells."""
+    """Outer loops with their holes.
+
+    A hole belongs to the smallest loop around it: land may lie among cells.
+    """
     areas = [polygon_area(points) for _, points, _ in loops]
     outer = sorted((n for n, area in enumerate(areas) if area > 0.0), key=lambda n: areas[n])
     within: dict[int, list[Loop]] = {n: [] for n in outer}

@@ -1,4 +1,4 @@
-"""The repeated piece: one cell of an array with its front and back faces, in the cell frame, lengths in mm."""
+"""The repeated piece: one cell of an array with its front and back faces, in its own frame, lengths in mm."""
 
 from __future__ import annotations
 

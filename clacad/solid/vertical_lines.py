@@ -65,7 +65,7 @@ def linked_levels(heights: Floats, merge: float) -> Levels:
 def _copies(
     heights: Floats, place: Sequence[tuple[int | None, int | None]], n: int, count: int
 ) -> dict[int, int]:
-    """Pair the walls around a node in the gap above vertex n: the walls of one solid stretch share an edge."""
+    """Pair the walls around a node in the gap above vertex n; walls of one solid stretch share an edge."""
     solid = []
     for sector, (front, back) in enumerate(place):
         low = -1 if front is None and heights[sector, 0] == -np.inf else front

@@ -230,7 +230,7 @@ def _stretches(left: ColumnLine, right: ColumnLine, breaks: Floats) -> _Stretche
 
 
 def _step(on: _Stretches, face: int, merge: float) -> tuple[Stretch, ...]:
-    """Sign of the step between left and right heights of one face (0 front, 1 back) along a border, 0 to 1."""
+    """Sign of the step between left and right heights of a face (0 front, 1 back) along a border, 0 to 1."""
     found: list[Stretch] = []
     for n, (start, stop) in enumerate(zip(on.edges[:-1].tolist(), on.edges[1:].tolist())):
         left, right = (

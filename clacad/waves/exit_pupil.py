@@ -192,7 +192,7 @@ def _traced(
     window: Window, cell: tuple[int, int], points: Floats, direction: Floats, asked: Floats, across: Floats,
     wavelength: float,
 ) -> tuple[Floats, Floats, Floats, Bools]:  # fmt: skip
-    """Exit points (n, 2), optical paths (n,), direction cosines off the law (n, 2), rays that obey it (n,)."""
+    """Exit points (n, 2), optical paths (n,), direction cosines off the law (n, 2), obedient rays (n,)."""
     ways = np.broadcast_to(direction, (len(points), 3)).copy()
     lit = launched(window, points, ways, cell, direction).rays
     seen = trace(

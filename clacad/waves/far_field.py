@@ -21,7 +21,7 @@ it.
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """Light against the angle off the law along one lens axis: summed over the other, or cut through the peak.
+    """Light against the angle off the law along a lens axis: summed over the other, or cut through the peak.
 
     off : (k,) radians
         Direction cosine less that of the law, evenly spaced, ascending.
@@ -129,7 +129,7 @@ def marginal(field: Complex, axis: int, spacing: float, wavelength: float, width
 def section(
     field: Complex, axis: int, turns: Sequence[float], spacing: float, wavelength: float, width: float
 ) -> Marginal:
-    """Far field of an amplitude on a regular grid (n, n) along one axis, through the `brightest` direction."""
+    """Far field of an amplitude on a regular grid (n, n) along an axis, through the `brightest` direction."""
     other = 1 - axis
     wave = np.exp(-2j * np.pi * turns[other] * np.arange(field.shape[other]))
     return marginal(np.tensordot(field, wave, axes=(other, 0)), 0, spacing, wavelength, width)

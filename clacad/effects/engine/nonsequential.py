@@ -416,7 +416,7 @@ def normals_met(layout: Layout, body: BodyPlan, packet: Packet, event: Event) ->
 
 
 def arrived(layout: Layout, body: BodyPlan, packet: Packet, event: Event, up: bool, index: float) -> Packet:
-    """Rays at their hits, in the cells of the body's first array, after a medium of refractive index `index`."""
+    """Rays at their hits, in the cells of the body's first array, after a medium of index `index`."""
     array, beam = body.arrays[0], packet.beam
     local = event.starts[array] + event.distance[:, None] * beam.direction[:, :2]
     z = beam.z + event.distance * beam.direction[:, 2]

@@ -20,7 +20,7 @@ def deltas_to(law: Law, ways: Floats, distance: float) -> Floats:
 def spot_widths(
     law: Law, pitch: Pair2, distance: float, source: float, wavelength: float
 ) -> tuple[Pair2, Pair2, Pair2]:
-    """Full widths (lengths) of a cell's spot on a screen along the lens axes: by cell, source and diffraction.
+    """Full widths (lengths) of a cell's spot on a screen along the lens axes, by cell, source, diffraction.
 
     |η| p; 2 Z α/|η| for a source of half angle α (radians); λ Z/(|η| p).
 

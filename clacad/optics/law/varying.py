@@ -92,7 +92,7 @@ def with_ratios(law: Law, ratios: Floats) -> Law:
 
 
 def refract_each(law: Law, deltas: Floats, d: ArrayLike, ratios: Floats | None = None) -> Floats:
-    """Directions (n, 3) behind a sheet that has an offset (n, 2), and optionally an η (n, 2), for each of them.
+    """Directions (n, 3) behind a sheet with an offset (n, 2), and optionally an η (n, 2), for each of them.
 
     See `Law.refract` for all else.
     """

@@ -1,4 +1,4 @@
-"""Materials by name: the table `materials.toml`, each entry with its source, and refractiveindex.info pages."""
+"""Materials by name: the table `materials.toml`, with sources, and refractiveindex.info pages."""
 
 from __future__ import annotations
 

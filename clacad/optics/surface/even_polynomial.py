@@ -114,7 +114,7 @@ class _Search:
 
     def gap(self, base: list[Floats], ray: list[Floats], t: Floats
             ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
-        """Height over the surface, G·D, w (0 where rounding passes the equator), size of the subtracted terms.
+        """Height over the surface, G·D, w (0 where rounding passes the equator), size of subtracted terms.
 
         All at distances t (m,).
         """
