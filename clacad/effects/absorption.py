@@ -1,11 +1,11 @@
 """Absorption in the material.
 
 *Model.* Beer and Lambert: flux × exp(−Σ α L), α = 4πk/λ, one exponential a ray. k comes from the material's
-data at the ray's wavelength, or from `Setting.extinction`; a wavelength outside the data is an error. On rungs law
-and thin L is the body's mean thickness along the axis over the cosine inside.
+data at the ray's wavelength, or from `Setting.extinction`; a wavelength outside the data is an error. On
+rungs law and thin L is the body's mean thickness along the axis over the cosine inside.
 *Law.* Flux falls exponentially with thickness; two sheets multiply; nothing is lost at k = 0.
-*On when* 1 − exp(−α L) at the largest L exceeds the radiance that matters. Where k is not known the loss is not
-bounded: the plan reports that and the effect stays off.
+*On when* 1 − exp(−α L) at the largest L exceeds the radiance that matters. Where k is not known the loss is
+not bounded: the plan reports that and the effect stays off.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Depth of field of the camera.
 
 *Model.* Rays start from points of a disc of diameter `Setting.aperture` across the camera's axis. They pass
-through the point where the pinhole's ray crosses the sharp plane, `Setting.focus` away along the axis. *Law.*
-Points of the sharp plane stay sharp; étendue is kept (the disc is filled evenly). *On* if and only if the
-aperture is not 0; a pinhole leaves out A |1/z − 1/z_f|.
+through the point where the pinhole's ray crosses the sharp plane, `Setting.focus` away along the axis.
+*Law.* Points of the sharp plane stay sharp; étendue is kept (the disc is filled evenly).
+*On* if and only if the aperture is not 0; a pinhole leaves out A |1/z − 1/z_f|.
 """
 
 from __future__ import annotations

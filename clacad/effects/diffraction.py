@@ -3,9 +3,11 @@
 *Model.* The light of one telescopelet leaves through a slit in each lens axis, as wide as the lit area: the
 overlap of lens 1's image with the lens 2 that it reaches (for a cell rotated against the axes: the slit with
 the same core). Each ray's exit direction cosines are changed by a draw from Fraunhofer's sinc²(π w Δ/λ).
-Draws are deterministic. *Law.* Draws follow the slit's pattern; the change vanishes as λ → 0. `clacad.waves`,
-which uses no draws, checks it. *On when* λ/w (first zero), axes in quadrature, exceeds the angle that
-matters. Below Fresnel number 1 the ray picture itself is void (design error CL311).
+Draws are deterministic.
+*Law.* Draws follow the slit's pattern; the change vanishes as λ → 0. `clacad.waves`, which uses no draws,
+checks it.
+*On when* λ/w (first zero), axes in quadrature, exceeds the angle that matters. Below Fresnel number 1 the ray
+picture itself is void (design error CL311).
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 *Model.* One pass per wavelength of the scene's spectrum (`Setting.wavelengths`), n(λ) of each body's
 material; no index outside the material's data. In a trace, one row per ray, rays without a wavelength take
-the lines in turn. *Law.* A constant index changes nothing, and light of the design wavelength is unchanged.
+the lines in turn.
+*Law.* A constant index changes nothing, and light of the design wavelength is unchanged.
 *On when* there is more than one line and the growth of the largest direction error exceeds the angle that
 matters: per lens axis ε |1 − m|/|m| (x − u)/s, x and u where the light crosses lens 1 and 2, ε = max |n(λ) −
 n0|/(n0 − 1) (derivative of the thin pair; m = −f2/f1). *Cost* the number of lines.

@@ -1,9 +1,11 @@
 """Facets: the triangles of a mesh in place of the exact surfaces.
 
 *Model.* Rung mesh instead of surfaces, `Setting.quads` per cell side. The rung decides; the effect is listed
-so that facets always appear in a plan. *Law.* Forecast of the rms direction error, per meridian then in
-quadrature: (n − 1) sqrt(F (σ_2² + (σ_1/m)²)/2), F faces, σ_k = L/(√6 R_k) the slope error of lens k's facets
-of side L (derived in `clacad.mesh`), m = −f2/f1. *On when* the scene's rung is mesh.
+so that facets always appear in a plan.
+*Law.* Forecast of the rms direction error, per meridian then in quadrature: (n − 1) sqrt(F (σ_2² +
+(σ_1/m)²)/2), F faces, σ_k = L/(√6 R_k) the slope error of lens k's facets of side L (derived in
+`clacad.mesh`), m = −f2/f1.
+*On when* the scene's rung is mesh.
 """
 
 from __future__ import annotations

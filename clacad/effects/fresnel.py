@@ -1,8 +1,8 @@
 """Fresnel losses of unpolarised light.
 
-*Model.* Flux × (T_s + T_p)/2 at every face; bare, or under a quarter-wave layer of index √n made for the design
-wavelength (`Setting.coating`). The polarisation by the faces themselves is left out here and
-included in `polarisation`. On rungs law and thin a lens is represented by a plane plate across its axis.
+*Model.* Flux × (T_s + T_p)/2 at every face; bare, or under a quarter-wave layer of index √n made for the
+design wavelength (`Setting.coating`). The polarisation by the faces themselves is left out here and included
+in `polarisation`. On rungs law and thin a lens is represented by a plane plate across its axis.
 *Law.* R + T = 1; the same both ways; 1 − r0 at normal incidence; nothing of p at Brewster's angle.
 *On when* the light lost on the probe exceeds the radiance that matters. *Cost* about 1.2.
 """

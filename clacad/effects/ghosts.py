@@ -2,7 +2,8 @@
 
 *Model.* Geometry finds it (fate GHOST, order); the effect makes it visible as light. Off: black.
 *Law.* Orders partition the rays: the partner's share and all ghosts' add up to the light that passes
-(`clacad.sheet.vignetting.share`), and order m leaves with the slope that `clacad.sheet.vignetting.ghost_step` gives.
+(`clacad.sheet.vignetting.share`), and order m leaves with the slope that `clacad.sheet.vignetting.ghost_step`
+gives.
 *On when* the share of ghost light exceeds the radiance that matters. *Cost* none: they are traced anyway.
 """
 

@@ -1,9 +1,10 @@
 """Scatter at rough faces: a small Gaussian blur of directions, and light lost to wide angles.
 
-*Model.* Facet normals with independent Gaussian slopes of rms σ_s turn the light by (n − 1)σ_s a face and meridian;
-lens 1's turns arrive magnified by 1/|m|, m = −f2/f1. Roughness of rms height σ takes exp(−(2π(n − 1)σ/λ)²) a face
-from the direct light (total integrated scatter, transmission: Bennett and Porteus, J. Opt. Soc. Am. 51, 123
-(1961), with the wavefront step (n − 1)σ for 2σ); what it takes goes into a haze that no picture point keeps.
+*Model.* Facet normals with independent Gaussian slopes of rms σ_s turn the light by (n − 1)σ_s a face and
+meridian; lens 1's turns arrive magnified by 1/|m|, m = −f2/f1. Roughness of rms height σ takes exp(−(2π(n −
+1)σ/λ)²) a face from the direct light (total integrated scatter, transmission: Bennett and Porteus, J. Opt.
+Soc. Am. 51, 123 (1961), with the wavefront step (n − 1)σ for 2σ); what it takes goes into a haze that no
+picture point keeps.
 *Law.* Direct light and haze sum to 1; no roughness, no change.
 *On when* the haze exceeds the radiance, or (n − 1) σ_s sqrt(2(1 + 1/m²)) the angle, that matters.
 """

@@ -1,8 +1,8 @@
 """Walls: light that hits a bare step, a side wall, or a face from its wrong side.
 
 *Model.* Such rays (fate WALL) are followed face by face: Snell's law at the wall, total reflection there
-included, up to `Setting.faces` further faces. Off: they end, black. Light through land, web and holes (fate LAND)
-goes on with or without the effect; it is a label of geometry.
+included, up to `Setting.faces` further faces. Off: they end, black. Light through land, web and holes (fate
+LAND) goes on with or without the effect; it is a label of geometry.
 *Law.* A followed ray leaves or ends exactly once: shares sum to 1 (`clacad.effects.engine.nonsequential`).
 *On when* the share of WALL light exceeds the radiance that matters.
 """

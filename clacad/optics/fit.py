@@ -110,7 +110,7 @@ def _step(
 ) -> tuple[Floats, Floats, float] | None:
     """The next point (k,) with a smaller residual, its residuals (m,) and the new damping.
 
-    None if none exists.
+    None where no such point exists.
 
     place : unknowns (k,) and residuals (m,); slopes : (m, k); scale : (k,)
     """

@@ -141,7 +141,7 @@ _known: WeakKeyDictionary[Body, tuple[tuple[object, ...], tuple[tuple[Floats, ..
 def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...], ...]:
     """Border parameters at which anything changes, for each tiling.
 
-    Cached, as they are independent of the cell count.
+    They are independent of the cell count and cached.
     """
     scale = millimetres(window.unit)
     lattice = window.lattice

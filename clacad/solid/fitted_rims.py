@@ -309,7 +309,7 @@ def _fitted(gap: Gap, path: Floats, tolerance: float, noise: float, depth: int) 
 def _least_degree(true: Floats, reach: float) -> tuple[Arc, float]:
     """The least-degree curve within `reach` of rim points (n, 3) at `_NODES`, ends exact.
 
-    Its largest distance.
+    The second result is its largest distance from them.
     """
     for degree in DEGREES:
         basis = bernstein(degree, _NODES)

@@ -96,7 +96,7 @@ class OrderedResult:
         return ledger.closed()
 
     def lent(self, name: str, faces: int, count: int) -> Floats:
-        """Buffer (faces, count, 3) for a block's hits, reused by the thread; allocation costs a pass's time."""
+        """Buffer (faces, count, 3) for a block's hits, reused by the thread: allocating costs a pass's time."""
         size = faces * count * 3
         room: Floats | None = getattr(_ROOM, name, None)
         if room is None or len(room) < size:

@@ -59,7 +59,7 @@ def light_with(situation: Situation, *names: str) -> LightRays:
 def turned_angles(situation: Situation, name: str, last: Fate = Fate.GHOST) -> Floats:
     """Angles (k,), radians, by which an effect deflects rays that pass with fates up to `last`.
 
-    (1,) zero if none.
+    Without such rays the result is (1,) zero.
     """
     turned = angles(traced_with(situation), traced_with(situation, name), last)
     return turned if len(turned) else np.zeros(1)

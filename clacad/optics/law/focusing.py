@@ -60,7 +60,7 @@ class Glens:
     def image_distance(self, z: float) -> float:
         """Image distance ζ (length) from array 2 for height z (length; −inf: parallel light).
 
-        < 0: virtual.
+        A negative distance: a virtual image.
         """
         if isinf(z):
             return self.f_image

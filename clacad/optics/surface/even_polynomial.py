@@ -131,7 +131,7 @@ class _Search:
 def _real_stretch(surface: EvenPolynomial, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
     """Ends (n,), distances from the base point, of the stretch where 1 − a x² − b y² ≥ 0.
 
-    None if first > last.
+    There is no such stretch if first > last.
 
     Outside the roots of a quadratic that opens upwards there are two stretches. The one with 0 in it is
     taken, else the nearer.
