@@ -72,9 +72,9 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
     ----------
     matrix : (3, 3) array
     axis : (3,) array
-        Supposed optical axis n, any length; taken with n_z > 0.
+        Assumed optical axis n, any length; taken with n_z > 0.
 
-    Assumed optical axis n, any length; taken with n_z > 0.
+    Returns
     -------
     Decomposition or None
         The law of the nearest matrix of a Law with this axis; `axis_residual` = |nᵀA − k nᵀ| and

@@ -40,8 +40,8 @@ def apparent_map(law: Law, z: float, camera_distance: float, turned_at: float = 
     Parameters
     ----------
     law : Law
-    Plane of the object. Before the sheet (z < turned_at) directions are unchanged.
-        Plane of the object. Before the sheet (z < turned_at) nothing is turned.
+    z : float, length
+        Plane of the object. Before the sheet (z < turned_at) directions are unchanged.
     camera_distance : float, length
         D > 0, camera at (0, 0, −D).
     turned_at : float, length
@@ -79,8 +79,8 @@ def image_planes(law: Law, z: float) -> Floats:
 
     Returns
     -------
-    Ascending; both NaN where J has complex eigenvalues: line images then do not exist.
-        Ascending; both NaN where J has complex eigenvalues, for then no line images exist.
+    (2,) array, length
+        Ascending; both NaN where J has complex eigenvalues: line images then do not exist.
     """
     values = np.linalg.eigvals(slope_map(law)[1])
     if np.iscomplex(values).any():
