@@ -40,13 +40,21 @@ LEFT_OUT = {
 
 STRICT: tuple[str, ...] = (
     "base",
-    "sheet",
-    "prescription",
-    "design",
     "config",
-    "tracing",
+    "design",
+    "effects",
     "formats",
+    "imaging",
+    "mesh",
+    "optics",
+    "prescription",
     "rendering",
+    "scene",
+    "sheet",
+    "solid",
+    "topology",
+    "tracing",
+    "waves",
 )
 """Folders and files of the package whose comments and docstrings are free of them."""
 

@@ -1,7 +1,7 @@
 """Physical effects beyond refraction, one file an effect, and the planner that chooses among them.
 
-Geometry (cells, offset, vignetting, fates, a baffle) belongs to the tracer's rungs and is never switched.
-Importing this package loads no effect; naming one loads that one.
+Geometry (cells, offset, vignetting, fates, a baffle) belongs to the tracer's rungs and is always simulated.
+Importing this package loads no effect; accessing an effect's name loads that one.
 """
 
 from __future__ import annotations

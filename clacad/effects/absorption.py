@@ -1,11 +1,11 @@
 """Absorption in the material.
 
 *Model.* Beer and Lambert: flux × exp(−Σ α L), α = 4πk/λ, one exponential a ray. k comes from the material's
-data at the ray's wavelength, or from `Setting.extinction`; a wavelength outside the data is an error. On rungs law
-and thin L is the body's mean thickness along the axis over the cosine inside.
+data at the ray's wavelength, or from `Setting.extinction`; a wavelength outside the data is an error. On
+rungs law and thin L is the body's mean thickness along the axis over the cosine inside.
 *Law.* Flux falls exponentially with thickness; two sheets multiply; nothing is lost at k = 0.
-*On when* 1 − exp(−α L) at the largest L exceeds the radiance that matters. Where k is not known the loss is not
-bounded: the plan says so and the effect stays off.
+*On when* 1 − exp(−α L) at the largest L exceeds the radiance that matters. Where k is not known the loss is
+not bounded: the plan reports that and the effect stays off.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NAME = "absorption"
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """One exponential a ray."""
+    """One exponential per ray."""
 
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         rates = attenuations(window, setting, block.wavelength)
@@ -49,12 +49,12 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def attenuations(window: Window, setting: Setting, wavelength: float | None) -> tuple[float, ...]:
-    """Attenuation α of each body, 1/length; 0 where nothing is known of it."""
+    """Attenuation α of each body, 1/length; 0 where it is not known."""
     return tuple(attenuation(window, body, setting, wavelength) or 0.0 for body in window.bodies)
 
 
 def attenuation(window: Window, body: Body, setting: Setting, wavelength: float | None) -> float | None:
-    """Attenuation α of a body, 1/length; None where nothing is known of it.
+    """Attenuation α of a body, 1/length; None where it is not known.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def optical_depth(block: RayBlock, rates: tuple[float, ...]) -> Floats:
 
 
 def path_in(block: RayBlock, number: int, body: Body) -> Floats:
-    """Length of each ray inside a body (m,)."""
+    """Path length of each ray inside a body (m,)."""
     result = block.result
     if block.rung in ("law", "thin"):
         from clacad.effects.engine.cell_averages import mean_thickness

@@ -1,9 +1,9 @@
 """Depth of field of the camera.
 
-*Model.* Rays start from points of a disc of diameter `Setting.aperture` across the camera's axis and pass through
-the point of the sharp plane, `Setting.focus` away along the axis, that the pinhole's ray would meet.
+*Model.* Rays start from points of a disc of diameter `Setting.aperture` across the camera's axis. They pass
+through the point where the pinhole's ray crosses the sharp plane, `Setting.focus` away along the axis.
 *Law.* Points of the sharp plane stay sharp; étendue is kept (the disc is filled evenly).
-*On* if and only if the aperture is not 0; what a pinhole leaves out is A |1/z − 1/z_f|.
+*On* if and only if the aperture is not 0; a pinhole leaves out A |1/z − 1/z_f|.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SALT = 4
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """Move the starts of camera rays over the entrance and aim them at the sharp plane."""
+    """Distribute the starts of camera rays over the entrance and aim them at the sharp plane."""
 
     def launch(_: Window, rays: Rays) -> Rays:
         if setting.aperture == 0.0:
@@ -42,7 +42,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def bound(situation: Situation) -> Bound:
-    """A |1/z − 1/z_f| for the nearest and the farthest thing seen."""
+    """A |1/z − 1/z_f| for the nearest and the farthest visible object."""
     setting = situation.setting
     if setting.aperture == 0.0:
         return Bound(0.0, 0.0, "the camera is a pinhole", 1.0)
@@ -56,7 +56,10 @@ def bound(situation: Situation) -> Bound:
 
 
 def measured(situation: Situation) -> tuple[float, float]:
-    """Largest angle (radians) by which the camera's opening blurs what is nearest and farthest; no change of radiance."""
+    """Largest blur angle (radians) by the camera's opening of the nearest and farthest objects.
+
+    No radiance change.
+    """
     setting, rays = situation.setting, situation.rays
     launch = effect(situation.window, setting).launch
     assert launch is not None

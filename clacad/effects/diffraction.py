@@ -1,11 +1,13 @@
 """Diffraction at the lenslets, incoherent between cells.
 
-*Model.* The light of one telescopelet leaves through a slit in each lens axis, as wide as what is lit: the overlap of
-lens 1's image with the lens 2 it meets (a cell turned against the axes: the slit with the same core). Each ray's exit direction cosines are changed by a draw from Fraunhofer's
-sinc²(π w Δ/λ). Draws are deterministic.
-*Law.* Draws follow the slit's pattern; the change vanishes as λ → 0. `clacad.waves`, which knows of no draw, judges it.
-*On when* λ/w (first zero), axes in quadrature, exceeds the angle that matters. Below Fresnel number 1 the ray picture
-itself is void (design error CL311).
+*Model.* The light of one telescopelet leaves through a slit in each lens axis, as wide as the lit area: the
+overlap of lens 1's image with the lens 2 that it reaches (for a cell rotated against the axes: the slit with
+the same core). Each ray's exit direction cosines are changed by a draw from Fraunhofer's sinc²(π w Δ/λ).
+Draws are deterministic.
+*Law.* Draws follow the slit's pattern; the change vanishes as λ → 0. `clacad.waves`, which uses no draws,
+checks it.
+*On when* λ/w (first zero), axes in quadrature, exceeds the angle that matters. Below Fresnel number 1 the ray
+picture itself is void (design error CL311).
 """
 
 from __future__ import annotations
@@ -43,15 +45,17 @@ from clacad.sheet.window import Window
 NAME = "diffraction"
 SALT = 2
 LOBES = 64
-"""Lobes of sinc² tabulated; the tail beyond holds 0.3 % and follows 1/x."""
+"""Number of tabulated lobes of sinc²; the tail beyond holds 0.3 % and follows 1/x."""
 
 
 COST = 7.0
-"""Time of the compiled trace with it over without: slit and angle are drawn for every ray, outside the kernel."""
+"""Time of the compiled trace with diffraction over without: slit and angle are drawn per ray, outside the
+kernel.
+"""
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """Turn emerging rays."""
+    """Change the directions of emerging rays."""
     cells = thin_cells(window)
 
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
@@ -76,10 +80,13 @@ def effect(window: Window, setting: Setting) -> Effect:
 def lit_widths(
     cells: ThinCells, direction: Floats, order: NDArray[np.int32], cell: NDArray[np.int32] | None = None
 ) -> Floats:
-    """Width (m, 2) along the lens axes of what is lit of lens 2, lengths; `cell` (m, 2): of light through which cells.
+    """Lit width (m, 2) of lens 2 along the lens axes, lengths.
 
-    In the middle of the field the equivalent width of what is lit (`clacad.optics.aperture`); off it, and for ghosts, as much
-    less as the overlap of the boxes round lens 1's image and the lenslet met is narrower. Exact for cells along the axes.
+    `cell` (m, 2): the cells that the light passes.
+
+    In the middle of the field it is the equivalent width of the lit area (`clacad.optics.aperture`). Off it,
+    and for ghosts, it is reduced by as much as the overlap of the boxes around lens 1's image and the lenslet
+    hit is narrower. Exact for cells along the axes.
     """
     image, zone = cells.image, partner_zone(cells)
     known = (order != NO_CELL).all(axis=1)
@@ -101,9 +108,9 @@ def lit_widths(
 
 
 def _lit_by_cell(cells: ThinCells, direction: Floats, order: NDArray[np.int32], index: Ints) -> Floats:
-    """`lit_widths` of light through the cells `index` (m, 2) of a sheet whose cells have an η, and with it an image, of their own."""
+    """`lit_widths` of light through the cells `index` (m, 2) of a sheet whose cells have own η and images."""
     ratio = scale_of_image(cells, index)
-    assert ratio is not None  # who calls this has looked
+    assert ratio is not None  # the caller has checked it
     widths = np.empty((len(index), 2))
     for scale in distinct(ratio):
         here = ratio == scale
@@ -112,7 +119,7 @@ def _lit_by_cell(cells: ThinCells, direction: Floats, order: NDArray[np.int32], 
 
 
 def sinc_squared(u: Floats) -> Floats:
-    """Numbers distributed as sinc²(x)/π, (sin x/x)², from uniform ones in (0, 1); any shape."""
+    """Map uniform numbers in (0, 1) to numbers distributed as sinc²(x)/π, (sin x/x)²; any shape."""
     known, share = _table()
     p = np.abs(u - 0.5)
     inner = np.interp(p, share, known)
@@ -123,13 +130,13 @@ def sinc_squared(u: Floats) -> Floats:
 
 @cache
 def _table() -> tuple[Floats, Floats]:
-    """Give x ≥ 0 and the share of sinc²/π between 0 and x."""
+    """Return x ≥ 0 and the share of sinc²/π between 0 and x."""
     x = np.linspace(0.0, LOBES * np.pi, 64 * LOBES + 1)
     middle = 0.5 * (x[1:] + x[:-1])
     values = [np.sinc(points / np.pi) ** 2 for points in (x[:-1], middle, x[1:])]
     area = (values[0] + 4.0 * values[1] + values[2]) / 6.0 * (x[1] - x[0])  # Simpson's rule
     share = np.concatenate([[0.0], np.cumsum(area)]) / np.pi
-    # the tail beyond the table holds 1/(2πX): meet it exactly
+    # the tail beyond the table holds 1/(2πX): match it exactly
     return x, np.asarray(share * ((0.5 - 1.0 / (2.0 * np.pi * x[-1])) / share[-1]))
 
 
@@ -156,7 +163,7 @@ def bound(situation: Situation) -> Bound:
 
 
 def measured(situation: Situation) -> tuple[float, float]:
-    """Angle that holds half of the light."""
+    """Angle that contains half of the light."""
     return float(np.median(turned_angles(situation, NAME))), 0.0
 
 

@@ -1,11 +1,12 @@
-"""Dispersion: the light's lines each with their own refractive index.
+"""Dispersion: each line of the light has its own refractive index.
 
-*Model.* One pass a wavelength of the scene's spectrum (`Setting.wavelengths`), n(λ) of each body's material; no index
-outside the material's data. In a trace, one row a ray, rays without a wavelength take the lines in turn.
-*Law.* Nothing happens for a constant index, and to light of the design wavelength.
-*On when* there is more than one line and the growth of the largest direction error exceeds the angle that matters:
-per lens axis ε |1 − m|/|m| (x − u)/s, x and u where the light meets lens 1 and 2, ε = max |n(λ) − n0|/(n0 − 1)
-(derivative of the thin pair; m = −f2/f1). *Cost* the number of lines.
+*Model.* One pass per wavelength of the scene's spectrum (`Setting.wavelengths`), n(λ) of each body's
+material; no index outside the material's data. In a trace, one row per ray, rays without a wavelength take
+the lines in turn.
+*Law.* A constant index changes nothing, and light of the design wavelength is unchanged.
+*On when* there is more than one line and the growth of the largest direction error exceeds the angle that
+matters: per lens axis ε |1 − m|/|m| (x − u)/s, x and u where the light crosses lens 1 and 2, ε = max |n(λ) −
+n0|/(n0 − 1) (derivative of the thin pair; m = −f2/f1). *Cost* the number of lines.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ LINES = {
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """Give rays without a wavelength the lines of the light in turn."""
+    """Assign the lines of the light in turn to rays without a wavelength."""
     lines = setting.wavelengths
 
     def launch(_: Window, rays: Rays) -> Rays:
@@ -46,7 +47,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def passes(rays: Rays, wavelengths: Sequence[float]) -> Iterator[Rays]:
-    """The same rays once in each wavelength (metres)."""
+    """All rays once in each wavelength (metres)."""
     for wave in wavelengths:
         yield Rays(rays.position, rays.direction, np.full(len(rays), wave))
 
@@ -99,7 +100,7 @@ def largest_turn(ratio: float, m: float, reach: float, aim: float, ghosts: bool)
 
 
 def offset_slope(window: Window, axis: int, m: float, centre: float) -> float:
-    """How far the field's middle lies from the slope that both lens centres pass undeviated."""
+    """Distance of the field's middle from the slope that both lens centres pass undeviated."""
     if m == 1.0:
         return 0.0
     offset = np.asarray(window.thin.offset) @ window.thin.rotation
@@ -107,7 +108,7 @@ def offset_slope(window: Window, axis: int, m: float, centre: float) -> float:
 
 
 def tilt_term(window: Window, epsilon: float) -> float:
-    """Plane faces turn the tilted axis of a plano pair with the index: Δn θ s/(f1 |m|)."""
+    """Rotation of a plano pair's tilted axis by its plane faces as the index changes: Δn θ s/(f1 |m|)."""
     if window.form == "biconvex":
         return 0.0
     theta = float(np.arccos(np.clip(window.thin.rotation[2, 2], -1.0, 1.0)))

@@ -1,9 +1,10 @@
 """Facets: the triangles of a mesh in place of the exact surfaces.
 
-*Model.* Rung mesh instead of surfaces, `Setting.quads` a cell side. The rung decides; the effect is listed so that
-facets are never silent.
-*Law.* Forecast of the rms direction error, per meridian then in quadrature: (n − 1) sqrt(F (σ_2² + (σ_1/m)²)/2),
-F faces, σ_k = L/(√6 R_k) the slope error of lens k's facets of side L (derived in `clacad.mesh`), m = −f2/f1.
+*Model.* Rung mesh instead of surfaces, `Setting.quads` per cell side. The rung decides; the effect is listed
+so that facets always appear in a plan.
+*Law.* Forecast of the rms direction error, per meridian then in quadrature: (n − 1) sqrt(F (σ_2² +
+(σ_1/m)²)/2), F faces, σ_k = L/(√6 R_k) the slope error of lens k's facets of side L (derived in
+`clacad.mesh`), m = −f2/f1.
 *On when* the scene's rung is mesh.
 """
 
@@ -33,21 +34,21 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def forecast(window: Window, quads: int) -> float:
-    """Rms direction error, radians, that facets of `quads` a cell side add."""
+    """Rms direction error, radians, added by facets of `quads` per cell side."""
     cells = thin_cells(window)
     error = 0.0
     for axis, m in enumerate(focal_ratio(window.thin)):
         side = float(np.ptp(cells.zone[:, axis])) / quads
         for face, body in ((f, b) for b in window.bodies for f in (b.front, b.back)):
             if face.array is None or face.array == 2:
-                continue  # light is at a focus on a field lens: what turns it there leaves its exit direction alone
+                continue  # light is focused on a field lens: its facets leave the exit direction unchanged
             slope = side / (sqrt(6.0) * abs(principal_radii(face.surface)[axis]))
             error = hypot(error, (body.index - 1.0) * slope / (abs(m) if face.array == 0 else 1.0))
     return error
 
 
 def bound(situation: Situation) -> Bound:
-    """What the facets would add on rung mesh."""
+    """Error that facets would add on rung mesh."""
     quads = situation.setting.quads
     angle = forecast(situation.window, quads)
     return Bound(angle, 0.0, f"{quads} quads a cell side turn light by {angle:.2g} rad rms", 5.0)

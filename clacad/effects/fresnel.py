@@ -1,8 +1,8 @@
 """Fresnel losses of unpolarised light.
 
-*Model.* Flux × (T_s + T_p)/2 at every face; bare, or under a quarter-wave layer of index √n made for the design
-wavelength (`Setting.coating`). The polarisation that the faces themselves give the light is left out here and
-kept by `polarisation`. On rungs law and thin a lens stands as a plane plate across its axis.
+*Model.* Flux × (T_s + T_p)/2 at every face; bare, or under a quarter-wave layer of index √n made for the
+design wavelength (`Setting.coating`). The polarisation by the faces themselves is left out here and included
+in `polarisation`. On rungs law and thin a lens is represented by a plane plate across its axis.
 *Law.* R + T = 1; the same both ways; 1 − r0 at normal incidence; nothing of p at Brewster's angle.
 *On when* the light lost on the probe exceeds the radiance that matters. *Cost* about 1.2.
 """
@@ -25,7 +25,7 @@ NAME = "fresnel"
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """One multiplication of the flux a face."""
+    """One multiplication of the flux per face."""
 
     def apply(block: RayBlock, crossing: FaceCrossing | None) -> None:
         if crossing is None or crossing.n1 == crossing.n2:
@@ -89,7 +89,7 @@ def mean_loss(situation: Situation) -> float:
 
 
 def bound(situation: Situation) -> Bound:
-    """Light lost at the faces: 1 − (1 − r0)^N, or the mean measured on the probe where that is more."""
+    """Light lost at the faces: 1 − (1 − r0)^N, or the mean measured on the probe if it is greater."""
     whole = 1.0
     for body in situation.window.bodies:
         whole *= (1.0 - normal_loss(body.index)) ** 2

@@ -1,8 +1,9 @@
 """Ghosts: light that left through another lenslet than its partner's.
 
-*Model.* Geometry finds it (fate GHOST, order); the effect says that it is seen as light. Off: black.
+*Model.* Geometry finds it (fate GHOST, order); the effect makes it visible as light. Off: black.
 *Law.* Orders partition the rays: the partner's share and all ghosts' add up to the light that passes
-(`clacad.sheet.vignetting.share`), and order m leaves with the slope that `clacad.sheet.vignetting.ghost_step` gives.
+(`clacad.sheet.vignetting.share`), and order m leaves with the slope that `clacad.sheet.vignetting.ghost_step`
+gives.
 *On when* the share of ghost light exceeds the radiance that matters. *Cost* none: they are traced anyway.
 """
 
@@ -24,7 +25,7 @@ NAME = "ghosts"
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """No pass: the rays carry their label, and `light_reaching_camera` lets them shine."""
+    """No pass: the rays carry their label, and `light_reaching_camera` includes their light."""
     return Effect(NAME, When.EXIT)
 
 

@@ -36,7 +36,7 @@ from clacad.sheet.window import Window
 NAME = "polarisation"
 
 STEEPER = 1.5
-"""Factor for rays of the picture steeper than all of the probe."""
+"""Factor for rays of the picture that are steeper than all of the probe."""
 
 
 def effect(window: Window, setting: Setting) -> Effect:
@@ -54,7 +54,7 @@ def effect(window: Window, setting: Setting) -> Effect:
         block.state[NAME] = [_crossed(field, crossing, setting.coating, ratio) for field in fields]
 
     def finish(block: RayBlock) -> None:
-        if NAME not in block.state:  # compiled code has done all
+        if NAME not in block.state:  # compiled code has computed all of it
             return
         block.result.flux[:] *= passed(setting, block.state.pop(NAME), block.result.direction)
 
@@ -81,7 +81,7 @@ def _pointing(angle: float | None) -> Floats:
 
 
 def analysed(setting: Setting, direction: Floats) -> list[Floats]:
-    """Field vectors (n, 3) across the rays that the camera takes: one with an analyser, else two."""
+    """Field vectors (n, 3) across the rays that the camera accepts: one with an analyser, else two."""
     if setting.analyser is not None:
         return [across(direction, setting.analyser)]
     first = across(direction, 0.0)
@@ -145,8 +145,8 @@ def cross_face(
 def bound(situation: Situation) -> Bound:
     """Product of mean shares against mean of products: Σ over pairs of faces of their degrees of polarisation.
 
-    A face passes T̄ (1 ± D) of its own s and p light, D = (T_p − T_s)/(T_p + T_s). Whatever the planes of incidence,
-    two faces together change unpolarised light's share by D_i D_j at most.
+    A face passes T̄ (1 ± D) of its own s and p light, D = (T_p − T_s)/(T_p + T_s). For any planes of
+    incidence, two faces together change unpolarised light's share by D_i D_j at most.
     """
     setting = situation.setting
     if setting.polariser is not None or setting.analyser is not None:
@@ -172,7 +172,7 @@ def bound(situation: Situation) -> Bound:
 
 
 def measured(situation: Situation) -> tuple[float, float]:
-    """Change of the light of all but a hundredth of the rays that pass, against losses of unpolarised light."""
+    """Change of light against losses of unpolarised light, over 99 % of the transmitted rays."""
     plain, own = traced_with(situation, FRESNEL), traced_with(situation, NAME)
     passing = plain.fate <= Fate.LAND
     if not passing.any():

@@ -1,12 +1,12 @@
 """Light reflected inside and at the sheet: forward after two reflections, and back to the camera's side after one.
 
 *Model.* Every path of up to `Setting.order` partial reflections is split off deterministically and followed
-exactly (`clacad.effects.engine.nonsequential`), with Fresnel's share at every face; it implies the losses of `fresnel` on the
-straight path. In a trace, one row a ray, only those losses appear; the split paths are rows of
-`clacad.effects.light_reaching_camera`.
-*Law.* Shares of all paths, what was cut off beyond the order included, sum to 1 without noise.
-*On when* N(N − 1)/2 r0² D (forward, D the scene's contrast) or N r0 times the front world's brightness exceeds the
-radiance that matters. *Cost* 1.75 N², compiled.
+exactly (`clacad.effects.engine.nonsequential`), with Fresnel's share at every face; it implies the losses of
+`fresnel` on the straight path. In a trace, one row a ray, only those losses appear; the split paths are rows
+of `clacad.effects.light_reaching_camera`.
+*Law.* Shares of all paths, including those cut off beyond the order, sum to 1 without noise.
+*On when* N(N − 1)/2 r0² D (forward, D the scene's contrast) or N r0 times the front world's brightness
+exceeds the radiance that matters. *Cost* 1.75 N², compiled.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def bound(situation: Situation) -> Bound:
-    """First order in r0: forward pairs of faces, and every face once backwards; steeper rays reflect more."""
+    """First order in r0: forward pairs of faces, and every face once backwards; more for steeper rays."""
     n = situation.faces
     r = mean_loss(situation) / n
     if situation.setting.coating == "none":

@@ -21,7 +21,7 @@ NAMES = (
 
 @cache
 def declared(name: str) -> Declaration:
-    """Declaration of an effect; its module is imported when it is first asked for.
+    """Declaration of an effect; its module is imported on first use.
 
     Raises
     ------

@@ -1,9 +1,10 @@
 """Scatter at rough faces: a small Gaussian blur of directions, and light lost to wide angles.
 
-*Model.* Facet normals with independent Gaussian slopes of rms σ_s turn the light by (n − 1)σ_s a face and meridian;
-lens 1's turns arrive magnified by 1/|m|, m = −f2/f1. Roughness of rms height σ takes exp(−(2π(n − 1)σ/λ)²) a face
-from the direct light (total integrated scatter, transmission: Bennett and Porteus, J. Opt. Soc. Am. 51, 123
-(1961), with the wavefront step (n − 1)σ for 2σ); what it takes goes into a haze that no picture point keeps.
+*Model.* Facet normals with independent Gaussian slopes of rms σ_s turn the light by (n − 1)σ_s a face and
+meridian; lens 1's turns arrive magnified by 1/|m|, m = −f2/f1. Roughness of rms height σ takes exp(−(2π(n −
+1)σ/λ)²) a face from the direct light (total integrated scatter, transmission: Bennett and Porteus, J. Opt.
+Soc. Am. 51, 123 (1961), with the wavefront step (n − 1)σ for 2σ); what it takes goes into a haze that no
+picture point keeps.
 *Law.* Direct light and haze sum to 1; no roughness, no change.
 *On when* the haze exceeds the radiance, or (n − 1) σ_s sqrt(2(1 + 1/m²)) the angle, that matters.
 """
@@ -29,11 +30,11 @@ SALT = 3
 
 
 COST = 4.0
-"""Time of the compiled trace with it over without: each face turns every ray, outside the kernel."""
+"""Time of the compiled trace with scatter over without: each face deflects every ray, outside the kernel."""
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """Turn emerging rays and take the haze from their flux."""
+    """Deflect emerging rays and subtract the haze from their flux."""
     width = np.array(blur(window, setting.slope_rms))
 
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
@@ -53,7 +54,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def blur(window: Window, slope_rms: float) -> tuple[float, float]:
-    """Rms slope by which light is turned along lens x and y; where cells have an η of their own, of that of the sheet's law."""
+    """Rms slope change of light along lens x and y; for cells with an own η, that of the sheet's law."""
     index = max(body.index for body in window.bodies)
     one, two = (faces_of_lens(window, array) for array in (0, 1))
     x, y = ((index - 1.0) * slope_rms * sqrt(two + one / (m * m)) for m in focal_ratio(window.thin))
@@ -61,23 +62,26 @@ def blur(window: Window, slope_rms: float) -> tuple[float, float]:
 
 
 def _by_cell(window: Window, cell: Ints, slope_rms: float) -> Floats:
-    """The same (n, 2) of light through the cells (n, 2) of a sheet whose cells have an η of their own."""
+    """`blur` (n, 2) of light through the cells (n, 2) of a sheet with an own η for each cell."""
     cells, index = thin_cells(window), max(body.index for body in window.bodies)
     scale = scale_of_image(cells, cell)
-    assert scale is not None  # who calls this has looked
+    assert scale is not None  # the caller has checked it
     one, two = (faces_of_lens(window, array) for array in (0, 1))
     ratio = scale[:, None] * np.array(focal_ratio(window.thin))
     return np.asarray((index - 1.0) * slope_rms * np.sqrt(two + one / ratio**2))
 
 
 def faces_of_lens(window: Window, array: int) -> int:
-    """Faces of lens 1 or 2, its plane face too: two each in air, one on a slab or on a plate that a field lens shares."""
+    """Number of faces of lens 1 or 2, plane ones included.
+
+    Two in air; one on a slab or on a plate shared with a field lens.
+    """
     body = next(b for b in window.bodies if array in (b.front.array, b.back.array))
     return sum(face.array in (array, None) for face in (body.front, body.back))
 
 
 def haze(window: Window, roughness: float, wavelength: float) -> float:
-    """Share of the light that rough faces take from the direct beam (roughness and wavelength in metres)."""
+    """Share of the light removed from the direct beam by rough faces (roughness and wavelength in metres)."""
     depth = sum(2.0 * (2.0 * pi * (body.index - 1.0) * roughness / wavelength) ** 2 for body in window.bodies)
     return -expm1(-depth)
 

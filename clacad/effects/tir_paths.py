@@ -1,7 +1,7 @@
 """Paths after total internal reflection.
 
-*Model.* Rays that a face reflects totally (fate TIR) go on inside the body, up to `Setting.faces` faces, until
-they leave. Off: they end, black.
+*Model.* Rays that a face reflects totally (fate TIR) go on inside the body, up to `Setting.faces` faces,
+until they leave. Off: they end, black.
 *Law.* No light is lost at total reflection: shares of a followed ray sum to 1.
 *On when* the share of TIR light exceeds the radiance that matters.
 """
@@ -19,7 +19,7 @@ NAME = "tir_paths"
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """Follow what was reflected totally; see `clacad.effects.walls.effect`."""
+    """Follow totally reflected rays; see `clacad.effects.walls.effect`."""
 
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         from clacad.effects.engine.nonsequential_rows import trace_ended_rays

@@ -1,8 +1,8 @@
-"""Walls: light that meets a bare step, a side wall, or a face from its wrong side.
+"""Walls: light that hits a bare step, a side wall, or a face from its wrong side.
 
 *Model.* Such rays (fate WALL) are followed face by face: Snell's law at the wall, total reflection there
-included, up to `Setting.faces` further faces. Off: they end, black. Light through land, web and holes (fate LAND)
-goes on with or without the effect; it is a label of geometry.
+included, up to `Setting.faces` further faces. Off: they end, black. Light through land, web and holes (fate
+LAND) goes on with or without the effect; it is a label of geometry.
 *Law.* A followed ray leaves or ends exactly once: shares sum to 1 (`clacad.effects.engine.nonsequential`).
 *On when* the share of WALL light exceeds the radiance that matters.
 """
@@ -21,11 +21,14 @@ from clacad.sheet.window import Window
 NAME = "walls"
 
 SMOOTH = 1e-9
-"""Share below which steps are rounding."""
+"""Share below which steps count as rounding."""
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """Follow what ended at walls; rows that leave get their last point, direction and flux, the others flux 0."""
+    """Follow rays that ended at walls.
+
+    Rows that leave get their last point, direction and flux, the others flux 0.
+    """
 
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         from clacad.effects.engine.nonsequential_rows import trace_ended_rays
@@ -36,11 +39,11 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def bound(situation: Situation) -> Bound:
-    """Share of WALL light: Σ (mean step / pitch)·slope plus what the lenses do not cover, or as counted."""
+    """Share of WALL light: Σ (mean step / pitch)·slope plus the area not covered by lenses, or as counted."""
     counted = situation.share(Fate.WALL)
     t = float(np.abs(situation.slopes).max(initial=0.0))
     estimate = step_share(situation.window) * t
-    # a few probe rays may all miss the walls there are; where there is no step there is none to miss
+    # a few probe rays may all miss existing walls; without a step there is none to miss
     radiance = situation.most(counted) if counted > 0.0 or estimate > SMOOTH else 0.0
     land = situation.share(Fate.LAND)
     why = f"{counted:.2%} of the light meets a wall" + (

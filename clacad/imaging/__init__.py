@@ -1,7 +1,7 @@
-"""What a sheet images and shapes: where light of a point meets, and tables that send light into a pattern.
+"""Imaging and beam shaping by a sheet: image points, and tables of cells that send light into a pattern.
 
-Here: image points predicted and by rays, targets, the assignment of cells to them. Not here: the closed forms
-(`clacad.optics.law.focusing`) and pictures of scenes (`clacad.rendering`).
+Contents: image points predicted and by rays, targets, the assignment of cells to them. The closed forms are
+in `clacad.optics.law.focusing`, pictures of scenes in `clacad.rendering`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The point that lies nearest to all of many rays, and how far they pass from it."""
+"""The point nearest to a bundle of rays, and the distances at which they pass it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from clacad.base.types import Floats, Pair2
 
 PARALLEL = 1e-24
-"""Mean square of slopes about their mean below which rays have no point in common: 1e-12 rad."""
+"""Mean square of slopes about their mean below which rays count as parallel: 1e-12 rad squared."""
 
 
 @dataclass(frozen=True, eq=False)
 class BestPoint:
-    """Where rays come nearest to one another.
+    """Point at which rays are closest to one another.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class BestPoint:
 
     @property
     def missing(self) -> Literal["no light", "parallel"] | None:
-        """Why there is no such point, if there is none: fewer than two rays, or rays that never meet."""
+        """Reason why no such point exists, if so: fewer than two rays, or parallel rays."""
         if np.isfinite(self.point).all():
             return None
         return "parallel" if self.rays >= 2 else "no light"
@@ -41,7 +41,7 @@ class BestPoint:
 def best_point(position: Floats, direction: Floats) -> BestPoint:
     """Find the point nearest to rays that pass `position` (n, 3), lengths, along unit `direction` (n, 3).
 
-    One 3 × 3 solve, taken about the rays' own middle: what they have in common would cancel else.
+    One 3 × 3 solve, taken about the mean of the positions: their common part would cause cancellation.
     """
     lost = BestPoint(np.full(3, np.nan), (np.nan, np.nan), len(position))
     if len(position) < 2:

@@ -1,4 +1,4 @@
-"""`clacad.image`: where a sheet images a point, as its law says and as rays go."""
+"""`clacad.image`: the image of a point formed by a sheet, by its law and by traced rays."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
 RAYS = 100_000
 
 LITTLE = 0.01
-"""Share of the light below which it is told which light goes through instead."""
+"""Share of the light below which `Image.instead` reports light that does get through."""
 
 TRIED = 4096
-"""Rays sent along the middle of the field to tell that."""
+"""Number of rays along the middle of the field that are traced for that report."""
 
 
 @dataclass(frozen=True, eq=False)
 class RungImage:
-    """What one rung makes of a point.
+    """Image of a point on one rung.
 
     Parameters
     ----------
     rung : "law", "thin" or "surfaces"
     predicted : BestPoint
-        Of the chief rays, which the law alone sends on; for rung "law" through a sheet of no thickness.
+        Of the chief rays, by the law alone; for rung "law" through a sheet of zero thickness.
     found : BestPoint
-        Of the rays that obey it. Lengths, sheet frame.
+        Of the rays that obey the law. Lengths, sheet frame.
     share : float
         Part of the light on the sheet that goes through lenses of one telescopelet.
     position, direction : (n, 3) lengths, unit
-        Of that light, behind the sheet.
+        Of this light, behind the sheet.
     fates : mapping
-        Shares of all the light sent, by the names of its fates; those that there are.
+        Shares of all launched light by name of fate; fates that do not occur are absent.
     astray : (i, j) or None
-        Of light through lenses of two telescopelets: how many cells from its partner most of it leaves.
+        The commonest distance, in cells, from its partner of light through lenses of two telescopelets.
     """
 
     rung: Rung
@@ -71,12 +71,12 @@ class RungImage:
 
 @dataclass(frozen=True, eq=False)
 class Middle:
-    """The light that goes through, where next to nothing does of what was asked.
+    """Light that gets through, for a source whose requested light is almost all lost.
 
     Parameters
     ----------
     source : (3,) lengths
-        Where it comes from, given as `Image.source`: along the middle of the field, from lens 1's middle to lens 2's.
+        Position, given as `Image.source`: along the middle of the field, from lens 1's middle to lens 2's.
     rung : "law", "thin" or "surfaces"
     share : float
         Part of that light that goes through lenses of one telescopelet on that rung.
@@ -89,14 +89,14 @@ class Middle:
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """The law of the cell hit, which is built, beside the smooth one that it samples.
+    """Comparison of the law of the cell hit, which is built, with the smooth law that it samples.
 
     Parameters
     ----------
     slope : float, radians
-        Angle between the directions that the two give to the light sent, rms.
-    smooth : BestPoint
-        Of that light by the smooth law: what cells without end would make of it.
+            Rms angle between the directions of the two laws, for the launched light.
+        smooth : BestPoint
+            Of this light by the smooth law: the limit of infinitely many cells.
     """
 
     slope: float
@@ -105,22 +105,23 @@ class Sampling:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Where a sheet images a point, rung by rung.
+    """Image of a point formed by a sheet, rung by rung.
 
     Parameters
     ----------
     source : (3,) lengths
-        As asked; with z = −inf, parallel light of the slopes x and y.
+        As requested; with z = −inf, parallel light of the slopes x and y.
     rungs : tuple of RungImage
     width : (2,) lengths or None
-        Full width of the image that cells of this size have at least, along x and y: |η| p and more, 0 of the planes of sharp
-        pairs. None where a table gives each cell an image of its own.
+        Smallest full width of the image for cells of this size, along x and y: |η| p and more, 0 in the
+        planes of sharp pairs. None where a table gives each cell its own image.
     sampling : Sampling or None
-        What it costs that the law changes from cell to cell; None where all cells share one, or a table has none between.
+        Effect of the law's change from cell to cell. None where all cells share one law, or a table has no
+        smooth law.
     zone : Zone or None
-        Where array 2 has a pitch of its own, or is turned.
+        Set where array 2 has its own pitch, or is rotated.
     instead : Middle or None
-        Where less than LITTLE of the light gets through on some rung.
+        Set where less than LITTLE of the light gets through on some rung.
     """
 
     source: Floats
@@ -156,7 +157,7 @@ class Image:
 
 
 def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS, rays: int = RAYS) -> Image:
-    """Find where light of a point meets behind a sheet.
+    """Find the point at which light of a point meets behind a sheet.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
         A point before the sheet, z < 0; with z = −inf, parallel light of the slopes x and y.
     rungs : sequence of "law", "thin", "surfaces"
     rays : int
-        Sent on each rung, spread evenly over the sheet, the same every time.
+        Number sent on each rung, spread evenly over the sheet, always at identical points.
 
     Returns
     -------
@@ -202,7 +203,7 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
 
 
 def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
-    """Processor seconds of `image` on the reference machine, where a sheet of differing cells is traced in numpy."""
+    """Processor seconds of `image` on the reference machine, where a non-uniform sheet is traced in numpy."""
     each = {"law": 0.7e-6, "thin": 6e-6, "surfaces": 16e-6}
     smooth = (
         2.0 * each["law"] if window.cell_laws is not None and window.cell_laws.smooth is not None else 0.0
@@ -234,7 +235,7 @@ def _towards(source: Floats, at: Floats) -> Floats:
 
 
 def _on(window: Window, rung: Rung, source: Floats, sent: Rays, cells: Ints) -> RungImage:
-    """What one rung makes of the rays."""
+    """Image formed by the rays on one rung."""
     seen: TraceResult = Tracer(window, rung, path="size")(sent)
     good = seen.fate == Fate.ALIVE
     gap = 0.0 if rung == "law" else lens_plane(window, rung)
@@ -251,7 +252,7 @@ def _on(window: Window, rung: Rung, source: Floats, sent: Rays, cells: Ints) -> 
 
 
 def _astray(seen: TraceResult) -> tuple[int, int] | None:
-    """The commonest step from the partner of light through lenses of two telescopelets."""
+    """Commonest step from the partner, for light through lenses of two telescopelets."""
     steps, times = np.unique(seen.order[seen.fate == Fate.GHOST], axis=0, return_counts=True)
     if not len(steps):
         return None
@@ -260,7 +261,7 @@ def _astray(seen: TraceResult) -> tuple[int, int] | None:
 
 
 def _middle(window: Window, source: Floats, rung: Rung) -> Middle:
-    """The same kind of light, parallel or from a point as far away, along the middle of the field; how much gets through."""
+    """Light along the middle of the field, from an equally distant source; share that gets through."""
     slopes = np.mean(aperture_slopes(window, window.lattice.cells()), axis=0)
     far = np.isinf(source[2])
     place = np.array([*(slopes if far else source[2] * slopes), source[2]])
@@ -269,14 +270,17 @@ def _middle(window: Window, source: Floats, rung: Rung) -> Middle:
 
 
 def lens_plane(window: Window, rung: Rung) -> float:
-    """Height of array 2's lens centres over array 1's (length), where light leaves for its image."""
+    """Height of array 2's lens centres over array 1's (length); light leaves for its image from there."""
     if rung == "thin":
         return float(window.thin.offset[2])
     return float(next(face.vertex[2] for face in window.faces if face.array == 1))
 
 
 def _predicted(window: Window, source: Floats, cells: Ints, level: float) -> BestPoint:
-    """Where the chief rays of cells (n, 2) meet; array 2 stands at height `level`, optically s behind array 1."""
+    """Point where the chief rays of cells (n, 2) meet.
+
+    Array 2 is at height `level`, optically s behind array 1.
+    """
     centre = window.centres(0, cells)
     way = _towards(source, centre)
     laws = window.cell_laws
@@ -288,7 +292,7 @@ def _predicted(window: Window, source: Floats, cells: Ints, level: float) -> Bes
 
 
 def _sampling(window: Window, sent: Rays) -> Sampling | None:
-    """Light of the cells' laws held against that of the smooth one."""
+    """Compare light by the cells' laws with light by the smooth law."""
     if window.cell_laws is None or window.cell_laws.smooth is None:
         return None
     cells, smooth = (Tracer(window, "law", path="size", continuous=c)(sent) for c in (False, True))
@@ -302,7 +306,10 @@ def _sampling(window: Window, sent: Rays) -> Sampling | None:
 
 
 def _width(window: Window, source: Floats) -> Pair2 | None:
-    """Full width of the image of a point that cells of a finite size leave, along the lens axes; a table has none."""
+    """Full width along the lens axes of the image of a point formed by cells of finite size.
+
+    None for a table.
+    """
     laws = CellLaws(window.law) if window.cell_laws is None else window.cell_laws
     if laws.smooth is None:
         return None

@@ -1,7 +1,8 @@
 """A table of cells that sends parallel light into a picture or pattern on a screen.
 
-Cell (i, j) at C sends light of slope t to T on a screen Z behind array 2:  δ = t − η (T − C − s t)/Z. No surface has to be
-integrable, for cells are separate; the price is that the picture has one spot for each cell, of the width
+Cell (i, j) at C sends light of slope t to T on a screen Z behind array 2:  δ = t − η (T − C − s t)/Z.
+Cells are separate, so no integrable surface is needed. The trade-off: the picture has one spot for each
+cell, of the width
 
     |η| p + 2 Z α/|η| + λ Z/(|η| p)      α: half angle of the source
 """
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Blur:
-    """What widens the light of one cell on the screen: widths along the lens axes, lengths.
+    """Widths of one cell's spot on the screen along the lens axes, lengths, by cause.
 
-    cell : |η| p; source : of its angle; diffraction : λ Z/(|η| p)
+    cell : |η| p; source : by its angle; diffraction : λ Z/(|η| p)
     """
 
     cell: Pair2
@@ -47,7 +48,7 @@ class Blur:
 
 @dataclass(frozen=True, eq=False)
 class Shaped:
-    """Cells and where each sends its light.
+    """Cells and the points to which they send their light.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ class Shaped:
         On the screen.
     deltas : (n, 2)
     way : float, length
-        Rms distance from a cell to its place across.
+        Rms lateral distance from a cell to its point.
     blur : Blur
     target : Target
     """
@@ -72,22 +73,23 @@ class Shaped:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """What rays through the built sheet make on the screen.
+    """Light of rays through the built sheet on the screen.
 
     Parameters
     ----------
     seen, target, spots : (h, w) arrays
-        Light in each square of the screen, over all the light on the sheet: as rays make it, as asked, spread by the width
-        of a cell, and as one spot a cell of ideal lenses would make it. Row 0 is the top.
+        Light in each square of the screen, over all the light on the sheet: by rays; as requested, spread by
+        the width of a cell; and as one spot per cell of ideal lenses. Row 0 is the top.
     corners : (x_min, x_max, y_min, y_max), lengths
     through : float
         Share of the light that goes through lenses of one telescopelet.
     within : float
-        Share of all the light that arrives within one blur of its cell's place.
+        Share of all the light that arrives within one blur of its cell's point.
     difference : float
-        Half the sum of |seen − target|, each scaled to 1: the part of the light that lies elsewhere.
+        Half the sum of |seen − target|, each scaled to 1: the part of the light that is misplaced.
     by_lenses : float
-        The same against `spots`: what of that the lenses make; the rest is that light comes in spots.
+        The difference from `spots` instead: the part caused by the lenses. The remainder of `difference` is
+        caused by light coming in spots.
     """
 
     seen: Floats
@@ -131,7 +133,10 @@ def shaped(design: Design, lattice: Lattice, target: Target, distance: float, so
 
 
 def blur_of(design: Design, distance: float, source: float) -> Blur:
-    """What widens the light of a cell on a screen `distance` (length) away, of a source of half angle `source` (radians)."""
+    """Widths of a cell's spot on a screen `distance` (length) away.
+
+    `source`: half angle of the source (radians).
+    """
     waves = design.pair.wavelength / design.unit_m
     return Blur(*spot_widths(design.law, design.lattice.pitch, distance, source, waves))
 
@@ -177,12 +182,12 @@ def rendered(window: Window, found: Shaped, distance: float, rays: int) -> Rende
 
 
 def _elsewhere(one: Floats, other: Floats) -> float:
-    """Part of the light that lies elsewhere in one picture than in another."""
+    """Part of the light that one picture has at other points than another."""
     return 0.5 * float(np.abs(one / (one.sum() or 1.0) - other / (other.sum() or 1.0)).sum())
 
 
 def _over_cell(window: Window, position: Floats, direction: Floats, which: Any, found: Shaped) -> Floats:
-    """Where each ray lands about its cell's place (n, 2), lengths, if its lenses were ideal: the cell, scaled by |η|."""
+    """Hit of each ray about its cell's point (n, 2), lengths, for ideal lenses: the cell, scaled by |η|."""
     at = position[:, :2] - position[:, 2:] * direction[:, :2] / direction[:, 2:]
     scale = np.array(found.blur.cell) / np.array(window.lattice.pitch)
     return np.asarray((at - window.lattice.centres(found.cells[which])) * scale)

@@ -1,4 +1,4 @@
-"""What was asked of a screen beside what rays make of it."""
+"""Picture of the requested light on a screen, next to the light of traced rays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIZE = (9.6, 4.0)
 
 
 def plot_png(seen: Rendered, name: str, unit: str) -> bytes:
-    """Both pictures and their difference as PNG, the same for the same light; `unit` of the lengths."""
+    """Both pictures and their difference as PNG, reproducible for equal light; `unit` of the lengths."""
     return drawn("png", SIZE, lambda figure: _draw(figure, seen, name, unit), {"font.size": 8.0})
 
 

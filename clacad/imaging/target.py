@@ -1,4 +1,4 @@
-"""What light shall make on a screen: points with weights, from a picture's light or from a file of points."""
+"""Target of light on a screen: points with weights, from a picture's light or from a file of points."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.number_rows import NumberRows
 
 LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
-"""Shares of linear red, green and blue in what is seen (Rec. 709)."""
+"""Weights of linear red, green and blue in luminance (Rec. 709)."""
 
 MOST_PIXELS: Final = 1 << 20
-"""Pixels that a picture is reduced to: light is spread over more than one of them anyway."""
+"""Largest number of pixels; larger pictures are reduced. Each spot covers more than one of them anyway."""
 
 
 ROWS: Final = 4096
-"""Points whose light is spread at a time."""
+"""Number of points whose light is spread at a time."""
 
 
 class NoTarget(ValueError):
-    """A picture or points that no light can be sent into; exit status 2."""
+    """A picture or points that cannot be a target of light; exit status 2."""
 
     exit_status = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Where light shall go on the screen.
+    """Target of light on the screen.
 
     Parameters
     ----------
     points : (m, 2) lengths
-        Screen x and y, in the order along which they are dealt out to cells.
+        Screen x and y, in the order in which they are assigned to cells.
     weights : (m,)
         Part of the light for each, sum 1.
     grain : (2,) lengths
-        Size of a pixel, over which a cell's own place is spread; 0 for points.
+        Size of a pixel, over which the points of its cells are spread; 0 for points.
     pixels : (h, w) or None
         Of a picture.
     """
@@ -51,7 +51,10 @@ class Target:
     pixels: tuple[int, int] | None = None
 
     def light(self, edges: tuple[Floats, Floats], blur: Pair2) -> Floats:
-        """Light (n_x, n_y), sum up to 1, between edges (n + 1,), lengths, along x and y: exact, each point a box of its grain and the blur."""
+        """Light (n_x, n_y) between edges (n + 1,), lengths, along x and y; the sum is at most 1.
+
+        The result is exact: each point is a box of its grain, blurred by a box.
+        """
         (x, column), (y, row) = (np.unique(self.points[:, k], return_inverse=True) for k in (0, 1))
         parts = [
             np.diff(_box_over_box(edge[None, :] - at[:, None], grain, width), axis=1)
@@ -68,14 +71,13 @@ class Target:
         return made
 
     def places(self, count: int) -> Floats:
-        """Places (count, 2), lengths: as many in each point as its weight asks, to less than one.
-
-        Systematic sampling along the order of the points; within a pixel they are spread evenly.
+        """Points (count, 2), lengths; each target point gets a number proportional to its weight, within one.
+        Systematic sampling along the order of the points; within a pixel the samples are spread evenly.
 
         Raises
         ------
         NoTarget
-            Fewer than the points of a pattern.
+            `count` is below the number of points of a pattern.
         """
         if self.pixels is None and count < len(self.points):
             raise NoTarget(f"{len(self.points)} points need as many cells, and the sheet has {count}")
@@ -88,7 +90,7 @@ class Target:
 
 
 def _box_over_box(x: Floats, first: float, second: float) -> Floats:
-    """Share that lies below x (lengths) of a box of width `first` spread over one of width `second` > 0, both about 0."""
+    """Share below x (lengths) of a box of width `first` blurred by a box `second` > 0, both about 0."""
     if first == 0.0:
         return np.clip(x / second + 0.5, 0.0, 1.0)
 
@@ -136,7 +138,7 @@ def of_points(path: Path) -> Target:
     Raises
     ------
     DesignError
-        With row and column: another header, what is no number.
+        With row and column: another header, or a value that is no number.
     NoTarget
         No point, or no weight above 0.
     """
@@ -160,7 +162,10 @@ def of_points(path: Path) -> Target:
 
 
 def _reduced(grey: Floats) -> Floats:
-    """Means of blocks of a picture (h, w) of too many pixels; the edge that fills no block is spread over its own."""
+    """Block means of a picture (h, w) with too many pixels.
+
+    Edge blocks are averaged over their own pixels.
+    """
     side = int(np.ceil(np.sqrt(grey.size / MOST_PIXELS)))
     if side <= 1:
         return grey
@@ -170,7 +175,7 @@ def _reduced(grey: Floats) -> Floats:
 
 
 def _along_hilbert(height: int, width: int) -> Ints:
-    """Pixels (h w, 2) as row and column along a Hilbert curve, so that neighbours in the order are neighbours."""
+    """Pixels (h w, 2) as row and column along a Hilbert curve, so that consecutive pixels are neighbours."""
     side = 1
     while side < max(height, width):
         side *= 2

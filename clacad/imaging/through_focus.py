@@ -1,4 +1,4 @@
-"""Through-focus picture: how wide the light of a point is at each height, and what it looks like where it is least."""
+"""Through-focus picture: width of a point's light at each height, and its spot where the width is least."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ SIZE = (9.6, 4.2)
 COLOURS = {"law": "#7a7a7a", "thin": "#b07aa1", "surfaces": "#1f4e79"}
 HEIGHTS = 81
 DOTS = 4000
-"""Rays drawn in a spot."""
+"""Number of rays drawn in a spot."""
 
 
 def plot_png(image: Image, name: str, unit: str) -> bytes:
-    """Picture as PNG, the same for the same image; `name` of the design, `unit` of its lengths."""
+    """Picture as PNG, reproducible for equal images; `name` of the design, `unit` of its lengths."""
     return drawn("png", SIZE, lambda figure: _draw(figure, image, name, unit), {"font.size": 9.0})
 
 
 def plot_svg(image: Image, name: str, unit: str) -> str:
-    """The same picture as SVG text."""
+    """Picture as SVG text."""
     style = {"svg.hashsalt": "clacad", "font.size": 9.0, "svg.fonttype": "path"}
     return drawn("svg", SIZE, lambda figure: _draw(figure, image, name, unit), style).decode()
 
 
 def reach_of(one: RungImage) -> float:
-    """Distance (length) from the image at which the light is some five times as wide."""
+    """Distance (length) from the image at which the light is about five times as wide."""
     slopes = one.direction[:, :2] / one.direction[:, 2:]
     cone = float(np.sqrt(np.mean(np.sum((slopes - slopes.mean(axis=0)) ** 2, axis=1))))
     return 5.0 * float(np.hypot(*one.found.spot)) / cone

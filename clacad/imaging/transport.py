@@ -1,9 +1,9 @@
-"""Which cell sends its light where: an assignment whose ways are short.
+"""Assignment of cells to points of a target that keeps the distances short.
 
-Up to `EXACT` cells the sum of squared ways is least of all (scipy.optimize.linear_sum_assignment: D. F. Crouse, IEEE Trans.
-Aerosp. Electron. Syst. 52, 1679 (2016)). More are halved together with their places, across the longer side of the
-cells, until so few are left: a transport by bisection, which keeps the order of cells along each cut. Nothing is drawn by
-chance.
+Up to `EXACT` cells the sum of squared distances is minimal (scipy.optimize.linear_sum_assignment: D. F.
+Crouse, IEEE Trans. Aerosp. Electron. Syst. 52, 1679 (2016)). Larger sets are halved together with their
+points, across the longer side of the cells, until at most `EXACT` are left: a transport by bisection, which
+keeps the order of cells along each cut. The assignment is deterministic.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 
 EXACT = 512
-"""Cells that are assigned to their places exactly."""
+"""Largest number of cells that are assigned optimally."""
 
 
 def assigned(cells: Floats, places: Floats) -> Ints:
-    """Which place each cell is given, (n,): each place once.
+    """Index of the point assigned to each cell, (n,); each point is used once.
 
     Parameters
     ----------
@@ -42,5 +42,5 @@ def assigned(cells: Floats, places: Floats) -> Ints:
 
 
 def _sorted(points: Floats, axis: int) -> Ints:
-    """Order (n,) of points (n, 2) along an axis, ties by the other."""
+    """Order (n,) of points (n, 2) along an axis, ties by the other axis."""
     return np.lexsort((points[:, 1 - axis], points[:, axis])).astype(np.int64)

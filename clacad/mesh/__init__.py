@@ -1,4 +1,4 @@
-"""Watertight meshes of a sheet: one cell's triangles, repeated, or each cell's own; expanded only when asked."""
+"""Watertight meshes of a sheet: triangles of one repeated cell, or of each cell; expanded only on request."""
 
 from __future__ import annotations
 

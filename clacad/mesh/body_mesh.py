@@ -1,4 +1,4 @@
-"""The mesh of a window's bodies: a few cell templates of each, where they stand, and the land around them."""
+"""The mesh of a window's bodies: a few cell templates of each, their positions, and the land around them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from clacad.sheet.window import Body, Window
 if TYPE_CHECKING:
     pass
 
-_CHUNK = 20_000  # triangles an expanded block holds at most, about: what stays in the second-level cache
+_CHUNK = 20_000  # largest number of triangles of an expanded block, about: they fit the second-level cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +59,10 @@ class CellBlock:
 
 @dataclass(frozen=True, eq=False)
 class Plain:
-    """Triangles of the land ring and of the outline's side wall, with their own vertices.
+    """Triangles of the land ring and of the outline's side wall, with separate vertices.
 
     key : (v, 4) int64
-        Owner cell, canonical point and level of each vertex, for welding with the cells' own.
+        Owner cell, canonical point and level of each vertex, for welding with the cells' vertices.
     """
 
     vertices: Floats
@@ -78,7 +78,7 @@ class Plain:
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """What is known of all triangles once they have been gone through: how many, and the volume (length³) they enclose."""
+    """Totals over all triangles, known after one pass: their number, and their enclosed volume (length³)."""
 
     facets: int
     volume: float
@@ -86,7 +86,7 @@ class Tally:
 
 @dataclass(frozen=True, eq=False)
 class BodyMesh:
-    """A watertight mesh of one body, expanded only when asked.
+    """A watertight mesh of one body, expanded only on request.
 
     Attributes
     ----------
@@ -95,17 +95,17 @@ class BodyMesh:
     body : Body
     tiled : tuple of Tiled
     ringed : bool
-        Land reaches from the cells to the window's outline.
+        Whether land extends from the cells to the window's outline.
     plain : Plain
         Land ring and outline wall.
     step : length
         Height of one z level.
     saddles : int
-        Vertical lines in which two columns touch and nothing else.
+        Number of vertical lines in which two columns touch and nothing else.
     bevel_volume : float
-        Volume that bevels at saddles add (length³).
+        Volume added by bevels at saddles (length³).
     cells : (n, 2) ints or None
-        The kept cells whose triangles these are; None: all of them. See `part`.
+        The kept cells included in the mesh; None: all of them. See `part`.
     """
 
     name: str
@@ -122,18 +122,19 @@ class BodyMesh:
 
     @property
     def own(self) -> bool:
-        """Whether cells differ, or only some are there, so that triangles are counted one by one."""
+        """Whether triangles are counted one by one: in a non-uniform sheet, or in a part of a sheet."""
         return self.cells is not None or any(tiled.own is not None for tiled in self.tiled)
 
     def part(self, cells: Ints) -> BodyMesh:
-        """The triangles of some kept cells (n, 2) and of the plain land, open where others would follow: enough for light that
-        meets no others.
+        """The triangles of some kept cells (n, 2) and of the plain land, open towards missing cells.
+
+        They suffice for light that reaches no other cells.
         """
         return replace(self, cells=cells)
 
     @cached_property
     def _errors(self) -> tuple[float, float]:
-        """Slope and sag error of the worst of its prototiles; measured when first asked for."""
+        """Slope and sag error of the worst of its prototiles; measured on first use."""
         found = [
             facet_errors(maker.tile, body)
             for tiled in self.tiled
@@ -152,7 +153,7 @@ class BodyMesh:
         return self._errors[1]
 
     def blocks(self) -> Iterator[CellBlock]:
-        """Cells grouped by row and template; where cells differ, what they come to is tallied on the way."""
+        """Cells grouped by row and template; in a non-uniform sheet their totals are counted on the way."""
         lattice = self.window.lattice
         count, volumes = len(self.plain.triangles), [fsum(flux(self.plain.corners).tolist())]
         for tiled in self.tiled:
@@ -179,13 +180,16 @@ class BodyMesh:
             yield CellBlock(tiled.maker.template(kind), row[which.ravel() == n], tiled)
 
     def _states(self, tiled: Tiled, row: Ints) -> NDArray[np.uint8]:
-        """What stands about each of some kept cells (n, 2) of a row; see `row_states`."""
+        """States of the neighbours of some kept cells (n, 2) of a row; see `row_states`."""
         apart = tiled.shift if len(self.tiled) > 1 else (0.0, 0.0)
         return row_states(self.window, row, tiled.maker.offsets, self.ringed, tiled.lattice, apart)
 
     @cached_property
     def census(self) -> tuple[tuple[Template, Lattice, int], ...]:
-        """Templates, the pattern they stand in and how often each occurs, without expanding; of cells that are alike."""
+        """Templates, their lattice and their number of occurrences, without expanding.
+
+        Uniform sheets only.
+        """
         lattice = self.window.lattice
         counts: dict[int, list[int]] = {}
         templates: dict[int, tuple[Template, Lattice]] = {}
@@ -198,14 +202,17 @@ class BodyMesh:
 
     @property
     def facet_count(self) -> int:
-        """Number of triangles, exactly, without expanding them; where cells differ all of them are made once to know."""
+        """Exact number of triangles, without expanding.
+
+        In a non-uniform sheet all of them are made once to count them.
+        """
         if self.own:
             return self._tally.facets
         return sum(len(t.triangles) * number for t, _, number in self.census) + len(self.plain.triangles)
 
     @cached_property
     def facets_about(self) -> int:
-        """Number of triangles; where cells differ from those of a sample of them."""
+        """Number of triangles; in a non-uniform sheet estimated from a sample of cells."""
         if self.cells is not None:
             return self._tally.facets
         total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
@@ -220,7 +227,7 @@ class BodyMesh:
 
     @property
     def _tally(self) -> Tally:
-        """Of all triangles; known after any of the iterators below has come to its end."""
+        """Totals over all triangles; computed by a complete pass over `blocks`."""
         if not self._tallied:
             for _ in self.blocks():
                 pass
@@ -229,7 +236,7 @@ class BodyMesh:
     def rows(self) -> Iterator[Floats]:
         """Yield all triangles as (k, 3, 3) corner blocks of at most a row (lengths, sheet frame, outward).
 
-        Memory is that of one block, whatever the number of cells; blocks come in a fixed order.
+        Memory is that of one block, for any number of cells; blocks come in a fixed order.
         """
         for block, first, last in self._portions():
             yield block.corners(first, last)
@@ -244,7 +251,7 @@ class BodyMesh:
                 yield block, first, min(first + each, len(block.cells))
 
     def parts(self) -> Iterator[tuple[CellBlock, int]]:
-        """Yield (block, number of cells) of each block of `rows`, the plain land left out."""
+        """Yield (block, number of cells) of each block of `rows`, without the plain land."""
         for block, first, last in self._portions():
             yield block, last - first
 
@@ -277,7 +284,7 @@ class BodyMesh:
         keys.append(self.plain.key)
         positions.append(self.plain.vertices)
         triangles.append(self.plain.triangles + count)
-        if len(self.tiled) > 1:  # points of the two tilings are numbered alike but never shared
+        if len(self.tiled) > 1:  # points of the two tilings have the same numbers but are never shared
             return _weld_positions(np.concatenate(positions), np.concatenate(triangles))
         return _weld(np.concatenate(keys), np.concatenate(positions), np.concatenate(triangles))
 
@@ -299,7 +306,7 @@ class BodyMesh:
 
 
 def mesh_volume(mesh: BodyMesh) -> float:
-    """Sum the flux over the templates, each times its number, and the land (length³)."""
+    """Sum the flux over the templates, each times its number, and over the land (length³)."""
     parts: list[float] = []
     for template, lattice, number in mesh.census:
         xy = template.xy + (lattice.centres(template.owner) - lattice.centres(np.zeros(2, dtype=np.int64)))
@@ -311,7 +318,7 @@ def mesh_volume(mesh: BodyMesh) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Watertight meshes of a window's bodies, expanded only when asked.
+    """Watertight meshes of a window's bodies, expanded only on request.
 
     Attributes
     ----------
@@ -367,7 +374,7 @@ class Mesh:
 
 
 def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:
-    """Rows that stand for all: (row, how many are like it). Inner rows of a full lattice repeat in pairs."""
+    """Representative rows: (row, number of equal rows). Inner rows of a full lattice repeat in pairs."""
     if not full or count <= 6:
         return [(j, 1) for j in range(count)]
     inner = range(2, count - 2)
@@ -376,7 +383,7 @@ def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:
 
 
 def _weld(key: Ints, position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Give one number to vertices with one key."""
+    """Merge vertices with equal keys."""
     packed = unique_rows(key)[1]
     first = np.zeros(int(packed.max()) + 1, dtype=np.int64)
     first[packed[::-1]] = np.arange(len(packed))[::-1]
@@ -384,7 +391,7 @@ def _weld(key: Ints, position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 
 def _weld_positions(position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Give one number to vertices at one place."""
+    """Merge vertices with equal positions."""
     order = np.lexsort(position.T)
     new = np.ones(len(order), dtype=bool)
     new[1:] = (np.diff(position[order], axis=0) != 0.0).any(axis=1)

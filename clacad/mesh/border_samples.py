@@ -1,4 +1,4 @@
-"""Samples along a cell's borders and their levels, the same for both cells of every border."""
+"""Samples along a cell's borders and their levels, common to both cells of every border."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from clacad.sheet.lattice import Step
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BorderSamples:
-    """Where the two cells of a border have points, and how high they stand there.
+    """Points of the two cells along a border, and their levels.
 
     t : (n,)
         Parameters of the samples, 0 and 1 included.
     grid_at : (quads + 1,)
-        Of them, where the points of the regular grid lie.
+        Indices of the samples that are points of the regular grid.
     levels : (n, 4)
         Left front, left back, right front, right back.
     """
@@ -33,7 +33,7 @@ class BorderSamples:
 def with_borders(
     make: CellLevels, plan: pl.Planar, steps: Steps
 ) -> tuple[pl.Planar, list[Floats], list[BorderSamples]]:
-    """Give the tile's sides the complex's breaks: the same samples on both sides of every border.
+    """Insert the complex's breaks into the tile's sides: both sides of every border have common samples.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def with_borders(
     side_t : m arrays
         Parameters of the samples along each side.
     borders : m BorderSamples
-        Of each side: of the first half the cell is the left one, of the others it is the right one.
+        Of each side. On the first half of the sides the cell is the left one, on the others the right one.
     """
     quads = [
         steps[(k + 1) % 2] for k in range(len(make.tiling.borders))
@@ -56,7 +56,10 @@ def with_borders(
 
 
 def border_samples(make: CellLevels, k: int, quads: int) -> BorderSamples:
-    """Samples of border class k between a cell, its left one, and the cell on its right; kept with the cell."""
+    """Samples of border class k between a cell, on the left, and the cell on its right.
+
+    Cached with the cell.
+    """
     if (k, quads) not in make.known:
         make.known[k, quads] = _border_samples(make, k, quads)
     found: BorderSamples = make.known[k, quads]
@@ -83,7 +86,7 @@ def _border_samples(make: CellLevels, k: int, quads: int) -> BorderSamples:
 
 
 def _seamed(make: CellLevels) -> bool:
-    """Whether land lies between the cells: their borders need no points but corners."""
+    """Whether land lies between the cells: their borders then need no points but corners."""
     return make.window.land.seam > 0.0
 
 
@@ -92,18 +95,18 @@ def _back(step: Step) -> Step:
 
 
 def border_stops(width: float, length: float) -> Floats:
-    """Parameters on a border of this length at which bevels end."""
+    """Parameters, on a border of a given length, at which bevels end."""
     return np.array([width / length, 1.0 - width / length])
 
 
 def _least(make: CellLevels, start: tuple[float, float], end: tuple[float, float], quads: int) -> float:
-    """Least spacing of two border samples, as a parameter, within reason."""
+    """Least spacing of two border samples, as a parameter, within limits."""
     length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
     return float(np.clip(shortest(make) / length, 1e-6, 0.05 / quads))
 
 
 def settle_inside(make: CellLevels, lens: Ints) -> Ints:
-    """Merge levels closer than the gap at every point by itself."""
+    """Merge levels closer than the gap at every point separately."""
     held = np.array([make.held[0], make.held[1], True, True])
     both = np.concatenate([lens, np.broadcast_to(np.array(make.land), lens.shape)], axis=1)
     return cluster(both, held, make.gap)[:, :2]
@@ -122,7 +125,7 @@ def settle_sides(plan: pl.Planar, lens: Ints, borders: list[BorderSamples]) -> I
 def _border_levels(
     make: CellLevels, k: int, t: Floats, groups: list[Floats], ends: tuple[Ints, Ints]
 ) -> Ints:
-    """Merged levels of both cells along border class k, (n, 4): equal where a break says they are."""
+    """Merged levels of both cells along border class k, (n, 4): equal where a break requires it."""
     inner = t[1:-1]
     held = np.array([*make.held, *make.held, True, True])
     both = _at(make, k, inner)
@@ -137,7 +140,7 @@ def _border_levels(
 def _parted(
     make: CellLevels, k: int, t: Floats, rows: Ints, groups: list[Floats], ends: tuple[Ints, Ints]
 ) -> tuple[Floats, Ints]:
-    """Part two columns that only touch along a stretch of the border, so that no edge has four faces.
+    """Separate two columns that only touch along a stretch of the border, so that no edge has four faces.
 
     Between the ends of the stretch the upper column moves up by the merge height, a few z steps.
     """
@@ -145,7 +148,7 @@ def _parted(
     alone = touch[:-1] & touch[1:]
     alone[1:] &= ~touch[:-2]
     alone[:-1] &= ~touch[2:]
-    if alone.any():  # two samples and nothing between them to move
+    if alone.any():  # two samples without one between them that could be moved
         t = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])[alone]]))
         rows = _border_levels(make, k, t, groups, ends)
         touch = _touching(rows)
@@ -160,7 +163,7 @@ def _parted(
 
 
 def _touching(rows: Ints) -> Bools:
-    """Where both columns exist and share a level but no material."""
+    """Whether both columns exist and share a level but no material."""
     there = (rows[:, 0] <= rows[:, 1]) & (rows[:, 2] <= rows[:, 3]) & (np.abs(rows) < FAR).all(axis=1)
     shared = np.minimum(rows[:, 1], rows[:, 3]) - np.maximum(rows[:, 0], rows[:, 2])
     return np.asarray(there & (shared == 0))
@@ -178,7 +181,7 @@ def _at(make: CellLevels, k: int, t: Floats) -> Ints:
 
 
 def _hold_equal(make: CellLevels, here: Ints, root: Ints, held: Bools) -> None:
-    """Make equal, in place, the levels that are equal at the root (a sample may stand a little beside it)."""
+    """Equalise, in place, the levels that are equal at the root (a sample may lie slightly off the root)."""
     order = np.argsort(root, kind="stable")
     runs = np.split(order, np.flatnonzero(np.diff(root[order]) > make.gap) + 1)
     for run in runs:
@@ -200,8 +203,9 @@ def _end_levels(make: CellLevels, k: int) -> tuple[Ints, Ints]:
 
 
 def _node_levels(make: CellLevels, corner: int) -> dict[int, Ints]:
-    """Merged front and back level (2,) of every cell about the node at a corner of a cell, by which corner of theirs
-    lies there.
+    """Merged front and back level (2,) of every cell around the node at a corner of a cell.
+
+    The keys are the cells' own corners at the node.
     """
     node, here = next((n, s) for n in make.tiling.nodes for s, c in n.cells if c == corner)
     first = make.beside(_back(here))

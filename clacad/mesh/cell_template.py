@@ -1,8 +1,8 @@
-"""A cell's own triangles for each way its neighbours can stand: the unit that a sheet repeats.
+"""A cell's own triangles for each state of its neighbours: the unit that a sheet repeats.
 
-A cell owns its two caps, its inner walls, the walls on the borders it is the left cell of, and the
-walls towards neighbours that do not exist. What it owns depends only on which neighbours are cells,
-land or nothing, so a sheet of any size has a handful of templates.
+A cell owns its two caps, its inner walls, the walls on the borders of which it is the left cell, and the
+walls towards neighbours that do not exist. Its triangles depend only on which neighbours are cells,
+land or nothing, so a sheet of any size has a few templates.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from clacad.sheet.lattice import Lattice, node_cells
 
 Offset = tuple[int, int]
 
-NOTHING, CELL, PLAIN = 0, 1, 2  # what stands at a neighbour's place: nothing, a kept cell, plain land
+NOTHING, CELL, PLAIN = 0, 1, 2  # state of a neighbour: nothing, a kept cell, plain land
 FRONT, FRONT_LAND, BACK, BACK_LAND, WALL = 0, 1, 2, 3, 4  # kinds of triangle
 
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """The triangles one cell owns, in terms of vertices that cells share.
+    """The triangles owned by one cell, with vertices that cells share.
 
     owner : (v, 2) int64
         Index step to the cell in whose frame the vertex has its canonical coordinates.
@@ -55,7 +55,7 @@ class Template:
 
     @cached_property
     def owners(self) -> tuple[Ints, Ints]:
-        """Distinct index steps (k, 2), and which of them each vertex has (v,)."""
+        """Distinct index steps (k, 2), and the index of each vertex's step among them (v,)."""
         return unique_rows(self.owner)
 
 
@@ -69,12 +69,14 @@ def neighbour_offsets(lattice: Lattice) -> tuple[Offset, ...]:
 
 
 _ON_SIDE, _AT_NODE, _SIDE = 2**32, 2**36, 2**24
-"""Canonical points on borders and nodes of cells that differ: numbered along them, not as in either cell."""
+"""Offsets of canonical points on borders and nodes of a non-uniform sheet: numbered along them, not as in a
+cell.
+"""
 
 
 @dataclass(eq=False)
 class TemplateMaker:
-    """Makes and keeps the templates of one prototile.
+    """Makes and caches the templates of one prototile.
 
     Parameters
     ----------
@@ -82,7 +84,7 @@ class TemplateMaker:
     lattice : Lattice
         Pattern of the cells.
     others : callable or None
-        Index step → the maker of that neighbour, where cells differ; None: they are all alike.
+        Index step → the maker of that neighbour, in a non-uniform sheet; None for a uniform one.
     """
 
     tile: Prototile
@@ -108,8 +110,10 @@ class TemplateMaker:
         self._rings: dict[tuple[int, bytes], Ring] = {}
 
     def _join_edges(self, ends: set[int]) -> None:
-        """Say of each edge that begins where a wall may stand, at one of `ends` or on a side of the tile, which triangle
-        is left of it, the third corner of that, and which of its corners the edge begins at.
+        """Index the triangles' edges at which a wall is possible.
+
+        These edges begin at one of `ends` or on a side of the tile. For each the index holds the triangle on
+        its left, that triangle's third corner, and the corner at which the edge begins.
         """
         triangles = self.tile.plan.triangles
         walled = np.zeros(len(self.tile.plan.xy), dtype=bool)
@@ -125,10 +129,10 @@ class TemplateMaker:
         self._after = dict(zip(zip(number, a), (edge % 3).tolist()))
 
     def beside(self, step: Offset) -> TemplateMaker:
-        """The maker of the cell at an index step, which is kept."""
+        """The maker of the kept cell at an index step."""
         return self if self.others is None or step == (0, 0) else self.others(step)
 
-    # -- where points belong ------------------------------------------------------------------
+    # -- owners of points ------------------------------------------------------------------------
 
     def _canonical(self) -> tuple[Ints, Ints]:
         """Owner step and canonical point of every footprint point."""
@@ -157,7 +161,7 @@ class TemplateMaker:
         return owner, point
 
     def _in_owner(self) -> Floats:
-        """Every footprint point in the frame of the cell that owns it, (n, 2): to the last bit what that cell has."""
+        """Every footprint point in the frame of its owner cell, (n, 2): bit for bit as in that cell."""
         sides, half = self.tile.plan.sides, len(self.tile.plan.sides) // 2
         xy = self.tile.plan.xy.copy()
         for k, points in enumerate(self.tile.on_left):
@@ -194,12 +198,12 @@ class TemplateMaker:
         return self._fan(point, start)
 
     def _absent(self, state: int) -> Column:
-        """The column that stands at the place of a cell that is not kept."""
+        """The column in place of a cell that is not kept."""
         front, back = self.tile.land
         return (front, back) if state == PLAIN and front != NONE and back != -NONE else None
 
     def _ring(self, point: int, states: dict[Offset, int], code: bytes) -> Ring:
-        """All columns about a point, its own cell's and its neighbours'."""
+        """All columns around a point, of its own cell and of its neighbours."""
         shared = point in self._corner_of or point in self._side_of
         key = (point, code if shared else b"")
         if key not in self._rings:
@@ -207,9 +211,9 @@ class TemplateMaker:
         return self._rings[key]
 
     def _wedges(self, point: int, states: dict[Offset, int]) -> list[tuple[Hashable, Column]]:
-        """Columns about a point counter-clockwise, each with its tag: the index step to its cell, and its triangle."""
+        """Columns around a point counter-clockwise, each tagged by index step to its cell and triangle."""
         half = len(self.tile.plan.sides) // 2
-        # cells about the point in canonical order; the point in them: (side, how many points on)
+        # cells around the point in canonical order; the point in each: (side, index of the point on it)
         around: list[tuple[Offset, tuple[int, int]]] = []
         if point in self._corner_of:
             index, place = self._corner_of[point]
@@ -253,7 +257,7 @@ class TemplateMaker:
                 corners, z = plan.triangles[solid], level[solid]
                 kind = np.where(part[solid, side] == LENS, (FRONT, BACK)[side], (FRONT_LAND, BACK_LAND)[side])
                 kind[self.tile.bevelled(side)[solid]] = WALL
-            if side == 0:  # material above: seen from outside (below) the turn is the other way
+            if side == 0:  # material above: seen from outside (below) the orientation is reversed
                 corners, z = corners[:, ::-1], z[:, ::-1]
             points.append(corners)
             levels.append(z)
@@ -265,8 +269,9 @@ class TemplateMaker:
     # -- templates ----------------------------------------------------------------------------
 
     def template(self, states: NDArray[np.uint8]) -> Template:
-        """The triangles a cell owns whose neighbours (in the order of `offsets`) are in these states; kept where cells
-        are alike.
+        """The triangles of a cell with neighbours in these states (in the order of `offsets`).
+
+        Templates are cached in a uniform sheet.
         """
         code = states.astype(np.uint8).tobytes()
         if self.others is not None:
@@ -320,7 +325,7 @@ class TemplateMaker:
         for k in range(len(self.tile.plan.sides)):
             step = self.lattice.steps[k]
             if self._apart and states[step] == NOTHING:
-                continue  # the outline's wall, which knows both faces, stands here
+                continue  # the outline's wall, built from both faces, closes the cell here
             if states[step] != CELL or k < len(self.tile.plan.sides) // 2:
                 found += self._border(k, states, code)
         return found
@@ -362,7 +367,7 @@ class TemplateMaker:
 
 
 def _plane_cap(plan: pl.Planar) -> Ints:
-    """Triangles of a plane face: a fan over the border points only, where a point lies inside."""
+    """Triangles of a plane face: a fan over the border points only, if a point lies inside."""
     sides = plan.sides
     if all(len(side) == 2 for side in sides):
         return pl.polygon_fan(np.array([side[0] for side in sides]))
@@ -373,7 +378,7 @@ def _plane_cap(plan: pl.Planar) -> Ints:
 
 
 def _inner_walls(triangles: Ints, levels: Ints) -> list[tuple[int, int, int, int]]:
-    """Edges inside the footprint over which the columns differ: (p, q, left, right triangle)."""
+    """Edges inside the footprint at which the columns differ: (p, q, left, right triangle)."""
     edges, number = pl.edges_of(triangles)
     order = np.argsort(number.ravel(), kind="stable")
     sorted_number = number.ravel()[order]

@@ -30,7 +30,7 @@ class Planar:
         Whether the triangle lies in the optical zone.
     sides : m arrays of point numbers
     fixed : (n,) bool
-        Points that must stay where they are (on the tile's or the zone's border).
+        Points that must not move (on the tile's or the zone's border).
     """
 
     xy: Floats
@@ -47,11 +47,11 @@ def grid(lattice: Lattice, tile: Floats, zone: Floats, steps: tuple[int, int], d
     ----------
     lattice : Lattice
     tile, zone : (m, 2) lengths
-        Corners of the cell and of its optical zone (the same polygon where there is no seam).
+        Corners of the cell and of its optical zone (equal polygons if there is no seam).
     steps : (int, int)
-        Grid steps along both half axes of a rectangle; a hexagon has as many along each side.
+        Grid steps along both half axes of a rectangle; a hexagon has that number along each side.
     diagonal : +1 or −1
-        Squares are split along (+x, +y) or along (+x, −y); hexagons have no choice.
+        Squares are split along (+x, +y) or along (+x, −y); no effect on hexagons.
     """
     xy, triangles, sides = _hexagon(zone, steps[0]) if lattice.hexagonal else _square(zone, steps, diagonal)
     fixed = np.zeros(len(xy), dtype=bool)
@@ -62,7 +62,7 @@ def grid(lattice: Lattice, tile: Floats, zone: Floats, steps: tuple[int, int], d
 
 
 def _square(zone: Floats, steps: tuple[int, int], diagonal: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
-    """Points (n, 2), triangles (t, 3) and the points of each side of a rectangle cut into p × q."""
+    """Points (n, 2), triangles (t, 3) and the points of each side of a rectangle divided into p × q."""
     p, q = steps
     x, y = np.meshgrid(*((2 * np.arange(n + 1) - n) / n for n in steps))  # symmetric to the last bit
     (ax, ay), (bx, by) = half_axes(zone)
@@ -105,7 +105,7 @@ def _hexagon(zone: Floats, q: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
 
 
 def _with_ring(zone: Planar, tile: Floats) -> Planar:
-    """Surround the zone by flat land out to the tile, whose own sides then need no points but corners."""
+    """Surround the zone by flat land out to the tile, whose own sides then need only their corners."""
     n, m = len(zone.xy), len(tile)
     triangles = [zone.triangles]
     for k, side in enumerate(zone.sides):
@@ -138,7 +138,7 @@ def place(breaks: Floats, quads: int, least: float) -> tuple[Floats, Floats]:
     -------
     samples : (n,) ascending, 0 and 1 included
     grid_at : (quads + 1,)
-        Where each regular grid sample lies now; the rest of `samples` is additional.
+        New index of each regular grid sample; the rest of `samples` is additional.
     """
     grid_at = np.arange(quads + 1) / quads
     extra: list[float] = []
@@ -167,7 +167,7 @@ def with_side_samples(planar: Planar, tile: Floats, samples: list[tuple[Floats, 
     Parameters
     ----------
     samples : m pairs (samples, grid_at)
-        Of `place`, along each side.
+        Result of `place`, along each side.
     """
     xy = planar.xy.copy()
     triangles: list[list[int]] = []
@@ -247,9 +247,9 @@ def split(triangles: Ints, zone: Tags, xy: Floats, number: Ints, middle: Ints) -
     ----------
     triangles (m, 3), xy (n, 2)
     zone : (m, ...)
-        What each triangle is; its pieces are the same.
+        Kind of each triangle; its pieces inherit it.
     number : (m, 3)
-        Edge numbers, as `edges_of` gives.
+        Edge numbers, as returned by `edges_of`.
     middle : (e,)
         Point on each edge, −1 for none. At most two of a triangle's edges have one.
     """
@@ -260,7 +260,7 @@ def split(triangles: Ints, zone: Tags, xy: Floats, number: Ints, middle: Ints) -
         rows = np.flatnonzero(cuts == count)
         if not len(rows):
             continue
-        # turn so that the cut edge is corner 0 → 1, or the uncut edge corner 2 → 0
+        # rotate so that the cut edge is corner 0 → 1, or the uncut edge corner 2 → 0
         has = on[rows] >= 0
         turn = np.argmax(has, axis=1) if count == 1 else (np.argmin(has, axis=1) + 1) % 3
         order = (turn[:, None] + np.arange(3)) % 3

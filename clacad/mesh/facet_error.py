@@ -1,4 +1,4 @@
-"""How far the facets are from the exact surfaces: slope, sag, and what another size would give."""
+"""Error of the facets against the exact surfaces: slope and sag."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """Whether triangles close a solid: every directed edge balanced, every edge used exactly twice.
 
-Works on plain triangle corners, as a file gives them: corners are the same vertex if their
-coordinates are equal. A mesh of any size is examined in passes over hash partitions of its edges, so
-memory is bounded by the partition, not by the mesh; what the hashes find suspicious is decided by
-the coordinates themselves.
+Input is plain triangle corners, as in a file: corners with equal coordinates are one vertex. A mesh of any
+size is examined in passes over hash partitions of its edges, so memory is bounded by the partition, not by
+the mesh. Edges that the hashes mark as suspicious are decided by their coordinates.
 """
 
 from __future__ import annotations
@@ -24,25 +23,25 @@ Chunks = Callable[[], Iterable[NDArray[Any]]]
 
 _EDGES_A_PASS = 60_000_000  # 0.5 GB of edge hashes
 _JOINED_A_PASS = 8_000_000  # with owners and their order: 0.3 GB
-_FEW = 200_000  # triangles up to which a compiler is not worth starting
-_LISTED = 64  # bad edges listed in a report
+_FEW = 200_000  # largest number of triangles for which starting a compiler is not worthwhile
+_LISTED = 64  # largest number of bad edges in a report
 
 
 @dataclass(frozen=True, eq=False)
 class Health:
-    """What an examination of a triangle mesh found.
+    """Result of an examination of a triangle mesh.
 
     triangles : int
     degenerate : int
         Triangles with two equal corners.
     open_edges : int
-        Undirected edges used by one triangle, or by two that run the same way.
+        Undirected edges used by one triangle, or by two in the same direction.
     four_face_edges : int
         Undirected edges used by more than two triangles.
     bad_edges : (k, 2, 3)
         Ends of the first bad edges (lengths).
     pieces : int or None
-        Pieces connected through edges; None where it was not asked.
+        Number of pieces connected through edges; None if not requested.
     volume : float
         Flux of (0, 0, z) outward (length³); the enclosed volume where closed.
     """
@@ -57,7 +56,7 @@ class Health:
 
     @property
     def closed(self) -> bool:
-        """Every directed edge is balanced by its reverse and used once; no triangle is degenerate."""
+        """Whether every directed edge has its reverse and is used once, and no triangle is degenerate."""
         return self.triangles > 0 and self.open_edges == self.four_face_edges == self.degenerate == 0
 
     @property
@@ -74,10 +73,10 @@ def check_closed(
     Parameters
     ----------
     source : (n, 3, 3) array, or (vertices, triangles), or a function that yields (k, 3, 3) arrays
-        The function is called three times or more: once a pass (20 million triangles, or 2.7 million
+        The function is called three times or more: once per pass (20 million triangles, or 2.7 million
         where pieces are counted).
     pieces : bool
-        Count the connected pieces too (needs 8 bytes a triangle more).
+        Count the connected pieces too (needs 8 bytes more per triangle).
 
     Returns
     -------
@@ -106,7 +105,7 @@ def check_closed(
 
 
 def _as_chunks(source: NDArray[Any] | tuple[NDArray[Any], NDArray[Any]] | Chunks) -> Chunks:
-    """Make any source a function that yields blocks of corners."""
+    """Turn any source into a function that yields blocks of corners."""
     if callable(source):
         return source
     block = 1_000_000
@@ -128,7 +127,7 @@ def _as_chunks(source: NDArray[Any] | tuple[NDArray[Any], NDArray[Any]] | Chunks
 
 
 def vertex_hashes(corners: NDArray[Any]) -> Words:
-    """Hash corner coordinates (..., 3) to 64 bits; equal coordinates hash alike (0 and −0 too)."""
+    """Hash corner coordinates (..., 3) to 64 bits; equal coordinates have equal hashes (0 and −0 too)."""
     bits = np.ascontiguousarray(corners + np.zeros(1, dtype=corners.dtype)).view(
         np.uint32 if corners.dtype == np.float32 else np.uint64
     )
@@ -169,7 +168,7 @@ def _edges(chunks: Chunks, number: int, passes: int, owners: bool) -> tuple[Word
         edges = _edge_hashes(keys).ravel()
         keep = np.repeat(~_degenerate(keys), 3)
         if passes > 1:
-            # the top bits choose the partition: both directions fall into the same one
+            # the top bits choose the partition: both directions have the same ones
             keep &= (edges >> np.uint64(40)) % np.uint64(passes) == np.uint64(number)
         found.append(edges[keep])
         if owners:
@@ -198,7 +197,7 @@ def _unbalanced(edges: Words) -> Words:
 
 
 def _paired(edges: Words, start: int) -> bool:
-    """Whether a stretch of a sorted list is pairs of one edge in both directions, no edge twice."""
+    """Whether a stretch of a sorted list consists of pairs of one edge in both directions, no edge twice."""
     part = edges[start : start + 2_000_002]
     here = part[:2_000_000]
     both = bool(((here[0::2] ^ here[1::2]) == 1).all())

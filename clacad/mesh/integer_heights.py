@@ -1,9 +1,9 @@
-"""Heights as whole numbers of a binary step: equal heights are equal to the last bit, everywhere.
+"""Heights as integer multiples of a binary step: equal heights are equal to the last bit, everywhere.
 
-The step is the float32 spacing at the sheet's largest |z|, so that every height survives a float32
-file unchanged; single linkage merges levels closer than a few steps, which leaves room for a vertex
-between any two that differ. Levels are not those of the cell complex: a mesh asks at many points between its nodes and
-roots, and only whole numbers are equal there whichever cell asks.
+The step is the float32 spacing at the sheet's largest |z|, so that every height survives a float32 file
+unchanged. Single linkage merges levels closer than a few steps, which leaves room for a vertex between any
+two different levels. Levels are independent of the cell complex: a mesh needs heights at many points between
+its nodes and roots, and only integers are equal there for all cells.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from clacad.topology.borders import roots_between
 from clacad.topology.complex_parts import CellComplex, Tiling
 from clacad.topology.wall_strips import linked
 
-FAR = 2**60  # the other side of a body whose faces are meshed apart
+FAR = 2**60  # the other side of a body whose faces are meshed separately
 NONE = 2**61  # a front without a surface; −NONE a back without one
-LENS, LAND, VOID = 0, 1, 2  # what a face of a footprint's triangle is
-LEAST_GAP = 4  # steps between two levels that are not one
+LENS, LAND, VOID = 0, 1, 2  # kind of a face over a triangle of the footprint
+LEAST_GAP = 4  # least number of steps between two distinct levels
 
 
 def z_step(window: Window) -> float:
@@ -56,15 +56,15 @@ def cluster(levels: Ints, fixed: Bools, gap: int) -> Ints:
     Parameters
     ----------
     levels : (n, c) int64
-        Values of magnitude FAR and beyond are left alone.
+        Values of magnitude FAR and beyond are unchanged.
     fixed : (c,) bool
-        Columns whose level a cluster takes over (land, plane faces); else it takes its middle.
+        Columns whose level a cluster adopts (land, plane faces); else it adopts its middle.
     """
     order = np.argsort(levels, axis=1, kind="stable")
     z = np.take_along_axis(levels, order, axis=1)
     group = linked(
         z, gap
-    )  # levels of magnitude FAR never lie within `gap` of a real one; equal ones may share a group
+    )  # levels of magnitude FAR are never within `gap` of a real one; equal ones may share a group
     n, c = z.shape
     flat = group + c * np.arange(n)[:, None]
     first = np.full(n * c, np.iinfo(np.int64).max)
@@ -81,7 +81,7 @@ def cluster(levels: Ints, fixed: Bools, gap: int) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class CellLevels:
-    """The heights of one cell of a body's tiling as levels: what every step of making a prototile asks.
+    """The heights of one cell of a body's tiling as levels, for every step of making a prototile.
 
     window, body, cells, tiling
     step : length
@@ -91,11 +91,11 @@ class CellLevels:
     bevel : length
         Width of the bevels at saddles; 0: none.
     index : (i, j)
-        The cell, where each is a piece of its own.
+        The cell, if each is a separate piece.
     others : callable or None
-        Index → heights of that cell; None: all cells are the same piece.
+        Index → heights of that cell; None: all cells are identical pieces.
     known, common : dict
-        What was worked out of this cell, and of all cells of the tiling.
+        Cached results of this cell, and of all cells of the tiling.
     """
 
     window: Window
@@ -111,7 +111,7 @@ class CellLevels:
     common: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def of_cell(self, index: Step, others: Callable[[Step], CellLevels]) -> CellLevels:
-        """The same of the cell at `index`, with its own lenses; `others` gives its neighbours."""
+        """The levels of the cell at `index`, with its own lenses; `others` returns its neighbours' levels."""
         at = np.array(index)
         faces = [self.window.in_cell(face, at) for face in (self.body.front, self.body.back)]
         front, back = (replace(face, surface=_simplest(face.surface)) for face in faces)
@@ -119,13 +119,13 @@ class CellLevels:
         return replace(self, body=body, index=index, others=others, known={})
 
     def beside(self, step: Step) -> CellLevels:
-        """The cell at an index step from this one, kept or not."""
+        """The levels of the cell at an index step from this one, kept or not."""
         if self.others is None or step == (0, 0):
             return self
         return self.others((self.index[0] + step[0], self.index[1] + step[1]))
 
     def roots(self, k: int) -> Floats:
-        """`Border.roots` of border class k between this cell, its left, and the one on its right."""
+        """`Border.roots` of border class k between this cell, on the left, and the one on its right."""
         border = self.tiling.borders[k]
         if self.others is None:
             return border.roots
@@ -134,7 +134,7 @@ class CellLevels:
 
     @cached_property
     def at_corners(self) -> Ints:
-        """Front and back level at each corner of the tile, (m, 2), before any are merged."""
+        """Front and back level at each corner of the tile, (m, 2), before merging."""
         return self.levels(self.heights(self.tiling.tile))
 
     def meshed(self) -> tuple[bool, bool]:
@@ -144,7 +144,10 @@ class CellLevels:
         return self.body.front.array == self.tiling.array, self.body.back.array == self.tiling.array
 
     def heights(self, xy: Floats) -> Floats:
-        """Front and back lens (or plane) heights (n, 2) over cell-frame points; ±inf for a face apart."""
+        """Front and back lens (or plane) heights (n, 2) over cell-frame points.
+
+        ±inf for a separately meshed face.
+        """
         out = np.empty((len(xy), 2))
         for n, (face, here) in enumerate(zip((self.body.front, self.body.back), self.meshed())):
             if not here:
@@ -166,7 +169,7 @@ class CellLevels:
 
     @cached_property
     def land(self) -> tuple[int, int]:
-        """Levels of the land, ±NONE where there is none."""
+        """Levels of the land, ±NONE without land."""
         out = []
         for face, missing in ((self.body.front, NONE), (self.body.back, -NONE)):
             flat = face.vertex[2] if face.array is None else face.land
@@ -176,12 +179,12 @@ class CellLevels:
 
     @property
     def held(self) -> tuple[bool, bool]:
-        """Whether front and back are plane faces, whose level nothing moves."""
+        """Whether front and back are plane faces, whose level is never changed."""
         return self.body.front.array is None, self.body.back.array is None
 
 
 def _simplest(surface: Surface) -> Surface:
-    """The quadric with the same points, where there is one: its heights need no iteration."""
+    """The quadric with the same points, if one exists: its heights need no iteration."""
     if not isinstance(surface, Biconic):
         return surface
     try:

@@ -19,13 +19,13 @@ from clacad.topology.cannot_build import CannotBuild
 
 Key = tuple[int, int, int]  # owner cell i, j and canonical point; outline corners are (−1, n, −1)
 
-_TOUCH = 8.0 * 2.0**-23  # relative to the sheet: a gap a float32 file could not hold is no gap
+_TOUCH = 8.0 * 2.0**-23  # relative to the sheet: smaller gaps than a float32 file can hold count as none
 
 
 def outline_polygon(window: Window) -> Floats:
     """Corners (n, 2) of the window's outline, counter-clockwise, centred on the origin (lengths).
 
-    A circle becomes a polygon of equal area, or one around it where a cell would stick out.
+    A circle becomes a polygon of equal area, or a circumscribed one if a cell would otherwise protrude.
     """
     outline, lattice = window.outline, window.lattice
     if isinstance(outline, Rectangle):
@@ -39,7 +39,7 @@ def outline_polygon(window: Window) -> Floats:
     equal = r * sqrt(2.0 * pi / n / sin(2.0 * pi / n))
     widest = max((place.lattice(lattice) for place in window.placements), key=lambda one: one.pitch)
     corners = widest.centres(lattice.cells())[:, None, :] + widest.tile()
-    # the reach of a corner towards the polygon's side nearest to it
+    # largest distance of a cell's corner from the centre; the polygon's sides are equal · cos(π/n) from it
     across = np.hypot(corners[..., 0], corners[..., 1]).max(initial=0.0)
     if across >= equal * np.cos(pi / n) * (1.0 - 1e-6):
         equal = r / np.cos(pi / n) * (1.0 + 1e-6)
@@ -47,15 +47,15 @@ def outline_polygon(window: Window) -> Floats:
 
 
 def _sides_of_circle(window: Window, radius: float) -> int:
-    """Sides that a circle of a radius (length) becomes."""
+    """Number of polygon sides that replace a circle of a radius (length)."""
     many = ceil(pi * sqrt(500.0 * radius / min(window.lattice.pitch)))
     return int(np.clip(many, 360, 8192)) // 4 * 4
 
 
 def outline_polygons(window: Window) -> tuple[Floats, ...]:
-    """All loops of the window's outline as polygons (n, 2), the land on their left: the outer one first, then the holes.
+    """Loops of the window's outline as polygons (n, 2), the land on their left: outer loop first, then holes.
 
-    Arcs of a plate become sides that enclose the same area.
+    Arcs of a plate are replaced by sides that enclose the same area.
     """
     if not isinstance(window.outline, Plate):
         return (outline_polygon(window),)
@@ -70,7 +70,7 @@ def row_states(
     places: Lattice,
     shift: tuple[float, float] = (0.0, 0.0),
 ) -> Bytes:
-    """What stands about each kept cell of a row, (n, len(offsets)): NOTHING, CELL or PLAIN.
+    """States of the neighbours of each kept cell of a row, (n, len(offsets)): NOTHING, CELL or PLAIN.
 
     ringed : bool
         Whether there is land out to the window's outline.
@@ -93,9 +93,9 @@ def row_states(
 def _reaches_inside(
     window: Window, index: Ints, places: Lattice, shift: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Whether a cell's footprint overlaps the inside of the outline (neighbours of kept cells only)."""
+    """Whether a cell's footprint overlaps the inside of the outline (for neighbours of kept cells only)."""
     if not isinstance(window.outline, Rectangle):
-        return np.ones(len(index), dtype=bool)  # a round outline keeps clear of the kept cells
+        return np.ones(len(index), dtype=bool)  # a round outline never touches the kept cells
     corners = places.centres(index)[:, None, :] + places.tile() + np.array(shift)
     half = 0.5 * np.array([window.outline.width, window.outline.height])
     half -= _TOUCH * half.max()
@@ -112,7 +112,7 @@ class LandRing:
     keys : list of Key
         Points of the ring's boundary.
     position : key → (x, y), sheet frame (lengths)
-        Of all boundary points, also those only on the outline.
+        Of all boundary points, including those that are only on the outline.
     triangles : (t, 3)
         Indices into `keys`, counter-clockwise from +z.
     rim : list of (outline side, start key, end key, touching cell or None)
@@ -151,7 +151,7 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
     CannotBuild
         CL136: a cell reaches beyond the outline.
     """
-    free = isinstance(window.outline, Plate)  # no cell touches the edge of a plate, or comes beyond it
+    free = isinstance(window.outline, Plate)  # no cell touches the edge of a plate, or protrudes from it
     loops = [polygon + np.array(centre) for polygon in outline_polygons(window)]
     polygon, scale = loops[0], float(np.abs(loops[0]).max())
     position: dict[Key, tuple[float, float]] = {}
@@ -160,7 +160,7 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
     edge = boundary(window.lattice)
     by_row = (
         edge if tiled.own is None else sorted(edge, key=lambda at: at[1::-1])
-    )  # own cells are held for some rows
+    )  # separate cells are cached for a few rows
     points = {at: _side_points(tiled, *at) for at in by_row}
     for i, j, k in edge:
         keys = list(points[i, j, k])
@@ -184,7 +184,7 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
 
 
 def _side_points(tiled: Tiled, i: int, j: int, k: int) -> dict[Key, tuple[float, float]]:
-    """Points of side k of cell i, j, each by the cell that owns it: x, y on the sheet (lengths)."""
+    """Points of side k of cell i, j, keyed by the cell that owns each: x, y on the sheet (lengths)."""
     maker, shift = tiled.maker_at(i, j), tiled.shift
     side = maker.tile.plan.sides[k]
     owner = maker.places[0][side] + (i, j)
@@ -234,7 +234,7 @@ def _rim(
         corner.append(keys[near[0]] if len(near) else (-1, n, -1))
         position.setdefault(corner[-1], (float(p[0]), float(p[1])))
     rim: list[Segment] = []
-    few = len(polygon) <= 16  # a circle's polygon keeps clear of the cells
+    few = len(polygon) <= 16  # a circle's polygon does not touch the cells
     for n in range(len(polygon)):
         a, b = polygon[n], polygon[(n + 1) % len(polygon)]
         length = float(np.hypot(*(b - a)))
@@ -253,7 +253,7 @@ def _rim(
 
 
 def _free_rim(loops: list[Floats], position: dict[Key, tuple[float, float]]) -> list[Segment]:
-    """The sides of loops that no cell touches, numbered on from loop to loop."""
+    """The sides of loops that no cell touches, numbered consecutively over all loops."""
     rim: list[Segment] = []
     for loop in loops:
         first, count = len(rim), len(loop)
@@ -264,7 +264,7 @@ def _free_rim(loops: list[Floats], position: dict[Key, tuple[float, float]]) -> 
 
 
 def link_loops(directed: list[tuple[Key, Key]], position: dict[Key, tuple[float, float]]) -> list[list[Key]]:
-    """Link directed segments to closed loops; where loops touch, each keeps to its own land."""
+    """Link directed segments to closed loops; where loops touch, each bounds its own land."""
     leaving: dict[Key, list[Key]] = {}
     for a, b in directed:
         leaving.setdefault(a, []).append(b)
@@ -291,7 +291,7 @@ def link_loops(directed: list[tuple[Key, Key]], position: dict[Key, tuple[float,
 
 
 def _rightmost(position: dict[Key, tuple[float, float]], before: Key, here: Key, choices: list[Key]) -> Key:
-    """The first way on, turning clockwise from the way back."""
+    """The first choice, turning clockwise from the way back."""
     x, y = position[here]
 
     def heading(key: Key) -> float:

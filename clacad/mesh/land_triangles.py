@@ -33,7 +33,7 @@ class _Builder:
         return self.number[full]
 
     def done(self) -> Plain:
-        """Give the arrays."""
+        """Return the arrays."""
         if not self.triangles:
             return no_plain()
         return Plain(
@@ -73,7 +73,10 @@ def make_plain(window: Window, tiled: tuple[Tiled, ...], step: float) -> Plain:
 
 
 def _key(key: Key, tiling: int) -> Key:
-    """Points of the second tiling are numbered apart; outline corners are common to both."""
+    """Key with a distinct number for points of the second tiling.
+
+    Outline corners are common to both tilings.
+    """
     return key if tiling == 0 or key[2] == -1 else (key[0], key[1], key[2] + 2**40)
 
 
@@ -81,7 +84,7 @@ def _sheet(build: _Builder, land: LandRing, level: int, kind: int, tiling: int) 
     """The flat ring of one face."""
     number = [build.vertex(_key(key, tiling), level, land.position[key]) for key in land.keys]
     for a, b, c in land.triangles.tolist():
-        # material lies above a front face, so it is seen from below
+        # material is above a front face, so it is seen from below
         triangle = (
             (number[c], number[b], number[a]) if kind == FRONT_LAND else (number[a], number[b], number[c])
         )
@@ -116,11 +119,11 @@ def _chain(build: _Builder, land: LandRing, tiled: Tiled, side: int, face: int) 
 
 
 def _zip(build: _Builder, low: list[tuple[float, int]], high: list[tuple[float, int]]) -> None:
-    """Triangulate the wall between a lower and an upper chain that run side by side.
+    """Triangulate the wall between a lower and an upper chain that run in parallel.
 
-    No triangle stands on one vertical line: a step of one chain waits until the other is elsewhere.
+    No triangle lies on one vertical line: a step of one chain waits until the other chain has moved on.
     """
-    near = 3.9 * 2.0**-23 * max(low[-1][0], high[-1][0])  # less than any gap the outline keeps
+    near = 3.9 * 2.0**-23 * max(low[-1][0], high[-1][0])  # less than any gap at the outline
     i = j = 0
     while i < len(low) - 1 or j < len(high) - 1:
         options = []
@@ -130,7 +133,7 @@ def _zip(build: _Builder, low: list[tuple[float, int]], high: list[tuple[float, 
             here, there = chain[at][0], chain[at + 1][0]
             upright = there - here <= near
             if not (upright and abs(other - here) <= near):
-                # arrive first where a step follows, and take it while the other chain is still elsewhere
+                # advance first to a following step, and take it while the other chain is still elsewhere
                 step_next = at + 2 < len(chain) and chain[at + 2][0] - there <= near
                 options.append((not upright, there - near * step_next, which))
         if not options:

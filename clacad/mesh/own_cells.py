@@ -1,8 +1,8 @@
-"""Meshes of a tiling whose cells differ: each cell has a prototile of its own, and meets its neighbours' on their borders.
+"""Meshes of a non-uniform sheet's tiling: each cell has its own prototile with borders common to neighbours.
 
-The same quadric is cut at another place in every cell: samples of a border, their levels and those of its nodes are worked
-out once, by the lenses of the cells that meet there, and both cells take them. Cells are made when they are asked for and
-forgotten some rows later, so that a sheet of any size takes the memory of a few rows.
+A lens surface is cut at a different place in every cell. Samples of a border, their levels and those of its
+nodes are computed once, from the lenses of the cells that meet there, and both cells use them. Cells are made
+on demand and dropped some rows later, so that a sheet of any size needs the memory of a few rows.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from clacad.mesh.prototile import make_prototile
 from clacad.sheet.window import Body
 
 ROWS = 4
-"""Rows of cells that are held: a row meets the one below and the one above it, and they theirs."""
+"""Number of rows of cells kept: a row borders on the ones below and above it, and these on theirs."""
 
 
 class OwnTemplates:
-    """Makers of the cells of one tiling, cell by cell.
+    """Makers of the cells of one tiling, one per cell.
 
     Parameters
     ----------
     base : CellLevels
-        Heights of the tiling, of no cell in particular.
+        Heights of the tiling, for no specific cell.
     quads : int
-        Grid steps a cell side.
+        Grid steps per cell side.
     """
 
     def __init__(self, base: CellLevels, quads: int) -> None:
@@ -40,7 +40,7 @@ class OwnTemplates:
         return self._makers(index)
 
     def body_at(self, index: Offset) -> Body:
-        """The body of a sheet whose cells are all like the one at `index`."""
+        """The body of the uniform equivalent of the cell at `index`."""
         return self._levels(index).body
 
     def _make_levels(self, index: Offset) -> CellLevels:

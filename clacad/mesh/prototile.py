@@ -1,7 +1,7 @@
 """The prototile: one cell's triangulated footprint with the levels of both faces at every corner.
 
-Borders take their samples from the cell complex, so a cell and its neighbour meet in the same points
-at the same levels; rims are cut into the triangles at exact points.
+Borders take their samples from the cell complex, so a cell and its neighbour have common points
+with common levels; rims are cut into the triangles at exact points.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Prototile:
     ----------
     plan : Planar
     lens : (n, 2) int64
-        Level of front and back lens (or plane) at each point; ±FAR for a face that is meshed apart.
+        Level of front and back lens (or plane) at each point; ±FAR for a separately meshed face.
     land : (front, back) int
-        Level of the land; ±NONE where there is none.
+        Level of the land; ±NONE without land.
     part : (m, 2) uint8
         LENS, LAND or VOID: front and back of each triangle. A column is void in both or in neither.
     plane : (bool, bool)
@@ -44,7 +44,8 @@ class Prototile:
     lifted : (m, 2, 3) int64 or None
         Levels of front and back at the corners of triangles that a saddle's bevel raises, NONE elsewhere.
     on_left : m arrays (n, 2), lengths
-        Points of each side but its ends, in the frame of the border's left cell, in the border's direction.
+        Points of each side without its ends, in the frame of the border's left cell, in the border's
+        direction.
     """
 
     plan: pl.Planar
@@ -60,7 +61,7 @@ class Prototile:
     def corner_levels(self) -> Ints:
         """Front and back level at each triangle's corners, (m, 3, 2); NONE, −NONE where void."""
         front, back = self.lens[:, 0], self.lens[:, 1]
-        # a column is outermost of lens and land, and no thinner than nothing, also where a coarse grid is not
+        # a column is the outermost of lens and land; a negative thickness, on a coarse grid, becomes 0
         if abs(self.land[0]) < FAR:
             front = np.minimum(front, self.land[0])
         if abs(self.land[1]) < FAR:
@@ -79,13 +80,13 @@ class Prototile:
         return np.asarray(np.where(raised != NONE, raised, flush))
 
     def bevelled(self, side: int) -> Bools:
-        """Triangles of one face that belong to a bevel, not to lens or land, (m,)."""
+        """Triangles of one face that belong to a bevel instead of lens or land, (m,)."""
         if self.lifted is None:
             return np.zeros(len(self.plan.triangles), dtype=bool)
         return np.asarray(self.lifted[:, side, 0] != NONE)
 
     def bevel_volume(self) -> float:
-        """Volume (length³) that a cell's bevels add."""
+        """Volume (length³) added by a cell's bevels."""
         if self.lifted is None:
             return 0.0
         return added_volume(
@@ -99,8 +100,8 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
     Raises
     ------
     CannotBuild, ValueError
-        No point of the grid meets the lenslet; a lenslet's surface ends inside the cell (its equator), leaving a face
-        with no defined edge.
+        No point of the grid lies on the lenslet; a lenslet's surface ends inside the cell (its equator),
+        leaving a face with no defined edge.
     """
     window = make.window
     steps = _steps(make, quads)
@@ -115,7 +116,7 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
         )
     whole = not (part == VOID).any()
     lifted = None
-    if make.bevel > 0.0 and window.land.seam == 0.0:  # lenslets that stand apart have no saddles
+    if make.bevel > 0.0 and window.land.seam == 0.0:  # separated lenslets have no saddles
         check_width(make, make.bevel)
         plan, lens, part, lifted = bevelled(make, plan, lens, part, side_t)
     plane = (make.held[0] and whole, make.held[1] and whole)
@@ -125,7 +126,7 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
 
 
 def _on_left(make: CellLevels, borders: list[BorderSamples]) -> tuple[Floats, ...]:
-    """Points (n, 2) of each side, both ends left out, in the frame of the border's left cell and in its direction."""
+    """Points (n, 2) of each side without its ends, in the left cell's frame and the border's direction."""
     tile, m = make.tiling.tile, len(make.tiling.tile)
     half = m // 2
     return tuple(
@@ -135,8 +136,8 @@ def _on_left(make: CellLevels, borders: list[BorderSamples]) -> tuple[Floats, ..
 
 
 def _steps(make: CellLevels, quads: int) -> Steps:
-    """Grid steps along each half axis of a cell, the same in all cells of a tiling."""
-    if make.bevel > 0.0:  # bevels are cut into a grid of its own steps on all sides
+    """Grid steps along each half axis of a cell, common to all cells of a tiling."""
+    if make.bevel > 0.0:  # bevels need a grid with their own steps on all sides
         return quads, quads
     if ("steps", quads) not in make.common:
         faces = (make.body.front, make.body.back)
@@ -147,7 +148,7 @@ def _steps(make: CellLevels, quads: int) -> Steps:
 
 
 def _grid(make: CellLevels, steps: Steps) -> pl.Planar:
-    """The regular grid over a cell, common to all cells of a tiling: that of the first for which it is asked."""
+    """The regular grid over a cell, common to all cells of a tiling: that of the first cell requested."""
     if ("grid", steps) not in make.common:
         zone = optical_tile(make.window, make.tiling.array)
         diagonal = _diagonal(make, zone, steps)
@@ -175,12 +176,12 @@ def _with_rims(make: CellLevels, plan: pl.Planar, lens: Ints) -> tuple[pl.Planar
 
 
 def _without_rim(make: CellLevels, side: int) -> bool:
-    """Whether a face does not end on land of its own: it is a plane, has no land, or is meshed apart."""
+    """Whether a face does not end on its own land: it is a plane, has no land, or is meshed separately."""
     return make.held[side] or make.land[side] in (NONE, -NONE) or not make.meshed()[side]
 
 
 def _again(make: CellLevels, plan: pl.Planar, lens: Ints, proud: list[Bools]) -> tuple[Bools, list[Bools]]:
-    """Tell material and proud triangles anew after triangles were cut further."""
+    """Classify material and proud triangles again after further cuts."""
     material = plan.zone.copy()
     if make.cells.columnar:
         material &= side_of(plan.triangles, rim_curve().value(lens)) > 0
@@ -194,7 +195,7 @@ def _again(make: CellLevels, plan: pl.Planar, lens: Ints, proud: list[Bools]) ->
 
 
 def _parts(make: CellLevels, material: Bools, proud: list[Bools]) -> NDArray[np.uint8]:
-    """What front and back of each triangle are."""
+    """Kind of front and back of each triangle."""
     part = np.full((len(material), 2), VOID, dtype=np.uint8)
     lands = [level not in (NONE, -NONE) for level in make.land]
     for side in (0, 1):

@@ -1,7 +1,7 @@
-"""Cutting a triangulated cell along rims: curves where a lens meets the other lens, a plane or land.
+"""Cut a triangulated cell along rims: curves where a lens intersects the other lens, a plane or land.
 
-The curves are not those `topology.rims` traces: a cut is a point on an edge of the triangles at a whole level, and where
-rounding has put a point on a curve already, its level decides and not its exact height.
+The curves differ from those of `topology.rims`: a cut is a point on an edge of the triangles at an integer
+level. If rounding has already put a point on a curve, its level decides and not its exact height.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import CellLevels, cluster, shortest
 from clacad.topology.cannot_build import CannotBuild
 
-_WARP = 0.2  # a cut nearer than this share of an edge to a free point moves the point instead
+_WARP = 0.2  # a cut closer than this share of an edge to a free point moves that point instead
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Curve:
     value : levels (n, 2) → (n,)
         Positive on the side of the lens, zero on the curve; linear in the levels.
     meet : levels (n, 2), latest face (0 front, 1 back, −1 none) → levels (n, 2)
-        Makes equal what meets on the curve; a face that was just placed is kept.
+        Makes the levels equal that meet on the curve; a face that was just placed is unchanged.
     """
 
     value: Callable[[Ints], Ints]
@@ -36,7 +36,7 @@ class Curve:
 
 
 def rim_curve() -> Curve:
-    """Front and back enclose material on the positive side and meet on the curve."""
+    """Curve along which front and back meet, with material between them on the positive side."""
 
     def meet(levels: Ints, placed: int) -> Ints:
         kept = levels[:, placed] if placed >= 0 else (levels[:, 0] + levels[:, 1]) // 2
@@ -46,7 +46,7 @@ def rim_curve() -> Curve:
 
 
 def land_curve(make: CellLevels, side: int) -> Curve:
-    """The lens of one face stands proud of its land on the positive side."""
+    """Curve along which the lens of one face meets its land; the lens is proud of it on the positive side."""
     land = make.land[side]
     sign = 1 if side else -1
 
@@ -68,7 +68,7 @@ def side_of(triangles: Ints, value: Ints) -> Ints:
 def cut(
     make: CellLevels, plan: pl.Planar, lens: Ints, region: Bools, curve: Curve, done: list[Curve]
 ) -> tuple[pl.Planar, Ints, Bools]:
-    """Cut triangles of a region along a curve; `done` lists earlier curves and takes this one.
+    """Cut triangles of a region along a curve; `done` lists earlier curves, and this one is appended.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def cut(
         now = curve.value(lens)
         mine = now[plan.triangles[region]]
         if not mine.size or mine.min() >= 0 or mine.max() <= 0:
-            break  # nothing is crossed
+            break  # no edge is crossed
         edges, number = pl.edges_of(plan.triangles)
         wanted = np.zeros(len(edges), dtype=bool)
         wanted[number[region]] = True
@@ -125,7 +125,7 @@ def _split(make: CellLevels, plan: pl.Planar, lens: Ints, roots: tuple[Ints, Int
 
 
 def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:
-    """A tile's side may change sign only at its own samples; anything else is a root that was missed."""
+    """Refuse sign changes on a tile's side anywhere but at its own samples: such a root was missed."""
     pairs = {tuple(sorted(p)) for side in plan.sides for p in zip(side[:-1].tolist(), side[1:].tolist())}
     missed = [edge for edge in crossed.tolist() if tuple(edge) in pairs]
     if missed:
@@ -139,8 +139,8 @@ def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:
 def _roots(make: CellLevels, xy: Floats, lens: Ints, inside: Ints, outside: Ints, curve: Curve) -> Floats:
     """Parameter of the last point from the inside at which the function is not negative.
 
-    Where a point's levels were moved onto an earlier curve and its own heights no longer have its sign,
-    the levels decide: the cut lies where their straight line does.
+    If a point's levels were moved onto an earlier curve and its own heights no longer have its sign,
+    the levels decide: the cut is at the root of their linear interpolation.
     """
     a, b = xy[inside], xy[outside]
 
@@ -172,7 +172,7 @@ def _exact(make: CellLevels, heights: Floats, curve: Curve) -> Floats:
 
 
 def _forced(make: CellLevels, xy: Floats, curve: Curve) -> Ints:
-    """Levels at points on a curve, where the meeting surfaces agree exactly."""
+    """Levels at points on a curve, where the intersecting surfaces agree exactly."""
     heights = make.heights(xy)
     heights = np.where(np.isnan(heights), np.flip(heights, axis=1), heights)
     levels = curve.meet(make.levels(heights), -1)
@@ -184,7 +184,7 @@ def _forced(make: CellLevels, xy: Floats, curve: Curve) -> Ints:
 def _snap(
     make: CellLevels, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curves: list[Curve]
 ) -> Ints:
-    """Let points that lie on the last curve but for a hair lie on it, so that no hair's breadth is cut off."""
+    """Set the levels of points within a small tolerance of the last curve to lie on it, to avoid slivers."""
     length = np.hypot(*(plan.xy[outside] - plan.xy[inside]).T)
     point = np.concatenate([inside, outside])
     away = np.concatenate([t, 1.0 - t]) * np.concatenate([length, length])
@@ -205,7 +205,7 @@ def _snap(
 
 
 def _lonely(plan: pl.Planar, lens: Ints, inside: Ints, t: Floats, curve: Curve) -> Ints:
-    """Inner points near the curve without an inner neighbour that stays inside: moving them would lose the inside."""
+    """Inner points near the curve with no inner neighbour that remains inside; these must not move."""
     stays = curve.value(lens) > 0
     near = np.unique(inside[t < _WARP])
     stays[near] = False
@@ -241,5 +241,5 @@ def _warp(
     lens = lens.copy()
     if moved.any():
         lens[moved] = _forced(make, xy[moved], curve)
-    # a point that lies on a curve already must not leave it in a later cut
+    # a point on a curve must not leave it in a later cut
     return replace(plan, xy=xy, fixed=plan.fixed | moved), lens

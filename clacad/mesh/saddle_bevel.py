@@ -1,9 +1,9 @@
 """Bevels at saddles: where two columns only touch along a line, their lower neighbours' corners are filled.
 
-At a saddle the two high cells of a node meet in a line and nothing else. For a process that needs real contact, the
-corner of each low cell is raised, over a triangle whose legs along the two borders have the width asked for, to the
-heights of the high cells beside it: the high cells then share a strip of material. Optical surfaces give up that
-triangle and nothing more.
+At a saddle the two high cells of a node meet only in a line. For a process that needs real contact, the
+corner of each low cell is raised to the heights of the adjacent high cells. The raised triangle has legs of
+the requested width along the two borders. The high cells then share a strip of material. Optical surfaces
+lose only that triangle.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
 
 WIDEST = 0.25
-"""Largest width of a bevel, in pitches: beyond, bevels of one cell would meet."""
+"""Largest width of a bevel, in pitches: wider bevels of one cell would meet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,9 @@ class LowCorner:
     """A low cell's corner at a saddle of one face.
 
     points : (n,)
-        Footprint points on its two legs: the end of one, … , the corner, … , the end of the other.
+        Footprint points on its two legs: from the end of one, over the corner, to the end of the other.
     levels : (n,)
-        Heights they are raised to.
+        Levels to which they are raised.
     ends : (first, corner, last)
         The three corners of the triangle.
     """
@@ -44,7 +44,7 @@ class LowCorner:
 
 
 def check_width(make: CellLevels, width: float) -> None:
-    """Refuse a bevel that no mesh of this sheet can hold.
+    """Refuse a bevel width that no mesh of this sheet can have.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def check_width(make: CellLevels, width: float) -> None:
 
 
 def in_corners(window: Window, points: Floats, width: float) -> NDArray[np.bool_]:
-    """Whether points (n, 2 or 3) of the sheet lie where bevels of this width may stand, (n,)."""
+    """Whether points (n, 2 or 3) of the sheet lie in areas where bevels of this width are possible, (n,)."""
     if window.lattice.hexagonal:
         return np.zeros(len(points), dtype=bool)
     inside = np.zeros(len(points), dtype=bool)

@@ -1,8 +1,8 @@
-"""Walls: what one column covers and its neighbour does not, over every edge of the footprint.
+"""Walls: height ranges that one column covers and its neighbour does not, over each edge of the footprint.
 
 At a point of the footprint, the wedges around it are columns (front level, back level). Walls meet
 there in vertical edges between consecutive levels. Where more than one column touches along such an
-edge (a saddle), every column but the first gets vertices of its own in between: no edge is used by
+edge (a saddle), every column but the first gets its own vertices in between: no edge is used by
 four faces and no point of the surface moves.
 """
 
@@ -92,10 +92,10 @@ def strip(
 
 
 def _lines(left: tuple[Column, Column], right: tuple[Column, Column]) -> list[tuple[int, int, BorderCurve]]:
-    """Fronts and backs of both columns upwards: level at p, level at q, whose front or back."""
+    """Fronts and backs of both columns, ascending: level at p, level at q, column and face of each."""
     lines = []
     for which, (at_p, at_q) in enumerate((left, right)):
-        # a column without thickness (two faces meeting along the edge) leaves the other's wall whole
+        # a column without thickness (two faces meeting along the edge) does not divide the other's wall
         if at_p is not None and at_q is not None and (at_p[0] != at_p[1] or at_q[0] != at_q[1]):
             lines += [(at_p[face], at_q[face], BorderCurve(which, face == 0)) for face in (0, 1)]
     return sorted(lines, key=lambda line: (line[0] + line[1], not line[2].opens))

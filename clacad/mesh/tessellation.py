@@ -1,4 +1,4 @@
-"""From a window to watertight meshes, by slope error or by quads a cell side."""
+"""Make watertight meshes of a window, by slope error or by quads per cell side."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def tessellate(
 ) -> Mesh:  # fmt: skip
     """Mesh every body of a window, watertight by construction.
 
-    Exactly one of `slope_error` and `quads` is given.
+    Exactly one of `slope_error` and `quads` must be given.
 
     Parameters
     ----------
@@ -38,10 +38,10 @@ def tessellate(
     quads : int, optional
         Grid steps along each side of a cell's optical zone.
     merge : length, optional
-        Steps between neighbours below this height are closed up. Default: four z steps.
+        Steps between neighbours below this height are closed. Default: four z steps.
     saddle_bevel : length, optional
-        Width of the bevels that give columns which only touch at a saddle a real contact. Default 0: none, the
-        columns keep vertices of their own and the surface is exact.
+        Width of the bevels that give real contact to columns which only touch at a saddle. Default 0: none;
+        the columns keep separate vertices and the surface is exact.
 
     Returns
     -------
@@ -110,7 +110,7 @@ class _Parts:
     bevel: float
 
     def tiled(self, number: int, quads: int) -> Tiled:
-        """One tiling: of one prototile, or of one a cell."""
+        """One tiling: with one prototile, or with one per cell."""
         tiling = self.cells.tilings[number]
         make = CellLevels(self.window, self.body, self.cells, tiling, self.step, self.gap, self.bevel)
         lattice = self.window.lattice_of(tiling.array)
@@ -118,7 +118,7 @@ class _Parts:
         mine = [face for face, here in zip(faces, make.meshed()) if here and face.change is not None]
         if not mine:
             return Tiled(TemplateMaker(make_prototile(make, quads), lattice), tiling.shift, lattice)
-        from clacad.mesh.own_cells import OwnTemplates  # sheets of equal cells have no use for it
+        from clacad.mesh.own_cells import OwnTemplates  # not needed for uniform sheets
 
         own = OwnTemplates(make, quads)
         i, j = next(
@@ -143,17 +143,17 @@ def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) 
 
 
 def count_facets(window: Window, quads: int) -> int:
-    """Exact number of triangles of the mesh with these quads, without expanding it."""
+    """Exact number of triangles of the mesh with this number of quads, without expanding it."""
     return tessellate(window, quads=quads).facet_count
 
 
 def forecast_bytes(window: Window, quads: int) -> int:
-    """Size of the binary STL files of all bodies together (84 bytes each, and 50 a triangle)."""
+    """Size of the binary STL files of all bodies together (84 bytes each, and 50 per triangle)."""
     return 84 * len(window.bodies) + 50 * count_facets(window, quads)
 
 
 def slope_error_at(window: Window, quads: int) -> float:
-    """The slope error (radians) the mesh with these quads will have."""
+    """The slope error (radians) of the mesh with this number of quads."""
     worst = 0.0
     for body in window.bodies:
         parts = _parts(window, body, None)
@@ -164,7 +164,7 @@ def slope_error_at(window: Window, quads: int) -> float:
 
 
 def forecast_quads(window: Window, slope_error: float) -> int:
-    """Fewest quads a cell side whose slope error does not exceed the given one (radians).
+    """Fewest quads per cell side whose slope error does not exceed the given one (radians).
 
     Raises
     ------

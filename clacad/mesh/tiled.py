@@ -1,4 +1,4 @@
-"""One tiling of a body: its cell templates and where they are placed."""
+"""One tiling of a body: its cell templates and their positions."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ if TYPE_CHECKING:
     from clacad.mesh.own_cells import OwnTemplates
 
 JUDGED = 16
-"""Cells of a sheet whose cells differ whose facets' errors are measured, besides those whose lenses stand farthest out."""
+"""Number of sampled cells of a non-uniform sheet whose facet errors are measured, besides the outermost
+lenses.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Tiled:
-    """One tiling of a body: its templates and where they stand.
+    """One tiling of a body: its templates and their positions.
 
     maker : TemplateMaker
-        Of all cells; where they differ of the first.
+        Of all cells; in a non-uniform sheet of the first cell.
     shift : (2,) lengths
     lattice : Lattice
         Pattern of the tiling's cells about their own middle.
     own : OwnTemplates or None
-        Where every cell is a piece of its own.
+        Set if every cell is a separate piece.
     """
 
     maker: TemplateMaker
@@ -42,7 +44,7 @@ class Tiled:
         return self.maker if self.own is None else self.own.at((i, j))
 
     def judged(self, window: Window, body: Body) -> list[tuple[TemplateMaker, Body]]:
-        """Makers of the cells whose facets' errors stand for all, each with the body as it is there."""
+        """Makers of representative cells for facet errors, each with the body of its uniform equivalent."""
         if self.own is None:
             return [(self.maker, body)]
         cells = np.unique(np.concatenate([outer_cells(window), sampled_cells(window, JUDGED)]), axis=0)

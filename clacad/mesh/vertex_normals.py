@@ -1,4 +1,4 @@
-"""Exact normals at facet corners, and one closed cell for formats that repeat it."""
+"""Exact normals at facet corners, and one closed cell for formats that repeat cells."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from clacad.sheet.window import Body, Window, lens_height_and_normal
 
 @dataclass(frozen=True, eq=False)
 class CellSolid:
-    """One closed column of a body, in the cell frame: what an instanced format repeats.
+    """One closed column of a body, in the cell frame, for instanced formats.
 
     vertices : (v, 3) lengths
     triangles : (t, 3), outward
@@ -35,7 +35,7 @@ class CellSolid:
 
 
 def cell_solid(window: Window, body: Body, quads: int) -> CellSolid:
-    """Mesh one telescopelet's column of a body as a closed solid of its own, centred on its cell.
+    """Mesh one telescopelet's column of a body as a separate closed solid, centred on its cell.
 
     Raises
     ------

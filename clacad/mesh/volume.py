@@ -1,4 +1,7 @@
-"""Flux through triangles, whose sum over a mesh is its volume; the design's is in `clacad.sheet.volume_and_extent`."""
+"""Flux through triangles, which sums to a mesh's volume.
+
+The design's is in `clacad.sheet.volume_and_extent`.
+"""
 
 from __future__ import annotations
 

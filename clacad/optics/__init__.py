@@ -1,4 +1,4 @@
-"""The optics of single things: law, surfaces, materials, rays, sequences of surfaces.
+"""The optics of single objects: law, surfaces, materials, rays, sequences of surfaces.
 
-Nothing here knows of cells, sheets or designs.
+No module here depends on cells, sheets or designs.
 """

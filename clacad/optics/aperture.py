@@ -1,12 +1,12 @@
-"""What a lit zone does to light that leaves through it: widths of a convex polygon and its Fraunhofer pattern.
+"""Diffraction at a lit zone: equivalent widths of a convex polygon and its Fraunhofer pattern.
 
-Along an axis the pattern is the Fourier transform of the zone's projection on that axis (its chord lengths). A
-rectangle along the axes is a slit: sinc²(π w ν), first zero at ν = 1/w. Any other zone has two numbers. Its core is
-that of a slit of the *equivalent width* w = √12 σ, σ the standard deviation of the projection: both patterns begin as
-1 − (2π σ ν)² . . ., so a turned square keeps its own side. Its *first zero* lies between those of a slit and of a
-triangle of the zone's extent W: 1/W ≤ ν ≤ 2/W.
+Along an axis the pattern is the Fourier transform of the zone's projection on that axis (its chord lengths).
+A rectangle along the axes is a slit: sinc²(π w ν), first zero at ν = 1/w. Two numbers describe any other
+zone. Its core is that of a slit of the *equivalent width* w = √12 σ, with σ the standard deviation of the
+projection. Both patterns begin as 1 − (2π σ ν)² . . ., so a rotated square keeps its own side. Its *first
+zero* lies between those of a slit and of a triangle of the zone's extent W: 1/W ≤ ν ≤ 2/W.
 
-Angles follow by the wavelength: λ/w, λν.
+Multiplied by the wavelength these are angles: λ/w, λν.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from clacad.base.types import Floats
 Complex = NDArray[np.complex128]
 
 STEPS = 64
-"""Steps in which the sign of a pattern is followed from 1/W to 2/W."""
+"""Number of steps from 1/W to 2/W at which the sign of a pattern is evaluated."""
 
 
 def equivalent_widths(polygon: ArrayLike) -> Floats:

@@ -1,8 +1,8 @@
 """Chief rays through sheets and spaces in a row, one meridian at a time: matrices of position and slope.
 
-The chief ray of a cell goes through the middle of its lens 1. Over many cells chief rays are the light, as far as cells
-are small: a sheet maps position and slope (x, t) to (x + s t, (t − δ − κ x)/η) from array 1 to array 2. Its determinant is
-1/η: such a sheet is no lens, and nothing asks that it were.
+The chief ray of a cell passes through the middle of its lens 1. As long as cells are small, the chief rays of
+many cells represent the light. A sheet maps position and slope (x, t) to (x + s t, (t − δ − κ x)/η) from
+array 1 to array 2. The determinant of this map is 1/η; a sheet is no lens, so the determinant need not be 1.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from clacad.base.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class ChiefRays:
-    """What becomes of position and slope in one meridian: (x, t) ↦ matrix (x, t) + shift.
+    """Affine map of position and slope in one meridian: (x, t) ↦ matrix (x, t) + shift.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class ChiefRays:
     shift: Floats
 
     def then(self, after: ChiefRays) -> ChiefRays:
-        """Give this with another one behind it."""
+        """Return the map of this element followed by `after`."""
         return ChiefRays(after.matrix @ self.matrix, after.matrix @ self.shift + after.shift)
 
     @property
@@ -42,7 +42,7 @@ class ChiefRays:
         return float(a * d - b * c)
 
     def image(self, distance: float) -> tuple[float, float, float]:
-        """Where a point on the axis, so far before array 1, is imaged.
+        """Image of an axial point that lies `distance` before array 1.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ def sheet(eta: float, separation: float, delta: float = 0.0, kappa: float = 0.0)
     Parameters
     ----------
     eta : float
-        Not 0; |η| ≤ 1, else the light is not spread about chief rays: see `of_beams`.
+        Not 0. |η| ≤ 1; for |η| > 1 the light is not centred on chief rays: use `of_beams`.
     separation : float, length
     delta : float
         Offset in the middle of the sheet.
@@ -82,7 +82,7 @@ def sheet(eta: float, separation: float, delta: float = 0.0, kappa: float = 0.0)
 
 
 def with_field_lens(eta: float, aside: float, delta: float = 0.0) -> ChiefRays:
-    """A sheet whose field lens images lens 1 onto lens 2: chief rays leave in the middle of cell 2 whatever their slope.
+    """A sheet whose field lens images lens 1 onto lens 2: all chief rays leave in the middle of cell 2.
 
     aside : float, length
         Distance from the middle of cell 1 to that of its partner.
@@ -93,11 +93,11 @@ def with_field_lens(eta: float, aside: float, delta: float = 0.0) -> ChiefRays:
 def of_beams(
     eta: float, separation: float, delta: float = 0.0, kappa: float = 0.0, scale: float = 1.0
 ) -> ChiefRays:
-    """A sheet as the middle of the transmitted light passes it; for |η| > 1 that is not a chief ray.
+    """A sheet described by the middle of the transmitted light, which for |η| > 1 is not a chief ray.
 
-    Lens 1 arrives at lens 2 as a copy η times as large, moved by s t. Of a copy that is larger than lens 2 the part gets
-    through whose middle is that of lens 2's cell, g X, X the middle of lens 1: it entered (g X − X − s t)/η from X, and its
-    slope is (t − δ − κ X)/η.
+    Lens 1 arrives at lens 2 as a copy η times as large, displaced by s t. If the copy is larger than lens 2,
+    the transmitted part is centred on lens 2's cell, at g X, with X the middle of lens 1. It entered at (g X
+    − X − s t)/η from X, and its slope is (t − δ − κ X)/η.
 
     scale : float
         g, the pitch of array 2 over that of array 1.
@@ -116,7 +116,7 @@ def space(length: float) -> ChiefRays:
 
 
 def in_a_row(elements: Iterable[ChiefRays]) -> ChiefRays:
-    """Elements in the order light meets them, as one."""
+    """Elements in the order light passes them, combined into one."""
     whole = space(0.0)
     for element in elements:
         whole = whole.then(element)

@@ -1,8 +1,8 @@
-"""Faces that keep best to a law: how far fixed rays are from it, and the least-squares search over what may change.
+"""Least-squares search for the faces that follow a law best: residuals of fixed rays, and the minimiser.
 
-The residual of a ray is what its direction lacks of the asked one, across the middle of the field; nothing of the law
-is fitted, so a search cannot drift to another η. The rays are the same throughout, and one that gets lost counts as
-`LOST`: a search that could lose rays would throw them away to look sharp.
+The residual of a ray is the deviation of its direction from the requested one, in two directions across the
+middle of the field. The law itself is not fitted, so a search cannot drift to another η. The rays stay the
+same throughout, and a lost ray counts as `LOST`: otherwise a search would lose rays to look sharp.
 """
 
 from __future__ import annotations
@@ -17,34 +17,35 @@ from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
 
 LOST = 0.1
-"""Residual of a ray that does not get through (radians): far above any lens worth having, far below a wall."""
+"""Residual (radians) of a ray that is not transmitted: far above that of any useful lens, but finite."""
 
 STEP = 1e-6
-"""Change of an unknown, of order 1, by which slopes are taken: rounding of the trace shows at 1e-10 of them."""
+"""Finite-difference step of an unknown of order 1: the rounding of the trace is 1e-10 of the slopes."""
 
 DAMPING = 1e-3
-"""Damping a search begins with, in squares of the slopes' own sizes; a step that fails doubles it ever faster."""
+"""Initial damping of a search, in squares of the slopes' own sizes; a failed step doubles it ever faster."""
 
 TRIES = 16
-"""Steps from one place that may fail before the place is taken for the least."""
+"""Number of steps from one point that may fail before the point counts as the minimum."""
 
 SETTLED = 1e-6
 """Relative change of the sum of squares at which a search ends."""
 
 ROUNDS = 40
-"""Evaluations of the slopes after which it ends all the same."""
+"""Largest number of evaluations of the slopes in one search."""
 
 Residuals = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
 class AskedLight:
-    """Rays and the directions they should leave in.
+    """Rays and the directions in which they should leave.
 
     rays : Rays
-    asked : (n, 3) unit
+    `asked` : (n, 3) unit
+        Requested directions.
     across : (2, 3)
-        Unit vectors across the middle of what is asked.
+        Unit vectors perpendicular to the mean requested direction.
     """
 
     rays: Rays
@@ -53,7 +54,7 @@ class AskedLight:
 
     @staticmethod
     def of(rays: Rays, asked: Floats) -> AskedLight:
-        """Rays with their asked directions (n, 3); both vectors across are fixed by the mean of these."""
+        """Build it from rays and requested directions (n, 3), whose mean fixes both vectors across."""
         middle = asked.mean(axis=0)
         middle = middle / np.linalg.norm(middle)
         u = np.eye(3)[int(np.argmin(np.abs(middle)))]
@@ -73,8 +74,8 @@ def law_residuals(sequence: Sequence[Interface], light: AskedLight) -> Floats:
 def minimise(residuals: Residuals, start: Floats) -> Floats:
     """Unknowns (k,) of the least sum of squares near `start` (k,), each of order 1.
 
-    Levenberg–Marquardt with Nielsen's damping, in units of the largest slopes met; slopes by forward differences in a
-    fixed order: the same numbers every time.
+    Levenberg–Marquardt with Nielsen's damping, scaled by the largest slopes so far. Slopes are forward
+    differences in a fixed order, so the result is reproducible.
 
     Parameters
     ----------
@@ -107,7 +108,9 @@ def minimise(residuals: Residuals, start: Floats) -> Floats:
 def _step(
     residuals: Residuals, place: tuple[Floats, Floats], slopes: Floats, scale: Floats, damping: float
 ) -> tuple[Floats, Floats, float] | None:
-    """The next place (k,) that leaves less, its residuals (m,), and the damping to go on with; None: there is none.
+    """The next point (k,) with a smaller residual, its residuals (m,) and the new damping.
+
+    None where no such point exists.
 
     place : unknowns (k,) and residuals (m,); slopes : (m, k); scale : (k,)
     """

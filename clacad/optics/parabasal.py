@@ -17,15 +17,15 @@ STEP = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class Parabasal:
-    """What surfaces do to the axis ray and its neighbours; NaN where one of them does not get through.
+    """Derivatives of surfaces about the axis ray; NaN where one of the rays is not transmitted.
 
     Attributes
     ----------
     direction : (3,) unit
-        Where the axis ray leaves to, sheet frame.
+        Exit direction of the axis ray, sheet frame.
     cosines, slopes : (2, 2), radians/length
-        Change with the entrance height (columns) of the exit ray's direction cosines and of its slopes (rows), lens
-        frame: zero for an afocal pair.
+        Derivatives with respect to the entrance height (columns) of the exit ray's direction cosines and of
+        its slopes (rows), lens frame: zero for an afocal pair.
     """
 
     direction: Floats

@@ -1,4 +1,4 @@
-"""Rays before, and what became of them after: `Rays`, `Fate`, `TraceResult`."""
+"""Rays before and after a trace: `Rays`, `Fate`, `TraceResult`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ OneRay = tuple[ArrayLike, ArrayLike]
 """Origin (3,) and direction (3,) of a single ray."""
 
 NO_CELL = -(2**31)
-"""Stands in integer columns where no cell, or no surface, was met."""
+"""Value of integer columns where no cell, or no surface, was hit."""
 
 
 class Fate(IntEnum):
-    """What became of a ray; stored as uint8. Every launched ray ends in exactly one."""
+    """Fate of a ray; stored as uint8. Every launched ray ends in exactly one."""
 
     ALIVE = 0  # left the last face forwards, every lens face of one telescopelet
-    GHOST = 1  # the same, through lenslets of different telescopelets
-    LAND = 2  # the same, through at least one face that is no lens
+    GHOST = 1  # as ALIVE, through lenslets of different telescopelets
+    LAND = 2  # as ALIVE, through at least one face that is no lens
     BACKWARD = 3  # left with d_z <= 0, or the law has no answer
     TIR = 4  # ended at total internal reflection
     WALL = 5  # ended at a bare step or side wall
@@ -37,16 +37,16 @@ class Rays:
 
     Parameters
     ----------
-    position : (n, 3) array, or (3,) for one point that all start at, design units
-    direction : (n, 3) array, or (3,) for one that all have
+    position : (n, 3) array, or (3,) for one common start, design units
+    direction : (n, 3) array, or (3,) for one common direction
         Any length but zero; a zero or non-finite row becomes fate INVALID, never an error.
-    wavelength : (n,) array, one number for all, or None, metres
+    wavelength : (n,) array, one number, or None, metres
         None is the design wavelength.
 
     Raises
     ------
     ValueError
-        The shapes are not (n, 3), (n, 3), (n,), nor those of one for all.
+        The shapes are not (n, 3), (n, 3), (n,), nor those of one common value.
     """
 
     position: Floats
@@ -96,20 +96,20 @@ class TraceResult:
     Attributes
     ----------
     position, direction : (n, 3) arrays
-        Last point met and unit direction there, in the sheet frame. TIR, WALL, VIGNETTED: the last hit and the
-        direction before it. MISSED and INVALID: as launched.
+        Last point hit and unit direction there, in the sheet frame. TIR, WALL, VIGNETTED: the last hit and
+        the direction before it. MISSED and INVALID: as launched.
     fate : (n,) uint8 array of `Fate`
     optical_path : (n,) array, design units
         Sum of index times distance from the start to `position`.
     cell, order : (n, 2) int32 arrays
-        Cell of lens 1; cell of lens 2 minus cell 1. `NO_CELL` where no cell was met.
+        Cell of lens 1; cell of lens 2 minus cell 1. `NO_CELL` where no cell was hit.
     surface : (n,) int32 array
-        Index of the last face met, `NO_CELL` where none was.
+        Index of the last face hit, `NO_CELL` where none was.
     flux : (n,) array
         1 unless an effect changes it.
     hits, directions : (surfaces, n, 3) arrays or None
-        With ``record=True``: the point met at each surface and the unit direction after it, sheet frame. A ray
-        that ended earlier repeats its last point and direction.
+        With ``record=True``: the point hit at each surface and the unit direction after it, sheet frame. A
+        ray that ended earlier repeats its last point and direction.
     """
 
     position: Floats
@@ -142,7 +142,7 @@ def fate_counts(fates: NDArray[np.uint8]) -> dict[str, int]:
 
 
 def as_rays(rays: Rays | OneRay) -> Rays:
-    """Rays as they are, or the one ray of a pair (origin, direction).
+    """Return rays unchanged, or the one ray of a pair (origin, direction).
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Rays through an explicit sequence of surfaces: `Interface`, `trace_sequence`.
 
-A ray is held as its offset from the vertex it last left, in sheet axes, and passes from one surface's frame to the
-next by the difference of the vertices. Sheet coordinates appear only in what is returned, so a cell 1e9 pitches
+A ray is stored as its offset from the vertex it last left, in sheet axes, and passes from one surface's frame
+to the next by the difference of the vertices. Only the result is in sheet coordinates, so a cell 1e9 pitches
 away is traced like the one at the origin.
 """
 
@@ -23,10 +23,14 @@ from clacad.optics.surface import ULP, Surface, meet_at, refract
 Aperture = tuple[Literal["ellipse", "rectangle"], float, float]
 
 UNIT = 4 * ULP
-"""A direction whose square is 1 to this is taken as it is: dividing by its length would only add rounding."""
+"""Directions whose square is 1 within this are used unchanged: dividing by the length would only add
+rounding.
+"""
 
 BEHIND = 8 * ULP
-"""Share of a ray's travel by which a surface may seem to lie behind it: rounding, as where two faces touch."""
+"""Share of a ray's travel by which a surface may seem to lie behind it by rounding, as where two faces
+touch.
+"""
 
 FAR = 1024.0
 """Travel over lateral distance from the vertex above which the plain step to the vertex plane loses digits."""
@@ -34,7 +38,7 @@ FAR = 1024.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Interface:
-    """One refracting surface in its place.
+    """One refracting surface with its position and orientation.
 
     Parameters
     ----------
@@ -46,12 +50,12 @@ class Interface:
     rotation : (3, 3) array or None
         Surface frame to sheet frame, proper; None is the identity.
     aperture : None or ("ellipse" or "rectangle", half_x, half_y), design units
-        In the surface frame; light that meets the surface outside it is VIGNETTED.
+        In the surface frame; light that hits the surface outside it is VIGNETTED.
 
     Raises
     ------
     ValueError
-        A vertex, index, rotation or aperture that cannot be.
+        A vertex, index, rotation or aperture is invalid.
     """
 
     surface: Surface
@@ -92,12 +96,12 @@ class Interface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceCrossing:
-    """What one surface did to m rays, in sheet axes and relative to its vertex.
+    """Result of one surface for m rays, in sheet axes and relative to its vertex.
 
     Attributes
     ----------
     offset, direction : (m, 3) arrays
-        Point met and unit direction after it; the direction before it where the ray ends here.
+        Point hit and unit direction after it; the direction before it where the ray ends here.
     distance : (m,) array
     fate : (m,) uint8 array
         ALIVE, MISSED, TIR or VIGNETTED.
@@ -153,7 +157,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
 
 
 def unit_directions(direction: Floats) -> tuple[Floats, Floats]:
-    """Unit directions (n, 3), and the same rows scaled by a power of two, exactly, to components below 1.
+    """Unit directions (n, 3), and the rows scaled by a power of two, exactly, to components below 1.
 
     Works for lengths from 1e-323 to 1e308; rows that are unit already are returned untouched.
     """
@@ -192,7 +196,7 @@ def launch(position: Floats, direction: Floats, vertex: tuple[float, float, floa
     if far.any():
         d, along = direction[far], direction[far, 2]
         t = steps[far]
-        # -z/N to twice the working precision: the quotient and what its product with N leaves over
+        # -z/N to twice the working precision: the quotient, and the remainder of its product with N
         rest = pair_sum(two_product(-t, along), (-high[far, 2], -low[far, 2]))[0] / along
         offset = np.zeros((len(t), 3))
         for i in (0, 1):
@@ -204,20 +208,20 @@ def launch(position: Floats, direction: Floats, vertex: tuple[float, float, floa
 
 
 def pass_on(offset: Floats, left: tuple[float, float, float], entered: tuple[float, float, float]) -> Floats:
-    """Offsets (m, 3), lengths, from vertex `left` as offsets from vertex `entered`: their difference, never their sum."""
+    """Convert offsets (m, 3), lengths, from vertex `left` to `entered` by the difference of the vertices."""
     high, low = two_sum(left, np.negative(entered))
     return np.asarray((offset + low) + high)
 
 
 def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Floats) -> SurfaceCrossing:
-    """Meet and refract at one interface.
+    """Intersect one interface and refract there.
 
     Parameters
     ----------
     offset, direction : (m, 3) arrays, sheet axes
         Relative to the interface's vertex; unit directions.
     travelled : (m,) array
-        Length already gone since the previous surface (the step of `launch`).
+        Length travelled since the previous surface (the step of `launch`).
     """
     turn = interface.rotation
     start, ray = to_surface(turn, offset), to_surface(turn, direction)
@@ -245,7 +249,7 @@ def largest(rows: Floats) -> Floats:
 
 
 def inside(aperture: Aperture, point: Floats) -> Bools:
-    """Whether points (n, 3), lengths, of the surface frame lie in the aperture, its edge included, (n,)."""
+    """Whether points (n, 3), lengths, of the surface frame lie in the aperture (edge included), (n,)."""
     kind, half_x, half_y = aperture
     u, v = np.abs(point[:, 0] / half_x), np.abs(point[:, 1] / half_y)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -253,7 +257,7 @@ def inside(aperture: Aperture, point: Floats) -> Bools:
 
 
 def to_sheet(rotation: Floats | None, rows: Floats) -> Floats:
-    """Rows (n, 3) turned from surface axes to sheet axes; summed in a fixed order, whatever their number."""
+    """Rows (n, 3) rotated from surface axes to sheet axes; summed in a fixed order for any number of rows."""
     if rotation is None:
         return rows
     x, y, z = rows[:, 0], rows[:, 1], rows[:, 2]
@@ -261,13 +265,13 @@ def to_sheet(rotation: Floats | None, rows: Floats) -> Floats:
 
 
 def to_surface(rotation: Floats | None, rows: Floats) -> Floats:
-    """Rows (n, 3) turned from sheet axes to surface axes."""
+    """Rows (n, 3) rotated from sheet axes to surface axes."""
     return rows if rotation is None else to_sheet(rotation.T, rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ledger:
-    """The result under construction: columns are written as rays end."""
+    """The result under construction: columns are filled in as rays end."""
 
     launched: Rays
     position: Floats
@@ -280,7 +284,7 @@ class _Ledger:
 
     @classmethod
     def opened(cls, rays: Rays, recorded: int) -> _Ledger:
-        """Every ray as launched: INVALID until it meets something."""
+        """Every ray as launched: INVALID until it hits a surface."""
         n = len(rays)
         return cls(
             launched=rays,
@@ -294,7 +298,7 @@ class _Ledger:
         )
 
     def enter(self, k: int, interface: Interface, rows: NDArray[np.intp], crossing: SurfaceCrossing) -> None:
-        """Write what surface k did to the rays `rows`."""
+        """Record the result of surface k for the rays `rows`."""
         self.fate[rows] = crossing.fate
         met = crossing.fate != Fate.MISSED
         hit = rows[met]
@@ -306,7 +310,7 @@ class _Ledger:
             self.hits[k], self.directions[k] = self.position, self.direction
 
     def closed(self) -> TraceResult:
-        """The result; what missed is given back as launched."""
+        """The result; missed rays are returned as launched."""
         missed = self.fate == Fate.MISSED
         self.position[missed] = self.launched.position[missed]
         self.direction[missed] = self.launched.direction[missed]
@@ -327,7 +331,7 @@ class _Ledger:
 
 
 def _proper(rotation: ArrayLike) -> Floats:
-    """The matrix, read-only, or a ValueError: rounding of a product of rotations stays below 1e-12."""
+    """The matrix, read-only, or a ValueError. Allows rounding of a product of rotations, below 1e-12."""
     matrix = np.array(rotation, dtype=np.float64)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ValueError(f"rotation has shape {matrix.shape}, not (3, 3), or is not finite")

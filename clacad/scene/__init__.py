@@ -1,7 +1,7 @@
-"""The scene file: what is looked at through a sheet, from where, and in which light.
+"""The scene file: what is viewed through a sheet, from which position, and in which light.
 
-`load_scene` a file or `Scene.from_dict` a dictionary; a `SceneError` tells every mistake with its place.
-A scene knows its design's file and changes; nothing of optics is computed here.
+`load_scene` reads a file, `Scene.from_dict` a dictionary; a `SceneError` lists every mistake with its place.
+A scene knows its design's file and the changes to it; this package computes no optics.
 """
 
 from __future__ import annotations

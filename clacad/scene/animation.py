@@ -1,4 +1,4 @@
-"""Frames of an animation: the values that moved keys take at a time."""
+"""Frames of an animation: the values of animated keys at a given time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from clacad.scene.sections import Animation, Move
 
 
 def value_at(move: Move, time: float) -> Any:
-    """Value of a moved key at a time 0 … 1: straight lines between the given ones."""
+    """Value of an animated key at a time 0 … 1, interpolated linearly between the given values."""
     if move.ease == "smooth":
         time = time * time * (3.0 - 2.0 * time)
     times, values = move.times, move.values
@@ -18,7 +18,7 @@ def value_at(move: Move, time: float) -> Any:
     span = times[k + 1] - times[k]
     share = min(1.0, max(0.0, (time - times[k]) / span))
     here, there = values[k], values[k + 1]
-    if share in (0.0, 1.0):  # the written value itself, not one an ulp beside it
+    if share in (0.0, 1.0):  # the written value itself, without rounding
         return plain(there if share == 1.0 else here, float)
     if isinstance(here, tuple):
         return [a + (b - a) * share for a, b in zip(here, there, strict=True)]
@@ -33,6 +33,6 @@ def time_of(animation: Animation, frame: int) -> float:
 
 
 def values_at(animation: Animation, frame: int) -> dict[str, Any]:
-    """Moved key → value in a frame."""
+    """Animated key → value in a frame."""
     time = time_of(animation, frame)
     return {move.key: value_at(move, time) for move in animation.moves}

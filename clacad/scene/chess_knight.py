@@ -1,4 +1,4 @@
-"""The built-in chess knight: a flat extruded profile facing −x on a turned plinth, 1 high.
+"""The built-in chess knight: a flat extruded profile facing −x on a rotationally symmetric plinth, 1 high.
 
 Analytic, so that it has no facets: frusta and one prism. The sculpted piece is `designs/chess-knight.py`.
 """
@@ -17,7 +17,7 @@ PLINTH: Final = (
     (0.125, 0.185, 0.200, 0.150),
     (0.185, 0.215, 0.170, 0.170),
 )
-"""Turned foot, frusta from below."""
+"""Rotationally symmetric foot, frusta from below."""
 
 PROFILE: Final = np.array([
     (0.150, 0.205), (0.188, 0.290), (0.208, 0.400), (0.214, 0.510), (0.206, 0.620), (0.184, 0.720),

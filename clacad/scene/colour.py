@@ -1,4 +1,4 @@
-"""Colours: "#8fb6e0" as screens show it, or three linear numbers."""
+"""Colours: "#8fb6e0" as shown on screens, or three linear numbers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ColourValue:
         return '"#rrggbb", or [r, g, b] in linear light from 0 to 1000'
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of text or three numbers."""
+        """Return the JSON Schema of text or three numbers."""
         number = {"type": "number", "minimum": 0, "maximum": 1000}
         return {
             "anyOf": [

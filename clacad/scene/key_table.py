@@ -1,4 +1,4 @@
-"""One table of a file read by a list of keys: values, and every mistake with its key."""
+"""Read one table of a file with a list of keys: values, and every mistake with its key."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clacad.scene import keys
 
 @dataclass
 class Reader:
-    """Reads tables and gathers what is wrong.
+    """Reads tables and collects mistakes.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Reader:
     mistakes: list[Mistake] = field(default_factory=list)
 
     def table(self, where: str, table: dict[str, Any], known: dict[str, Key]) -> dict[str, Any]:
-        """Return name → value, defaults included; what cannot be read is left out.
+        """Return name → value, defaults included; unreadable values are left out.
 
         Parameters
         ----------
@@ -54,7 +54,7 @@ class Reader:
         return values
 
     def refused(self, key: str, refusal: Refusal) -> None:
-        """Note a value that its key does not take."""
+        """Record a value that its key does not accept."""
         name = key + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in refusal.where)
         place = ".".join([key, *map(str, refusal.where)])
         value = kind_of(refusal.value) if refusal.code in ("CL102", "CL103") else shown(refusal.value)
@@ -62,7 +62,7 @@ class Reader:
                                      found=shown(refusal.value), allowed=refusal.allowed, hint=refusal.hint))  # fmt: skip
 
     def _unknown(self, dot: str, name: str, known: dict[str, Key]) -> str:
-        """Note an unknown key; return what it probably was meant to be."""
+        """Record an unknown key; return the key that was probably meant."""
         here = tuple(known) if dot else (*known, *keys.SECTIONS, "object")
         close = keys.nearest(name, here)
         near = dot + close if close else keys.home_of(name)

@@ -1,4 +1,4 @@
-"""Every key of a scene file: its kind, its default and what it means. The one home of this list."""
+"""Every key of a scene file: its kind, its default and its meaning. The list exists only here."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from clacad.scene.colour import ColourValue
 
 @dataclass(frozen=True, slots=True)
 class Anything:
-    """A value that another reader judges (keys of a design, parts of a group)."""
+    """A value that another reader checks (keys of a design, parts of a group)."""
 
     what: str
 
     def read(self, value: object, unit: Unit) -> Any:
-        """Return the value as it stands."""
+        """Return the value unchanged."""
         return value
 
     def allowed(self, unit: Unit) -> str:
@@ -29,13 +29,13 @@ class Anything:
         return self.what
 
     def schema(self) -> JsonSchema:
-        """Give a JSON Schema without restrictions."""
+        """Return a JSON Schema without restrictions."""
         return {"description": self.what}
 
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """A list of 2 to 10000 numbers, or of lists of numbers of one length (the values a moved key takes)."""
+    """A list of 2 to 10000 numbers, or of lists of numbers of one length (values of an animated key)."""
 
     rows: bool = False
 
@@ -52,7 +52,7 @@ class Numbers:
         return "a list of 2 to 10000 numbers" + (", or of lists of numbers" if self.rows else "")
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of an array."""
+        """Return the JSON Schema of an array."""
         return {"type": "array", "minItems": 2, "maxItems": 10_000}
 
 
@@ -69,7 +69,7 @@ class NumberOrRow:
         return "a number, or a list of numbers"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of either."""
+        """Return the JSON Schema of either."""
         return {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
 
 
@@ -105,7 +105,7 @@ class Size:
         return "a length > 0, or a list of two or three lengths"
 
     def schema(self) -> JsonSchema:
-        """Give the JSON Schema of either."""
+        """Return the JSON Schema of either."""
         one = LENGTH_ABOVE_0.schema()
         return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1, "maxItems": 3}]}
 
@@ -150,7 +150,7 @@ STACKED: Final[dict[str, Key]] = {
     "z": Key(_LENGTH_FROM_0, "where the sheet's own z = 0 stands; 0 for the first", 0.0),
     **{name: key for name, key in SHEET.items() if name != "tint"},
 }  # fmt: skip
-"""Keys of a [[sheet]], of which a scene may hold several."""
+"""Keys of a [[sheet]]; a scene may have several."""
 CAMERA: Final[dict[str, Key]] = {
     "position": Key(_POINT, "where the camera stands, z < 0", REQUIRED),
     "target": Key(_POINT, "what it looks at", (0.0, 0.0, 0.0)),
@@ -246,7 +246,7 @@ KEYS_OF: Final[dict[str, tuple[str, ...]]] = {
     "cone": ("at", "size", "turn", "colour"),
     "group": ("at", "turn", "parts"),
 }
-"""Keys each kind of object takes besides `id` and `kind`."""
+"""Keys of each kind of object, in addition to `id` and `kind`."""
 
 SIZES: Final[dict[str, tuple[int, str]]] = {
     "knight": (1, "its height"),
@@ -256,7 +256,7 @@ SIZES: Final[dict[str, tuple[int, str]]] = {
     "box": (3, "[x, y, z]"),
     "cone": (3, "[bottom diameter, top diameter, height]"),
 }
-"""How many lengths the `size` of each kind has, and what they are."""
+"""Number of lengths in the `size` of each kind, and their meaning."""
 
 SYNONYMS: Final[dict[str, str]] = {
     "color": "colour", "colors": "colours", "position": "at", "centre": "at", "center": "at", "rotation": "turn",
@@ -267,7 +267,7 @@ SYNONYMS: Final[dict[str, str]] = {
 
 
 def nearest(name: str, known: tuple[str, ...]) -> str:
-    """Return the key a person probably meant, "" if none is near."""
+    """Return the key that was probably meant, "" if none is near."""
     folded = name.lower().replace("-", "_")
     if folded in known:
         return folded

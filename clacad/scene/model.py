@@ -1,4 +1,4 @@
-"""The scene: what is looked at, from where, in which light; read and checked.
+"""The scene, read and checked: what is viewed, from which position, in which light.
 
 Lengths are multiples of `Scene.unit_m` metres; see `clacad.scene.sections`.
 """
@@ -44,14 +44,14 @@ class Scene:
     unit_m : float, metres
         Length of one scene unit.
     sheets : tuple of SheetSpec
-        In the order light meets them, the nearest to the camera first.
+        In the order light passes them, the nearest to the camera first.
     camera, light, background, objects, effects, animation
         The sections of the file; `animation` is None for a still.
     notes : tuple of str
     given : mapping
         The keys as written.
     source : str or None
-        The file's text; None where it no longer tells the whole scene.
+        The file's text; None where it no longer describes the whole scene.
     path : str
         The file's name as the user gave it, "" without a file.
     """
@@ -93,7 +93,7 @@ class Scene:
 
     @property
     def sheet(self) -> SheetSpec:
-        """The sheet, of several the first."""
+        """The sheet; the first one if there are several."""
         return self.sheets[0]
 
     @property
@@ -102,7 +102,7 @@ class Scene:
         return folder_of(self.path)
 
     def design(self) -> Design:
-        """Read the sheet's design with the scene's changes; of several sheets the first's.
+        """Read the sheet's design with the scene's changes; the first sheet's if there are several.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class Scene:
         return self._design_of(self.sheet)
 
     def designs(self) -> tuple[Design, ...]:
-        """Read the designs of all sheets, in the order light meets them.
+        """Read the designs of all sheets, in the order light passes them.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class Scene:
             raise SceneError(located(mistakes, self.source, self.path, ())) from None
 
     def file(self, name: str) -> str:
-        """Path of a file the scene names.
+        """Path of a file named in the scene.
 
         Raises
         ------
@@ -163,14 +163,14 @@ class Scene:
             Dotted key to value, as in animations: {"object.knight.at.2": 5.0, "sheet.set.law.euler.0": 45}; or one such
             key.
         value : any
-            Of the one key.
+            New value, if `changes` is one key.
 
         Raises
         ------
         SceneError
-            If the result is no scene.
+            The result is no valid scene.
         TypeError
-            A value beside a mapping, or neither a mapping nor a key.
+            A value in addition to a mapping, or neither a mapping nor a key.
         """
         return Scene(**read_changed(self.given, self.path, changed_keys(changes, value)))
 
@@ -180,7 +180,7 @@ class Scene:
         Raises
         ------
         SceneError
-            The frame's scene is none.
+            The frame's scene is not valid.
         ValueError
             There is no such frame.
         """

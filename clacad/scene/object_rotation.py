@@ -1,4 +1,4 @@
-"""Turns of objects: rotation about the fixed axes, exact at right angles."""
+"""Rotations of objects about the fixed axes, exact at right angles."""
 
 from __future__ import annotations
 

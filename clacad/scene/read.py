@@ -1,4 +1,7 @@
-"""From a file, a dictionary or changed keys to the checked sections of a scene; every mistake at once."""
+"""Read a file, a dictionary or changed keys into the checked sections of a scene.
+
+Report every mistake at once.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ from clacad.scene.sections import (
 )
 
 MOST_SHEETS = 26
-"""Sheets a scene may hold, as many as a stack."""
+"""Largest number of sheets in a scene, as in a stack."""
 
 
 def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
@@ -60,7 +63,7 @@ def read_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) ->
 
 
 def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Read a scene's keys as written, some of them changed; the fields of a `Scene`, see `Scene.replace`."""
+    """Read a scene's keys as written, with some changed; the fields of a `Scene`, see `Scene.replace`."""
     data: Any = given
     mistakes = []
     for key, value in changes.items():
@@ -79,7 +82,7 @@ def put(data: Any, key: str, value: Any) -> Any:
     Raises
     ------
     LookupError
-        With a sentence, if there is no such part.
+        If there is no such part; the message names it.
     """
     steps = key.split(".")
     several = isinstance(data, Mapping) and isinstance(data.get("sheet"), list)
@@ -115,7 +118,7 @@ def _numbered(data: Any, kind: str, name: str) -> str:
 
 
 def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> dict[str, Any]:
-    """Lay overrides over the data, check everything, convert it; every mistake at its place."""
+    """Lay overrides over the data, check and convert everything; every mistake with its place."""
     mistakes: list[Mistake] = []
     for text in texts:
         parsed = override.parse(text)
@@ -189,7 +192,7 @@ def _section(reader: Reader, data: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _refuse_set(reader: Reader, table: dict[str, Any], where: str) -> None:
-    """Changes of a sheet's design are a table."""
+    """Refuse changes of a sheet's design that are not a table."""
     if not (table.get("set") is None or isinstance(table["set"], dict)):
         reader.refused(f"{where}.set", Refusal("CL104", not_this(table["set"], "a table"), table["set"],
                                                keys.SHEET["set"].kind.allowed(reader.unit)))  # fmt: skip
@@ -212,7 +215,7 @@ def _sheets(reader: Reader, listed: list[Any]) -> list[dict[str, Any]]:
 
 
 def _flat(table: Mapping[str, Any] | None, prefix: str = "") -> dict[str, Any]:
-    """Dotted keys of nested tables: {law: {eta: …}} and {"law.eta": …} are the same."""
+    """Dotted keys of nested tables: {law: {eta: …}} and {"law.eta": …} are equivalent."""
     found: dict[str, Any] = {}
     for key, value in (table or {}).items():
         if isinstance(value, dict) and prefix + key in ("law", "pair", "lattice", "body", "check"):
@@ -240,7 +243,7 @@ def _objects(reader: Reader, listed: Any, where: str) -> tuple[SceneObject, ...]
 
 
 def _object(reader: Reader, table: dict[str, Any], where: str) -> SceneObject | None:
-    """One object with the keys its kind takes, a group with its parts; None where something is wrong with it."""
+    """One object with the keys of its kind, a group with its parts; None if it has a mistake."""
     kind = table.get("kind")
     taken = keys.KEYS_OF.get(kind) if isinstance(kind, str) else None
     known: dict[str, Key] = keys.OBJECT
@@ -270,7 +273,7 @@ def _object(reader: Reader, table: dict[str, Any], where: str) -> SceneObject | 
 
 
 def _refuse_size(reader: Reader, values: dict[str, Any], where: str, kind: Any) -> None:
-    """A size must have as many lengths as its kind needs; a box may be a cube, said with one."""
+    """Refuse a size without the number of lengths of its kind; one length makes a box a cube."""
     if kind not in keys.SIZES:
         return
     count, words = keys.SIZES[kind]
@@ -306,7 +309,7 @@ def _moves(reader: Reader, listed: Any, data: dict[str, Any]) -> tuple[Move, ...
 
 
 def _move(reader: Reader, table: dict[str, Any], where: str, data: dict[str, Any]) -> Move | None:
-    """One moved key with its times and values; None where something is wrong with it."""
+    """One animated key with its times and values; None if it has a mistake."""
     before = len(reader.mistakes)
     values = reader.table(where, table, keys.MOVE)
     if len(reader.mistakes) > before:

@@ -1,4 +1,4 @@
-"""What must hold between the keys of a scene."""
+"""Rules between the keys of a scene."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _effects(effects: EffectsSpec) -> Iterator[Mistake]:
 
 
 def _stacked(sheets: tuple[SheetSpec, ...], light: Light) -> Iterator[Mistake]:
-    """What several sheets need: names of their own, the first at z = 0, and light without polarisation."""
+    """Rules for several sheets: distinct names, the first at z = 0, and light without polarisation."""
     if len(sheets) == 1 and not sheets[0].id:
         return
     names = [one.id for one in sheets]
@@ -79,7 +79,7 @@ def _stacked(sheets: tuple[SheetSpec, ...], light: Light) -> Iterator[Mistake]:
 
 
 def _files(fields: Mapping[str, Any], folder: str) -> Iterator[Mistake]:
-    """Files that are missing from an object, have no use, or lie outside the scene's folder."""
+    """Files that an object lacks, that have no use, or that lie outside the scene's folder."""
     named: list[tuple[str, str | None, int]] = []
     for sheet in fields["sheets"]:
         home = place_of(fields["given"], sheet)

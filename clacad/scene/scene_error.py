@@ -1,4 +1,4 @@
-"""What is wrong with a scene file; the same mistakes, codes and places as for designs."""
+"""Mistakes in a scene file, with the mistake types, codes and places used for designs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from clacad.config.design_error import DesignError
 
 
 class SceneError(DesignError):
-    """A scene that cannot be accepted; holds every mistake that was found, those of its design included."""
+    """A scene that cannot be accepted; holds every mistake found, including those of its design."""
 
     exit_status = 2

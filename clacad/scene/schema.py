@@ -1,4 +1,4 @@
-"""The JSON Schema of scene files, from the one list of keys."""
+"""The JSON Schema of scene files, generated from the list of keys."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def scene_schema() -> Schema:
     -------
     dict
         With `$schema`, `title` and one property for each key; unknown keys are refused, and each kind of
-        object takes its own keys alone.
+        object accepts only its own keys.
     """
     properties = _properties(ROOT)
     definitions: Schema = {"object": _any_object(), "move": _table(MOVE)}

@@ -1,6 +1,6 @@
 """The sections of a scene file as frozen values in the scene's unit.
 
-Lengths are multiples of `Scene.unit_m` metres, wavelengths metres, angles radians (turns in degrees, as
+Lengths are multiples of `Scene.unit_m` metres, wavelengths metres, angles radians (rotations in degrees, as
 written, so that 90 degrees stays exact). Axes are the sheet's: right-handed, camera rays towards +z.
 """
 
@@ -16,7 +16,7 @@ Rgb = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class SheetSpec:
-    """Which sheet stands in the scene, and how exactly rays pass it.
+    """A sheet of the scene, and how exactly rays pass it.
 
     Parameters
     ----------
@@ -30,15 +30,15 @@ class SheetSpec:
     quads : int
         Quads a cell side, for rung mesh without a file.
     surround : {"see-through", "opaque"}
-        What is seen beside the sheet.
+        What is visible next to the sheet.
     tint : (red, green, blue)
-        Linear transmission, 0 to 1, of what is seen through the sheet; of a single sheet only.
+        Linear transmission, 0 to 1, of light seen through the sheet; for a single sheet only.
     continuous : bool
-        Rung law: by the law at the very point met, where it varies, instead of that of the cell hit.
+        Rung law: apply a varying law at the exact point hit instead of that of the cell hit.
     id : str
         Name among several; "" for the only one.
     z : float, length
-        Where the sheet's own z = 0 stands.
+        Height of the sheet's own z = 0 in the scene.
     """
 
     design: str
@@ -55,12 +55,12 @@ class SheetSpec:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """Pinhole, or an opening of finite diameter, before the sheet.
+    """Pinhole, or an opening of finite diameter, in front of the sheet.
 
     Parameters
     ----------
     position, target : (3,) lengths
-        Where it stands (z < 0) and what it looks at.
+        Position of the camera (z < 0) and the point it is aimed at.
     up : (3,)
         Direction that is up in the picture.
     frame : float or None, length
@@ -69,11 +69,11 @@ class Camera:
         Full width of the picture as an angle.
     pixels : (width, height)
     samples : int
-        Rays a pixel.
+        Rays per pixel.
     noise : float
         Standard error of a pixel's mean at which sampling stops; 0: always `samples` rays.
     most_samples : int
-        Rays a pixel at most, where `noise` asks for more.
+        Largest number of rays per pixel, where `noise` requires more than `samples`.
     aperture : float, length
         Diameter of the opening; 0 is a pinhole.
     focus : float or None, length
@@ -112,7 +112,7 @@ class Light:
     direction : (3,)
         Towards the light, any length > 0.
     spectrum : "rgb", "D65" or float (metres)
-        Wavelengths rays are traced at.
+        Wavelengths at which rays are traced.
     polariser, analyser : float or None, degrees
         Directions of a polarisation before and behind the sheet, from the x axis.
     """
@@ -135,7 +135,7 @@ class Background:
 
 @dataclass(frozen=True, slots=True)
 class SceneObject:
-    """One thing that is seen; which fields count depends on `kind` (see `clacad.scene.keys.KEYS_OF`).
+    """One visible object; its `kind` determines which fields apply (see `clacad.scene.keys.KEYS_OF`).
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class SceneObject:
     height, tile : lengths
         Of a checker floor.
     reach : float or None, length
-        How far along a ray a floor is drawn.
+        Distance along a ray up to which a floor is drawn.
     colours : ((3,), (3,))
         Odd and even tiles, or the two stripes.
     file : str or None
@@ -186,7 +186,7 @@ class SceneObject:
 
 @dataclass(frozen=True, slots=True)
 class EffectsSpec:
-    """Which effects are simulated.
+    """Effects to simulate.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ class EffectsSpec:
         Smallest relative radiance that matters.
     coating : {"none", "quarter-wave"}
     order : int
-        Reflections in a path at most.
+        Largest number of reflections in a path.
     """
 
     mode: Literal["auto", "list", "none"]
@@ -222,11 +222,11 @@ class Move:
         "object.<id>.<key>[.index]", "sheet.set.<design key>[.index]", of several sheets "sheet.<id>.set.<design key>[.index]"
         or "sheet.<id>.<key>", or "camera.<key>[.index]".
     times : tuple of float
-        0 … 1, rising.
+        0 … 1, ascending.
     values : tuple
-        A number, or a tuple of numbers, for each time; straight lines between them.
+        A number, or a tuple of numbers, for each time; linear interpolation in between.
     ease : {"linear", "smooth"}
-        How the time runs: smooth starts and ends at rest (3t² − 2t³).
+        Time profile: smooth starts and ends at rest (3t² − 2t³).
     """
 
     key: str
@@ -237,7 +237,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Animation:
-    """How many frames there are and what moves in them."""
+    """Number of frames, and the keys that change."""
 
     frames: int
     fps: float

@@ -1,4 +1,4 @@
-"""Places of the mistakes that a scene's sheets and their designs have."""
+"""Places, in a scene file, of mistakes in its sheets and their designs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from clacad.scene.sections import SheetSpec
 
 
 def place_of(given: Mapping[str, Any], sheet: SheetSpec) -> str:
-    """Where a sheet stands in a scene's file, as a dotted key; `given`: the keys as written."""
+    """Dotted key of a sheet in a scene's file; `given`: the keys as written."""
     listed = given["sheet"]
     if not isinstance(listed, list):
         return "sheet"

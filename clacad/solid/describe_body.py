@@ -1,4 +1,4 @@
-"""Describe a whole body of a window: its tilings, the land round them, the outline. Lengths in mm."""
+"""Describe a whole body of a window: its tilings, the surrounding land, the outline. Lengths in mm."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ from clacad.topology.build_complex import cell_complex
 from clacad.topology.cannot_build import CannotBuild
 
 KEPT_CELLS = 4096
-"""Cells of a sheet whose cells differ that are held at a time: a row meets the one above it, so three rows do."""
+"""Number of cells of a non-uniform sheet kept at a time: a row borders on the one above it, so three rows
+do.
+"""
 
 
 def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Layer, ...]:
@@ -61,7 +63,7 @@ def _layer(
     faces: tuple[Face | None, Face | None],
     levels: tuple[float | None, float | None],
 ) -> Layer:
-    """The layer of an array's cells between two faces; a cell at a time where cells differ."""
+    """The layer of an array's cells between two faces; cell by cell in a non-uniform sheet."""
     scale = millimetres(window.unit)
 
     def cell_at(index: Step) -> Cell:
@@ -107,7 +109,7 @@ def describe_body(window: Window, body: Body, writer: Writer, merge: float = MER
     body : Body
     writer : Writer
     merge : float, mm
-        Heights closer than this at a node, or along a whole border, are one.
+        Heights that differ by less at a node, or along a whole border, are merged.
 
     Returns
     -------
@@ -137,7 +139,10 @@ _known: WeakKeyDictionary[Body, tuple[tuple[object, ...], tuple[tuple[Floats, ..
 
 
 def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...], ...]:
-    """Where anything changes on the borders of each tiling; kept, for it is the same for any number of cells."""
+    """Border parameters at which anything changes, for each tiling.
+
+    They are independent of the cell count and cached.
+    """
     scale = millimetres(window.unit)
     lattice = window.lattice
     key = (
@@ -158,7 +163,10 @@ def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...
 
 def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline | None, scale: float, writer: Writer,
                     merge: float = MERGE, hollow: bool = False) -> Shells:  # fmt: skip
-    """Describe layers of columns within an outline; `hollow` leaves the cells out and keeps the land round them."""
+    """Describe layers of columns within an outline.
+
+    `hollow` leaves the cells out and keeps the land around them.
+    """
     shells = Shells(writer, merge, split=hollow)
     rim = -1 if outline is None else shells.owner()
     centre = parts[0].shift if len(parts) == 1 and not isinstance(outline, Plate) else np.zeros(2)
@@ -184,7 +192,7 @@ def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline
 def _refuse_beyond(
     part: Layer, lattice: Lattice, outline: Circle | Rectangle, scale: float, centre: Floats
 ) -> None:
-    """Refuse a cell that the outline does not hold: the outline would cut through a lenslet.
+    """Refuse a cell that lies partly beyond the outline: the outline would cut through a lenslet.
 
     Raises
     ------

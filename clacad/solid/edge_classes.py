@@ -1,4 +1,7 @@
-"""Classes of segments with their ends tied to vertices: everything a writer needs, once per class. Lengths in mm."""
+"""Classes of segments with their ends tied to vertices: all data for a writer, once per class.
+
+Lengths in mm.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,7 @@ class EdgeClass:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WallEnd:
-    """One vertical side of a wall: vertices from `low` to `high`, which ray it lies on, its parameter curves.
+    """One vertical side of a wall: vertices from `low` to `high`, the ray it lies on, its parameter curves.
 
     `curves[i]` belongs to the edge from vertex low + i to low + i + 1; low == high: the side is a point, and
     `curves[0]` is the parameter line of the degenerate edge.
@@ -92,7 +95,7 @@ class PieceClass:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Post:
-    """A segment's station seen from it: its levels, and the sector of each column there."""
+    """A station as seen from a segment: its levels, and the sector of each column there."""
 
     levels: Levels
     sectors: tuple[int, int]

@@ -1,4 +1,4 @@
-"""What one face of a cell consists of: where the lens is, where land is, and the exact rim between them.
+"""Division of one face of a cell into lens and land, with the exact rim between them.
 
 The optical zone is a convex polygon; the rim is the conic in which a plane (the land, or the plane in which the
 two faces of a lens meet) cuts the lens. Polygon and conic are intersected exactly (a quadratic per side), so the
@@ -21,7 +21,7 @@ Kind = Literal["lens", "land", "none", "plane", "open"]
 Proud = Callable[[Floats, Floats], NDArray[np.bool_]]
 
 SNAP = 1e-6
-"""Points closer than this (mm) to a corner are the corner: a tenth of what CAD programs can tell apart."""
+"""Points closer than this (mm) to a corner are merged with it: a tenth of the resolution of CAD programs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Region:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pattern:
-    """How a zone (m, 2) is divided: runs per side, rims, regions; `ends[i]` = (side, t) of rim point i."""
+    """Division of a zone (m, 2): runs per side, rims, regions; `ends[i]` = (side, t) of rim point i."""
 
     zone: Floats
     runs: tuple[tuple[Run, ...], ...]
@@ -74,7 +74,7 @@ class Pattern:
 
 
 def plain_pattern(zone: Floats, kind: Kind) -> Pattern:
-    """Pattern of a face that is of one kind over its whole zone (m, 2)."""
+    """Pattern of a face of a single kind over its whole zone (m, 2)."""
     m = len(zone)
     runs = tuple((Run(0.0, 1.0, kind, ("corner", k), ("corner", (k + 1) % m)),) for k in range(m))
     loop = tuple(("run", k, 0) for k in range(m))
@@ -93,7 +93,7 @@ def divided_pattern(zone: Floats, conic: Floats, proud: Proud, rest: Kind) -> Pa
     proud : callable
         Whether the lens is there at (x, y), each (n,).
     rest : "land" or "none"
-        What is where the lens is not.
+        Kind of the face where the lens is not.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def divided_pattern(zone: Floats, conic: Floats, proud: Proud, rest: Kind) -> Pa
 
 
 def _conic_roots(zone: Floats, k: int, conic: Floats) -> list[float]:
-    """Parameters at which a conic meets side k of the zone, ascending; any real ones."""
+    """Parameters at which a conic intersects side k of the zone, ascending; any real ones."""
     a, b = zone[k], zone[(k + 1) % len(zone)]
     p, d = np.append(a, 1.0), np.append(b - a, 0.0)
     return _quadratic(float(d @ conic @ d), float(p @ conic @ d), float(p @ conic @ p))
@@ -124,9 +124,9 @@ def _conic_roots(zone: Floats, k: int, conic: Floats) -> list[float]:
 def side_runs(
     zone: Floats, k: int, roots: list[float], proud: Proud, rest: Kind, ends: list[tuple[int, float]]
 ) -> tuple[Run, ...]:
-    """Stretches of side k of a zone, cut at the roots (ascending parameters) between which nothing changes.
+    """Stretches of side k of a zone, cut at the roots (ascending parameters), between which nothing changes.
 
-    `ends` takes the (side, parameter) of every root that parts two kinds.
+    `ends` receives the (side, parameter) of every root that separates two kinds.
     """
     m = len(zone)
     a, b = zone[k], zone[(k + 1) % m]
@@ -186,7 +186,7 @@ def _undivided(zone: Floats, runs: list[tuple[Run, ...]], conic: Floats, proud: 
 
 
 def _closed_rim(zone: Floats, conic: Floats) -> tuple[Floats, Floats] | None:
-    """Four points round an ellipse that lies inside the zone, counter-clockwise, and its centre."""
+    """Four points on an ellipse that lies inside the zone, counter-clockwise, and its centre."""
     root, centre = _to_circle(conic)
     if root is None or centre is None:
         return None
@@ -198,7 +198,7 @@ def _closed_rim(zone: Floats, conic: Floats) -> tuple[Floats, Floats] | None:
 
 
 def _to_circle(conic: Floats) -> tuple[Floats, Floats] | tuple[None, None]:
-    """Map L and centre with ellipse = centre + L (unit circle), det L > 0; None when it is no real ellipse."""
+    """Map L and centre with ellipse = centre + L (unit circle), det L > 0; None if it is no real ellipse."""
     form = conic[:2, :2]
     determinant = float(np.linalg.det(form))
     scale = float(np.abs(form).max())
@@ -227,7 +227,7 @@ def _chains(zone: Floats, conic: Floats, proud: Proud, ends: list[tuple[int, flo
     for i, j, middle in _arcs(zone, conic, points):
         path = np.vstack([points[i], middle, points[j]])
         first, last = i, j
-        middle_one = len(path) // 2  # a point of the conic itself; the tangent there is along its neighbours
+        middle_one = len(path) // 2  # on the conic; its neighbours give the tangent there
         probe, way = path[middle_one], path[middle_one + 1] - path[middle_one - 1]
         left = np.array([-way[1], way[0]])
         near = probe + 1e-3 * left
@@ -238,10 +238,10 @@ def _chains(zone: Floats, conic: Floats, proud: Proud, ends: list[tuple[int, flo
 
 
 def _arcs(zone: Floats, conic: Floats, points: Floats) -> list[tuple[int, int, Floats]]:
-    """Which rim points (n, 2) the conic joins inside the zone: (i, j, intermediate points).
+    """Pairs of rim points (n, 2) that the conic joins inside the zone: (i, j, intermediate points).
 
-    The pencil of lines through one point of a conic meets it once more each: the line's direction orders the
-    conic's points, through infinity too, whatever kind of conic it is.
+    Each line of the pencil through one point of a conic intersects it once more. The line's direction orders
+    the conic's points, through infinity too, for any kind of conic.
     """
     scale = float(np.abs(points).max())
     unit = np.diag([scale, scale, 1.0])
@@ -289,7 +289,7 @@ def _straight_arcs(
 
 
 def walk(runs: list[tuple[Run, ...]], chains: list[Chain], kind: Kind) -> list[Region]:
-    """Close the loops of one kind: stretches of sides and rims, each starting where the last one ended."""
+    """Close the loops of one kind: stretches of sides and rims, each starting at the end of the last one."""
     leaving: dict[tuple[str, int], tuple[tuple[str, int, int], tuple[str, int]]] = {}
     for k, side in enumerate(runs):
         for r, run in enumerate(side):

@@ -1,9 +1,9 @@
-"""Rims without a closed form: where two surfaces meet that cut one another in no plane, as fitted Bézier curves.
+"""Fitted rims: Bézier curves where two surfaces intersect in no plane, so that no closed form exists.
 
-The rim is the zero curve of a gap between two graphs over the sheet: a lens and its land, a lens and the plane
-behind it, the two lenses of a body. It is traced by bisection (`clacad.topology.rims`) and divided into arcs;
-each arc is a polynomial Bézier curve through exact points of the rim, of the least degree that reaches the
-tolerance, and its distance from the true rim is measured and stated. Lengths in mm, cell frame.
+The rim is the zero curve of a gap between two graphs over the sheet: a lens and its land, a lens and the
+plane behind it, the two lenses of a body. It is traced by bisection (`clacad.topology.rims`) and divided into
+arcs. Each arc is a polynomial Bézier curve through exact points of the rim, of the least degree within the
+tolerance. Its distance from the true rim is measured and stated. Lengths in mm, cell frame.
 """
 
 from __future__ import annotations
@@ -24,22 +24,24 @@ from clacad.topology.cannot_build import CannotBuild
 from clacad.topology.rims import trace_zero
 
 Graph = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""Heights (n,) and slopes (n, 2) over points x, y (n,); NaN where there is none."""
+"""Heights (n,) and slopes (n, 2) over points x, y (n,); NaN where there is no surface."""
 
 FANS = (24, 48, 96, 192)
-"""Grids on which the rim is sought; the next finer one where a rim does not end where the sides say it must."""
+"""Grids on which the rim is searched; a finer one is used where a rim's ends disagree with the zone's
+sides.
+"""
 
 TURN = 1.1
 """Largest turn of one arc (rad) before any is halved."""
 
 DEGREES = range(3, 15)
-"""Degrees tried for an arc."""
+"""Degrees that are tried for an arc."""
 
 DEPTH = 7
-"""Halvings of an arc whose highest degree misses the tolerance."""
+"""Largest number of halvings of an arc whose highest degree misses the tolerance."""
 
 SLACK = 1e-7
-"""Largest error (mm) of a fitted rim that is stated rather than refused: what CAD programs take for one point."""
+"""Largest error (mm) of a fitted rim that is stated rather than refused: CAD programs merge closer points."""
 
 _NEWTON = 12
 _NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(41) / 40)
@@ -48,9 +50,9 @@ _BETWEEN = 0.5 - 0.5 * np.cos(np.pi * (np.arange(40) + 0.5) / 40)
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """How far one graph lies above another (mm): positive on the side of the lens, zero on the rim.
+    """Height of one graph above another (mm): positive on the side of the lens, zero on the rim.
 
-    `within` tells where there is a lens at all; elsewhere the gap counts as closed.
+    `within`: where the lens exists; elsewhere the gap counts as closed.
     """
 
     lower: Graph
@@ -68,7 +70,7 @@ class Gap:
         return np.asarray(high - low), np.asarray(high_slope - low_slope), np.asarray(0.5 * (low + high))
 
     def proud(self, x: Floats, y: Floats) -> NDArray[np.bool_]:
-        """Where the lens is (n,)."""
+        """Whether the lens is present (n,)."""
         with np.errstate(invalid="ignore"):
             return np.asarray(self.value(x, y) > 0.0)
 
@@ -80,7 +82,7 @@ class Gap:
 
 @dataclass(frozen=True, eq=False)
 class Rim:
-    """Where a lens ends: the division of its zone, the arcs (3-D, mm) of every chain, their largest error (mm).
+    """Rim of a lens: the division of its zone, the arcs (3-D, mm) of every chain, their largest error (mm).
 
     `error` is 0 where the arcs are exact plane sections.
     """
@@ -91,7 +93,7 @@ class Rim:
 
 
 def lens_graph(face: Face) -> Graph:
-    """The graph of a lens face, whatever its surface."""
+    """The graph of a lens face with any surface."""
 
     def graph(x: Floats, y: Floats) -> tuple[Floats, Floats]:
         z, normal = lens_height_and_normal(face, x, y)
@@ -111,7 +113,7 @@ def level_graph(level: float) -> Graph:
 
 
 def fitted_rim(gap: Gap, zone: Floats, rest: Kind, tolerance: float) -> Rim:
-    """Divide a zone where a gap closes, and fit the rim.
+    """Divide a zone at the zero curve of a gap, and fit the rim.
 
     Parameters
     ----------
@@ -119,20 +121,21 @@ def fitted_rim(gap: Gap, zone: Floats, rest: Kind, tolerance: float) -> Rim:
     zone : (m, 2), mm
         Corners, counter-clockwise, convex.
     rest : "land" or "none"
-        What is where the lens is not.
+        Kind of the face where the lens is not.
     tolerance : float, mm
         Distance of the fitted arcs from the true rim.
 
     Returns
     -------
     Rim
-        The arcs lie at the mean height of the two graphs, which on the rim are one.
+        The arcs lie at the mean height of the two graphs, which are equal on the rim.
 
     Raises
     ------
     CannotBuild
-        CL130: the lens ends at its own equator, before it meets the other surface. CL132: the rim turns so sharply,
-        or the surfaces meet at so small an angle, that no curve comes within `SLACK` of it.
+        CL130: the lens ends at its own equator, before it intersects the other surface. CL132: no curve comes
+        within `SLACK` of the rim, because it turns too sharply or the surfaces intersect at too small an
+        angle.
     """
     noise = gap.rounding(zone)
     roots = [_side_roots(gap, zone, k, noise) for k in range(len(zone))]
@@ -165,7 +168,7 @@ def _with_arcs(gap: Gap, pattern: Pattern, paths: list[Floats], tolerance: float
 
 
 def _hidden(gap: Gap, zone: Floats, pattern: Pattern) -> bool:
-    """Whether a lens stands out between the points of a grid that saw none."""
+    """Whether a lens rises above its land between grid points at which it does not."""
     if any(region.kind == "lens" for region in pattern.regions):
         return False
     low, high = zone.min(axis=0), zone.max(axis=0)
@@ -195,7 +198,7 @@ def _side_roots(gap: Gap, zone: Floats, k: int, noise: float) -> list[float]:
 
 def _traced(gap: Gap, zone: Floats, roots: list[list[float]], rest: Kind, fan: int, noise: float
             ) -> tuple[Pattern, list[Floats]] | None:  # fmt: skip
-    """The pattern a grid finds, with the points of every chain; None where chains and sides disagree."""
+    """The pattern found with a grid, with the points of every chain; None where chains and sides disagree."""
     found = trace_zero(lambda x, y: gap.value(x, y) + noise, zone, fan)
     open_paths = [curve.points for curve in found if not curve.closed]
     closed = [curve.points[:-1] for curve in found if curve.closed]
@@ -218,7 +221,7 @@ def _on_the_rim(gap: Gap, path: Floats, noise: float) -> None:
 
 
 def _along_the_rim(gap: Gap, path: Floats) -> None:
-    """Refuse a chain that leaps from one branch of the rim to another, between which a grid has seen nothing."""
+    """Refuse a chain that jumps from one branch of the rim to another, with no grid point between them."""
     chord = np.diff(path, axis=0)
     length = np.hypot(*chord.T)
     _, slope, _ = gap.at(path[:, 0], path[:, 1])
@@ -252,7 +255,7 @@ def _chain_arcs(gap: Gap, path: Floats, closed: bool, tolerance: float, noise: f
 
 
 def _divisions(gap: Gap, points: Floats, closed: bool) -> list[int]:
-    """Numbers of the points at which a chain is divided: about equal turns, at most `TURN` each."""
+    """Indices of the points at which a chain is divided: about equal turns, at most `TURN` each."""
     if len(points) == 2:
         return [0, 1]
     _, slope, _ = gap.at(points[:, 0], points[:, 1])
@@ -275,7 +278,7 @@ def _divisions(gap: Gap, points: Floats, closed: bool) -> list[int]:
 
 
 def _fitted(gap: Gap, path: Floats, tolerance: float, noise: float, depth: int) -> tuple[list[Arc], float]:
-    """One arc between the ends of a path of exact points (n, 2), or more where one does not reach the tolerance."""
+    """One arc between the ends of a path of exact points (n, 2), or several if one misses the tolerance."""
     start, end = path[0], path[-1]
     best: tuple[Arc, float] | None = None
     middle = path[len(path) // 2] if len(path) > 2 else None
@@ -304,7 +307,10 @@ def _fitted(gap: Gap, path: Floats, tolerance: float, noise: float, depth: int) 
 
 
 def _least_degree(true: Floats, reach: float) -> tuple[Arc, float]:
-    """The curve of least degree within `reach` of rim points (n, 3) at `_NODES`, ends exact; its largest distance."""
+    """The least-degree curve within `reach` of rim points (n, 3) at `_NODES`, ends exact.
+
+    The second result is its largest distance from them.
+    """
     for degree in DEGREES:
         basis = bernstein(degree, _NODES)
         bare = true - basis[:, :1] * true[0] - basis[:, -1:] * true[-1]
@@ -321,7 +327,7 @@ def _least_degree(true: Floats, reach: float) -> tuple[Arc, float]:
 
 
 def _distance(arc: Arc, pencil: _Pencil) -> float:
-    """Largest distance of a curve from the rim at parameters it was not fitted at."""
+    """Largest distance of a curve from the rim, at parameters not used in the fit."""
     true, closes = pencil.points(_BETWEEN)
     return np.inf if not closes else float(np.linalg.norm(arc.at(_BETWEEN) - true, axis=1).max())
 
@@ -329,7 +335,8 @@ def _distance(arc: Arc, pencil: _Pencil) -> float:
 class _Pencil:
     """Points of a rim between two of its points, found along rays that turn with the rim's normal.
 
-    Parameter t stands for an equal share of the turn, so that x(t), y(t) are smooth: on a circle they are cosines.
+    Equal steps of parameter t are equal shares of the turn, so that x(t), y(t) are smooth: cosines on a
+    circle.
     """
 
     def __init__(self, gap: Gap, start: Floats, end: Floats) -> None:

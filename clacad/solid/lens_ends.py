@@ -1,6 +1,7 @@
-"""Where the lenses of a cell end: the rims they share, and those on their land. Lengths in mm, cell frame.
+"""Ends of the lenses of a cell: their common rims, and those on their land. Lengths in mm, cell frame.
 
-A plane cuts a quadric in a conic, whose arcs are exact; any other rim is fitted (`clacad.solid.fitted_rims`).
+A plane cuts a quadric in a conic, whose arcs are exact; all other rims are fitted
+(`clacad.solid.fitted_rims`).
 """
 
 from __future__ import annotations
@@ -22,9 +23,11 @@ UNDERCUT = 1e-6
 
 
 def common_rim(faces: tuple[Face, Face], zone: Floats, tolerance: float) -> tuple[Rim | None, Proud | None]:
-    """The rim in which both faces of a body end; where land bounds them, only where the lens has thickness.
+    """The rim in which both faces of a body end.
 
-    Neither where the lens covers its zone.
+    Where land bounds them, where the lens has positive thickness.
+
+    Both results are None where the lens covers its zone.
 
     Raises
     ------
@@ -50,9 +53,10 @@ def common_rim(faces: tuple[Face, Face], zone: Floats, tolerance: float) -> tupl
 
 
 def _meeting(faces: tuple[Face, Face], zone: Floats, tolerance: float) -> Rim | None:
-    """Where the two faces of a body cut one another above its zone; None where the lens covers its zone.
+    """Intersection of the two faces of a body above its zone; None where the lens covers its zone.
 
-    Two poses of one quadric meet in a plane, and so do a quadric and a plane: their rim is exact. Any other is fitted.
+    Two poses of one quadric intersect in a plane, and so do a quadric and a plane: their rim is exact. Others
+    are fitted.
     """
     first, second = (posed_quadric(face) for face in faces)
     if first is not None and second is not None:
@@ -81,7 +85,7 @@ def _covers(pattern: Pattern) -> bool:
 
 
 def _meeting_plane(faces: tuple[Face, Face], first: PosedQuadric, second: PosedQuadric) -> Floats | None:
-    """The plane z = c0 + c1 x + c2 y in which two faces meet; None where they meet in no plane."""
+    """The plane z = c0 + c1 x + c2 y in which two faces intersect; None if there is none."""
     for face in faces:
         if face.array is None:
             return np.array([face.vertex[2], 0.0, 0.0])
@@ -98,20 +102,20 @@ def _meeting_plane(faces: tuple[Face, Face], first: PosedQuadric, second: PosedQ
 
 
 def _check_web(faces: tuple[Face, Face], rim: Rim, zone: Floats) -> None:
-    """Refuse a web out of which the rim of a tilted lens sticks: the union of lens and plate is no column there.
+    """Refuse a web from which a tilted lens's rim protrudes: the union of lens and plate is no column there.
 
-    At a rim point outside the plate, front and back of the lens meet at a height h above the plate's upper face (or
-    below its lower one). Just inside the rim both faces are near h, so between plate and lens there is air on the same
-    vertical line: the lens overhangs the plate, which neither a height field nor a mould or an etch can make. (Meshes
-    of such a design fill the space below the overhang: every column is solid from its lowest face to its highest, as
-    the tracer has it.) If the whole rim lies in the plate nothing overhangs: over the region the rim encloses the front of a convex lens is a
-    convex function of (x, y), which takes its largest value on the rim, so the front nowhere stands above the plate's
-    upper face, and the back nowhere below its lower one.
+    At a rim point outside the plate, front and back of the lens meet at a height h above the plate's upper
+    face (or below its lower one). Just inside the rim both faces are near h, so on one vertical line there is
+    air between plate and lens. The lens overhangs the plate, which neither a height field nor a mould or an
+    etch can make. (Meshes of such a design fill the space below the overhang: every column is solid from its
+    lowest face to its highest, as in the tracer.) If the whole rim lies in the plate, nothing overhangs. Over
+    the region inside the rim the front of a convex lens is a convex function of (x, y), with its maximum on
+    the rim. So the front is nowhere above the plate's upper face, and the back nowhere below its lower one.
 
     Raises
     ------
     CannotBuild
-        CL131, with the thickness of web that holds the rim.
+        CL131, with the thickness of a web that contains the rim.
     """
     front, back = faces
     assert front.land is not None
@@ -160,10 +164,10 @@ def _conic(quadric: PosedQuadric, plane: Floats) -> Floats:
 
 
 def land_rim(face: Face, thick: Proud | None, zone: Floats, tolerance: float) -> Rim:
-    """Where a lens ends on its land, if it has any.
+    """Rim at which a lens ends on its land, if it has land.
 
-    `thick` tells where the lens has material at all: the surface of a thin tilted one may leave its land again where
-    the lens has long ended.
+    `thick`: where the lens has material at all. The surface of a thin tilted lens may leave its land again
+    far beyond the end of the lens.
     """
     quadric, land = posed_quadric(face), face.land
     if land is None:

@@ -1,8 +1,9 @@
 """Lens faces of a body as exact B-Rep geometry in the cell frame, lengths in millimetres.
 
 A quadric is exact: rational patch, rational arcs. Any other surface (a biconic) is replaced by ONE polynomial
-patch z(x, y) over its cell, fitted at Chebyshev points; its error is measured and stated, its border curves
-lie exactly on the fitted patch. An upright even polynomial on a paraboloid is such a patch of its own degree, exactly.
+patch z(x, y) over its cell, fitted at Chebyshev points. Its error is measured and stated, and its border
+curves lie exactly on the fitted patch. An upright even polynomial on a paraboloid is an exact patch of its
+own degree.
 """
 
 from __future__ import annotations
@@ -29,32 +30,36 @@ from clacad.solid.rational_conics import (
 from clacad.topology.cannot_build import CannotBuild
 
 STEEPEST = 0.02
-"""Smallest weight of a patch; it falls from 1 on a flat lens to 0 where a corner of the patch meets the equator."""
+"""Least weight of a patch; it falls from 1 on a flat lens to 0 where a corner of the patch reaches the
+equator.
+"""
 
 PATCH_DEGREES = (2, 4, 8)
-"""Degrees in which a quadric's patch is written: raised where a weight would come near 0, with no point moved."""
+"""Degrees of a quadric's patch: raised where a weight would come near 0, without moving any point."""
 
 HIGHEST_DEGREE = 20
 """Degree of a fitted patch in each direction beyond which it is refused."""
 
 LOOSEST = 10.0
-"""Where the highest degree misses the tolerance, an error up to so many times as large is stated, not refused."""
+"""Largest error, in tolerances, that is stated rather than refused where the highest degree misses the
+tolerance.
+"""
 
 HIGHEST_ARC = 20
-"""Degree of an arc of a fitted patch over a slanting segment; CAD programs hold up to 25."""
+"""Degree of an arc of a fitted patch over a slanting segment; CAD programs accept up to 25."""
 
 
 class Lens(Protocol):
-    """What the shell builder asks of a lens face."""
+    """Interface of a lens face for the shell builder."""
 
     def height(self, x: Floats, y: Floats) -> Floats:
-        """Heights over cell-frame points; NaN where there is none."""
+        """Heights over cell-frame points; NaN where there is no surface."""
 
     def arc(self, start: Floats, end: Floats) -> Arc:
         """Curve of the face over the straight segment from start to end, (2,) each."""
 
     def parameters(self, arc: Arc) -> Arc:
-        """Curve of `arc` in the parameters of `patch`, same parameter."""
+        """The arc in the parameters of `patch`, with the arc's own parameter."""
 
     @property
     def patch(self) -> RationalPatch:
@@ -67,7 +72,7 @@ class Lens(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class QuadricLens:
-    """A lens face that is a quadric; `u`, `v` is the parameter rectangle its patch of a degree covers."""
+    """A lens face that is a quadric; `u`, `v` is the parameter rectangle covered by its patch."""
 
     quadric: PosedQuadric
     u: tuple[float, float]
@@ -75,7 +80,7 @@ class QuadricLens:
     degree: int = 2
 
     def height(self, x: Floats, y: Floats) -> Floats:
-        """Heights (mm) over cell-frame points; NaN where there is none."""
+        """Heights (mm) over cell-frame points; NaN where there is no surface."""
         return self.quadric.height(x, y)
 
     def arc(self, start: Floats, end: Floats) -> Arc:
@@ -86,7 +91,7 @@ class QuadricLens:
         return section_arc(self.quadric, np.append(start, z[0]), np.append(end, z[1]), normal)
 
     def section(self, start: Floats, end: Floats, normal: Floats) -> Arc:
-        """Exact section by any plane between two points (3,) of it."""
+        """Exact section by any plane between two points (3,) of the section."""
         return section_arc(self.quadric, start, end, normal)
 
     def parameters(self, arc: Arc) -> Arc:
@@ -101,7 +106,7 @@ class QuadricLens:
 
     @property
     def error(self) -> float:
-        """Zero: the patch is the quadric."""
+        """Zero: the patch is exact."""
         return 0.0
 
 
@@ -135,7 +140,7 @@ class FittedLens:
         return Arc(np.column_stack([start + share * (end - start), z]), np.ones(degree + 1))
 
     def parameters(self, arc: Arc) -> Arc:
-        """The arc seen from above: the patch's parameters are linear in x and y, so nothing is fitted."""
+        """The arc in plan view: the patch's parameters are linear in x and y, so nothing is fitted."""
         low, span = np.array(self.low), np.array(self.high) - np.array(self.low)
         poles = (arc.poles[:, :2] - low) / span
         steps = np.diff(poles, axis=0)
@@ -154,7 +159,7 @@ class FittedLens:
 
 
 def scaled_face(face: Face, scale: float) -> Face:
-    """Give a face with its lengths multiplied by `scale` (design unit → mm)."""
+    """Return a face with its lengths multiplied by `scale` (design unit → mm)."""
     surface = resized(face.surface, scale)
     vx, vy, vz = face.vertex
     land = None if face.land is None else face.land * scale
@@ -162,7 +167,7 @@ def scaled_face(face: Face, scale: float) -> Face:
 
 
 def posed_quadric(face: Face) -> PosedQuadric | None:
-    """Give the quadric of a (scaled) face in its pose, or None when the surface is of another kind."""
+    """Return the quadric of a (scaled) face in its pose, or None if the surface is of another kind."""
     surface = face.surface
     if not isinstance(surface, Quadric):
         return None
@@ -171,7 +176,7 @@ def posed_quadric(face: Face) -> PosedQuadric | None:
 
 
 def quadric_lens(quadric: PosedQuadric, boundary: Floats) -> QuadricLens:
-    """Give a quadric lens whose patch covers the poles of its boundary arcs (k, 3) with 1 % to spare.
+    """Return a quadric lens whose patch covers the poles of its boundary arcs (k, 3) with a margin of 1 %.
 
     Raises
     ------
@@ -205,7 +210,8 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
     zone : (m, 2), mm
         Corners of the optical zone.
     tolerance : float, mm
-        The degree rises until the error on a 41 × 41 grid is below it; else the best within `LOOSEST` times serves.
+        The degree rises until the error on a 41 × 41 grid is below it, else the best within `LOOSEST` times
+        is used.
 
     Raises
     ------
@@ -238,7 +244,7 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
 
 
 def _degree_of(face: Face) -> int:
-    """Degree to begin with: that of a face which is a polynomial in x and y, so that its patch is the face itself."""
+    """Initial degree: that of a face that is a polynomial in x and y, whose patch is then the face itself."""
     surface = face.surface
     return (surface.degree if isinstance(surface, EvenPolynomial) else None) or 4
 

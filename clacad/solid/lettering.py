@@ -1,7 +1,7 @@
-"""Text as plane faces, in an order that the text alone decides.
+"""Text as plane faces, in an order that depends on the text alone.
 
-OCC numbers the pieces of a glyph ("i", "=") and the holes of one ("8", "B") by where they lie in memory: the same
-text, drawn twice, comes in another order, and with it every mesh and file made of it.
+OCC orders the pieces of a glyph ("i", "=") and the holes of one ("8", "B") by their memory addresses. A text
+drawn twice would have two orders, and so would every mesh and file made of it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def lettering(text: str, size: float) -> Any:
 
 
 def _with_ordered_holes(face: Any) -> Any:
-    """The same face of the same wires, its holes from left to right."""
+    """The face with the same wires, its holes from left to right."""
     from build123d import Face
     from OCP.BRep import BRep_Builder
     from OCP.TopAbs import TopAbs_Orientation

@@ -1,7 +1,7 @@
-"""Name and orientation engraved into the border: which part it is, which side faces the viewer, which way is up.
+"""Name and orientation marks engraved into the border: the part's name, viewer side and up direction.
 
-The viewer stands at −z. The marks go into the face that looks at the viewer and read rightly from there, the arrow
-points to the sheet's +y. Lengths in mm.
+The viewer is on the −z side. The marks are engraved in the face towards the viewer and are readable from
+there; the arrow points to the sheet's +y. Lengths in mm.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Body, Window
 
 SMALLEST = 0.1
-"""Least height of a letter (mm): a fine engraving laser's."""
+"""Least height of a letter (mm): the limit of a fine engraving laser."""
 TALLEST = 3.0
 DEEPEST = 0.1
 """Largest depth of the letters (mm)."""
 DEPTH_SHARE = 0.2
-"""Depth over the border's thickness, at most."""
+"""Largest depth of the letters over the border's thickness."""
 FONT = 0.7
 """Size of the font over the height of the line."""
 WIDEST = 1.2
-"""Width of the widest letter over the size of its font, and more."""
+"""Upper bound of the widest letter's width over the size of its font."""
 TALL = 1.1
-"""Height of a line with its deepest letters over what it is given, and more."""
+"""Upper bound of the height of a line with its deepest letters over its nominal height."""
 VIEWER = "VIEWER SIDE"
 
 
 @dataclass(frozen=True, slots=True)
 class MarkPlace:
-    """Where marks go, sheet frame, mm.
+    """Position of marks, sheet frame, mm.
 
     Parameters
     ----------
     centre : (x, y, z)
         Middle of the line of text, on the face.
     width, height : float
-        Room for the line.
+        Space for the line.
     depth : float
     """
 
@@ -58,7 +58,7 @@ class MarkPlace:
 
 
 def mark_place(window: Window, body: Body) -> MarkPlace:
-    """Find the room for marks: the land below the cells, on the face that looks at the viewer.
+    """Find the space for marks: the land below the cells, on the face towards the viewer.
 
     Raises
     ------
@@ -105,13 +105,13 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
 
 @dataclass(frozen=True, slots=True)
 class Pocket:
-    """Where letters may be sunk into a body: told from the window alone, design lengths.
+    """Area of a body in which letters may be engraved, from the window alone; design lengths.
 
     Parameters
     ----------
     body : str
     low, high : (x, y)
-        Corners of the room for the line.
+        Corners of the space for the line.
     land, floor : float
         Heights of the face and of the letters' floors.
     """
@@ -123,7 +123,7 @@ class Pocket:
     floor: float
 
     def on_floor(self, corners: NDArray[np.float64], room: float) -> NDArray[np.bool_]:
-        """Which facets (k, 3, 3) are a floor of letters, heights being good to `room` (length)."""
+        """Which facets (k, 3, 3) are a floor of letters, with a height tolerance `room` (length)."""
         level = np.abs(corners[..., 2] - self.floor) <= room
         inside = (corners[..., :2] >= np.subtract(self.low, room)) & (
             corners[..., :2] <= np.add(self.high, room)
@@ -132,7 +132,7 @@ class Pocket:
 
 
 def pockets(window: Window) -> tuple[Pocket, ...]:
-    """The room for marks in every body that has one; the same places `mark_place` gives."""
+    """The areas for marks of all bodies that have one, as computed by `mark_place`."""
     scale = millimetres(window.unit)
     found = []
     for body in window.bodies:
@@ -150,7 +150,7 @@ def pockets(window: Window) -> tuple[Pocket, ...]:
 
 
 def marks(place: MarkPlace, name: str) -> Any:
-    """The letters and the arrow as build123d solids that reach from the face into the material.
+    """The letters and the arrow as build123d solids that extend from the face into the material.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def marks(place: MarkPlace, name: str) -> Any:
 
 
 def mark_text(name: str) -> str:
-    """The line of text beside the arrow."""
+    """The line of text next to the arrow."""
     return f"{name}  {VIEWER}"
 
 
@@ -206,7 +206,7 @@ def line_sketch(text: str, width: float, height: float) -> Any:
 
 
 def _drawn(text: str, width: float, height: float) -> tuple[Any, float]:
-    """Letters as a build123d sketch, and the factor by which they and their arrow are made smaller to fit."""
+    """Letters as a build123d sketch, and the factor by which they and their arrow are reduced to fit."""
     letters = lettering(text, FONT * height)
     box = letters.bounding_box()
     shrink = min(1.0, width / (box.size.X + 2.0 * FONT * height), height / max(box.size.Y, height))
@@ -230,7 +230,7 @@ def require_room(text: str, width: float, height: float) -> None:
 
 
 def surely_fits(text: str, width: float, height: float) -> bool:
-    """Whether a line of text fits even if all its letters are the widest there are (mm); nothing is drawn."""
+    """Whether a line of text fits even if all its letters have the largest width (mm); nothing is drawn."""
     longest = (WIDEST * len(text) + 2.0) * FONT * height
     return min(1.0, width / longest, 1.0 / TALL) * FONT * height >= 0.5 * SMALLEST
 
@@ -243,7 +243,7 @@ def marked_solids(window: Window, name: str) -> dict[str, Any]:
     NoFixture
         A body has no border, or one too narrow.
     RuntimeError
-        The engraved body is no valid solid, or has lost another volume than the letters'.
+        The engraved body is no valid solid, or its lost volume is not that of the letters.
     """
     from clacad.solid.solids import solids
 
@@ -259,8 +259,8 @@ def marked_solids(window: Window, name: str) -> dict[str, Any]:
 def engraved(part: Any, letters: Any, level: float) -> Any:
     """Sink letters into the plane face of a part that looks towards −z at this height, without a Boolean.
 
-    The outline of every letter becomes a hole of the face; its sides and bottom, turned inside out, close the pocket;
-    the inside of an "o" stays as a face of its own. No other face of the part is touched.
+    The outline of every letter becomes a hole of the face. Its sides and bottom, reversed, close the pocket;
+    the inside of an "o" remains as a separate face. No other face of the part changes.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def _sunk(solid: Any, land: Any, pockets: list[Any], level: float) -> Any:
 
 
 def _refaced(face: Any, kept: list[Any], turned: list[Any]) -> Any:
-    """A face on the same plane, bounded by wires as they are and by wires run the other way."""
+    """A face on the same plane, bounded by `kept` wires as they are and by `turned` wires reversed."""
     from OCP.BRep import BRep_Builder
     from OCP.TopAbs import TopAbs_Orientation
 

@@ -1,7 +1,7 @@
-"""The corners of the cells of a tiling: which sectors lie round each, and the vertices on its vertical line.
+"""Corners of the cells of a tiling: the sectors around each, and the vertices on its vertical line.
 
-Where a corner lies on the outline, the space round it also holds sectors beyond the outline; a missing cell's
-sector may then be cut in two by the outline. Lengths in mm.
+Around a corner on the outline there are also sectors beyond the outline; the outline may then cut a missing
+cell's sector in two. Lengths in mm.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ State = Literal["cell", "outside", "empty", "beyond"]
 
 @dataclass(frozen=True, slots=True)
 class CornerRing:
-    """The cells round one corner of a cell, counter-clockwise from the node's canonical first cell.
+    """The cells around one corner of a cell, counter-clockwise from the node's canonical first cell.
 
     Attributes
     ----------
     cells : (((di, dj), corner), ...)
         Relative to the canonical cell.
     shift : (di, dj)
-        From the cell asked about to the canonical cell.
+        From the given cell to the canonical cell.
     sector : int
-        Which of `cells` the cell asked about is.
+        Index of the given cell in `cells`.
     """
 
     cells: NodeCells
@@ -45,7 +45,7 @@ class CornerRing:
 
 @dataclass(frozen=True, slots=True)
 class Sectors:
-    """What lies round a node: states counter-clockwise, and which of them each cell of the ring became.
+    """Sectors around a node: states counter-clockwise, and the sectors of each cell of the ring.
 
     `cells[s]` = (first, last) sector of cell s of the ring; ray r lies between sectors r and r + 1.
     """
@@ -77,7 +77,7 @@ class Touch:
 
 @dataclass(frozen=True, slots=True)
 class Corner:
-    """A node seen from one of its cells."""
+    """A node as seen from one of its cells."""
 
     node: NodeVertices
     sectors: Sectors
@@ -105,7 +105,10 @@ class Corner:
 
 
 def rings(lattice: Lattice) -> list[CornerRing]:
-    """Give, for every corner of a tile, the ring of cells that meet there; it begins at the least corner."""
+    """Return, for every corner of a tile, the ring of cells that meet there.
+
+    It begins at the least corner.
+    """
     found: dict[int, CornerRing] = {}
     for round_node in node_cells(lattice):
         first = min(range(len(round_node)), key=lambda i: round_node[i][1])
@@ -118,7 +121,7 @@ def rings(lattice: Lattice) -> list[CornerRing]:
 
 
 class Nodes:
-    """All nodes of one tiling, made when first asked for.
+    """All nodes of one tiling, created on first use.
 
     Parameters
     ----------
@@ -128,11 +131,11 @@ class Nodes:
     state : callable
         State of the cell with an index.
     outside : Column or None
-        The land round the cells.
+        The land around the cells.
     path : Path or None
         The outline.
     own : callable or None
-        The cell with an index, where cells differ.
+        The cell with an index, in a non-uniform sheet.
     """
 
     def __init__(self, shells: Shells, cell: Cell, lattice: Lattice, centre: Callable[[Step], Floats],

@@ -1,4 +1,4 @@
-"""A `Writer` that makes solids of OCCT (OCP), and OCCT's own checks. Lengths in mm."""
+"""A `Writer` that makes OCCT (OCP) solids, and OCCT's own checks. Lengths in mm."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from clacad.solid.rational_conics import Arc, RationalPatch
 from clacad.solid.shells import Loop, LoopEdge, Role
 
 PARAMETRIC = 1e-7
-"""Tolerance written with parameter curves (mm): they are exact, OCCT wants a number."""
+"""Tolerance written with parameter curves (mm): they are exact, but OCCT requires a number."""
 
 
 @contextmanager
 def without_garbage_collection() -> Iterator[None]:
-    """Switch garbage collection off: millions of wrapped objects hold no cycles to look for."""
+    """Switch garbage collection off: millions of wrapped objects contain no cycles."""
     was = gc.isenabled()
     gc.disable()
     gc.freeze()
@@ -51,7 +51,7 @@ def without_garbage_collection() -> Iterator[None]:
 
 
 class OccWriter:
-    """Make topology of OCCT; see `clacad.solid.shells.Writer`."""
+    """Make OCCT topology; see `clacad.solid.shells.Writer`."""
 
     def __init__(self) -> None:
         self._build = BRep_Builder()
@@ -71,7 +71,7 @@ class OccWriter:
         return len(self.vertices) - 1
 
     def edge(self, first: int, last: int, arc: Arc, offset: Floats, tolerance: float) -> int:
-        """Make an edge; its curve is a Bézier curve on 0 … 1, or a line on 0 … its length, which selections find."""
+        """Make an edge: a Bézier curve on 0 … 1, or a line on 0 … its length, which selections can find."""
         made = TopoDS_Edge()
         end = float(np.linalg.norm(arc.poles[1] - arc.poles[0])) if arc.straight else 1.0
         curve = self._prototype(arc, _curve).Translated(gp_Vec(*map(float, offset)))
@@ -129,7 +129,10 @@ class OccWriter:
         return edge.Oriented(TopAbs_FORWARD if forward else TopAbs_REVERSED)
 
     def _prototype(self, key: object, make: Any, end: float = 1.0) -> Any:
-        """OCCT's object for a class of curves or surfaces, made once; `end`: last parameter of a 2-D curve."""
+        """OCCT's object for a class of curves or surfaces, created once.
+
+        `end`: last parameter of a 2-D curve.
+        """
         found = self._prototypes.get((id(key), end))
         if found is None:
             made = make(key) if end == 1.0 else make(key, end)
@@ -203,12 +206,14 @@ def _plane(plane: Plane) -> Any:
 
 
 def is_valid(shape: Any) -> bool:
-    """Ask OCCT whether a shape is consistent (it cannot see a wrong radius or a bow-tie wall)."""
+    """Whether a shape is consistent for OCCT (which cannot detect a wrong radius or a bow-tie wall)."""
     return bool(BRepCheck_Analyzer(shape).IsValid())
 
 
 QUADRATURE = 1e-12
-"""Relative error asked of OCCT's adaptive quadrature, per face; its fixed one errs by 2e-8 at curved rims."""
+"""Relative error per face requested of OCCT's adaptive quadrature; its fixed one errs by 2e-8 at curved
+rims.
+"""
 
 
 def volume(shape: Any) -> float:
@@ -221,7 +226,7 @@ def volume(shape: Any) -> float:
 def engraved_volume(shape: Any) -> float:
     """Volume of a solid with engraved faces by OCCT's Gauss-Kronrod quadrature, mm³.
 
-    Its adaptive one, faster, is off by 1e-5 and says it is not where a plane is bordered by many splines.
+    Its faster adaptive one errs by 1e-5, without reporting that, where many splines bound a plane.
     """
     properties = GProp_GProps()
     BRepGProp.VolumePropertiesGK_s(shape, properties, QUADRATURE)

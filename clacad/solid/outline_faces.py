@@ -1,8 +1,8 @@
-"""The faces at the outline of a body: its sides, and the flat faces that reach out to it. Lengths in mm.
+"""Faces at the outline of a body: its sides, and the flat faces that extend to it. Lengths in mm.
 
-A cell may touch the outline along a whole border (a slab whose arrays are displaced, cells that fill a rectangle)
-or in a corner (a round outline through a lattice point). There the side face is bounded by the cell's own border
-curve; between touches runs land, bounded by the outline itself.
+A cell may touch the outline along a whole border (a slab with displaced arrays, cells that fill a rectangle)
+or at a corner (a round outline through a lattice point). There the cell's own border curve bounds the side
+face. Between touches there is land, bounded by the outline itself.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from clacad.solid.tiling_columns import Columns
 
 @dataclass(eq=False)
 class _Span:
-    """A stretch of the outline between two stops, for one face: its edges, and where it ends.
+    """A stretch of the outline between two stops, for one face: its edges and its end.
 
     `solid` is False where neither cell nor land is (the hollow land of an assembly).
     """
@@ -63,7 +63,7 @@ class _Stop:
         return level
 
     def climb(self, face: int) -> Loop:
-        """Vertical edges from where a span arrives to where the next one leaves."""
+        """Vertical edges from the end of a span to the start of the next."""
         if self.touch is None:
             return []
         start, end = self._place(face, False), self._place(face, True)
@@ -72,7 +72,7 @@ class _Stop:
         return self._steps(start, end, self.touch.out if leaving_solid else self.touch.back)
 
     def wall_end(self, leaving: bool) -> Loop:
-        """Vertical edges from front to back where land ends at the outline (upwards)."""
+        """Vertical edges from front to back at the end of land on the outline (upwards)."""
         assert self.touch is not None
         levels = self.touch.node.levels
         front, back = levels.place[self.touch.leaving if leaving else self.touch.arriving]
@@ -97,7 +97,7 @@ class _Stop:
 
 
 class _FaceOutline:
-    """The outline of one face: stops and spans in order, from corner 0 round."""
+    """The outline of one face: stops and spans in order, starting at corner 0."""
 
     def __init__(
         self, shells: Shells, path: Path, tiling: Columns, face: int, owner: int, touched: bool
@@ -123,7 +123,7 @@ class _FaceOutline:
         self.spans = [self._span(tiling, n) for n in range(len(self.stops))]
 
     def _span(self, tiling: Columns, n: int) -> _Span:
-        """The stretch from stop n to the next: a cell's own border that touches there, or a new edge of the land."""
+        """The stretch from stop n to the next: the border of a touching cell, or a new edge of the land."""
         stop, after = self.stops[n], self.stops[(n + 1) % len(self.stops)]
         side, u0 = stop.place
         u1 = after.place[1] if after.place[0] == side and after.place[1] > u0 else 1.0
@@ -145,11 +145,11 @@ class _FaceOutline:
         return _Span(side, u0, u1, [LoopEdge(edge, True, curve)], True)
 
     def corner(self, side: int) -> int:
-        """Number of the stop at which a side begins."""
+        """Index of the stop at which a side begins."""
         return next(n for n, stop in enumerate(self.stops) if stop.place == (side, 0.0))
 
     def of_side(self, side: int) -> list[int]:
-        """Numbers of the spans of a side, in order."""
+        """Indices of the spans of a side, in order."""
         return [n for n, span in enumerate(self.spans) if span.side == side]
 
 
@@ -196,7 +196,10 @@ def _at(post: int | None, upwards: bool, u: float) -> LoopEdge:
 
 
 def _post(shells: Shells, rings: list[_FaceOutline], side: int, hollow: bool) -> int | None:
-    """The vertical edge at the beginning of a side; None where hollow land ends, which has its own edges there."""
+    """The vertical edge at the start of a side.
+
+    None where hollow land ends, which has its own edges there.
+    """
     corners = [ring.corner(side) for ring in rings]
     if hollow and rings[0].stops[corners[0]].touch is not None:
         return None
@@ -218,7 +221,7 @@ def _height(ring: _FaceOutline, corner: int, face: int) -> float:
 
 
 def _chain(ring: _FaceOutline, side: int) -> Loop:
-    """The edges of a side for one face, with the vertical edges where spans of different height meet."""
+    """The edges of a side for one face, with the vertical edges between spans of different height."""
     numbers = ring.of_side(side)
     loop: Loop = []
     for n in numbers:
@@ -230,7 +233,7 @@ def _chain(ring: _FaceOutline, side: int) -> Loop:
 
 def _land_sides(shells: Shells, path: Path, owner: int, side: int, rings: tuple[_FaceOutline, _FaceOutline],
                 posts: dict[int, int | None]) -> None:  # fmt: skip
-    """The side faces of hollow land: one for every row of it between two touches."""
+    """The side faces of hollow land: one for every stretch of land between two touches."""
     numbers = rings[0].of_side(side)
     rows: list[list[int]] = []
     for n in numbers:
@@ -248,7 +251,7 @@ def _land_sides(shells: Shells, path: Path, owner: int, side: int, rings: tuple[
 
 
 def _end(ring: _FaceOutline, n: int, leaving: bool, posts: dict[int, int | None]) -> Loop:
-    """The vertical edges (upwards) at one end of a row of land."""
+    """The vertical edges (upwards) at one end of a stretch of land."""
     stop = ring.stops[n]
     if stop.touch is None:
         return [_at(posts[stop.place[0]], True, 0.0 if leaving else 1.0)]
@@ -302,7 +305,10 @@ def flat_faces(shells: Shells, f: int, face: CellFace, key: str) -> None:
 def _with_their_holes(
     loops: list[tuple[Loop, Floats, int]],
 ) -> list[tuple[tuple[Loop, Floats, int], list[Loop]]]:
-    """Outer loops with the holes in each: a hole belongs to the smallest loop round it, for land may lie among cells."""
+    """Outer loops with their holes.
+
+    A hole belongs to the smallest loop around it: land may lie among cells.
+    """
     areas = [polygon_area(points) for _, points, _ in loops]
     outer = sorted((n for n, area in enumerate(areas) if area > 0.0), key=lambda n: areas[n])
     within: dict[int, list[Loop]] = {n: [] for n in outer}
@@ -344,7 +350,7 @@ def _chained(shells: Shells, key: tuple[str, int]) -> list[tuple[Loop, Floats, i
 
 
 def _next_way(arrived: FlatEdge, ways: list[FlatEdge]) -> int:
-    """Which edge bounds the region on the left where several leave a vertex: the first one clockwise from behind."""
+    """The edge bounding the region on the left where several leave a vertex: first clockwise from behind."""
     behind = np.arctan2(-arrived.way_in[1], -arrived.way_in[0])
     turns = [(behind - np.arctan2(way.way_out[1], way.way_out[0])) % (2.0 * np.pi) for way in ways]
     return int(np.argmin([turn if turn > 1e-9 else 2.0 * np.pi for turn in turns]))

@@ -30,7 +30,7 @@ class Path:
     touched : bool
         Whether cells may touch it.
     rounds : tuple of (centre (2,), radius, sense) or None
-        Circle of each arc, mm, and 1 where it runs counter-clockwise, −1 where clockwise; None of a straight one.
+        Circle of each arc, mm, and its sense: 1 counter-clockwise, −1 clockwise. None for a straight one.
     """
 
     arcs: tuple[Arc, ...]
@@ -40,7 +40,7 @@ class Path:
     rounds: tuple[Round | None, ...] = ()
 
     def position(self, point: Floats) -> tuple[int, float] | None:
-        """Side and parameter (0 ≤ u < 1) of a point (2,) of the path; None when it is not on it."""
+        """Side and parameter (0 ≤ u < 1) of a point (2,) of the path; None if it is not on it."""
         for side, arc in enumerate(self.arcs if self.touched else ()):
             a, b = arc.poles[0, :2], arc.poles[-1, :2]
             width = SNAP / float(np.hypot(*(b - a)))
@@ -55,7 +55,7 @@ class Path:
         return None
 
     def _on_quarter(self, side: int, point: Floats) -> float:
-        """Parameter of a point of a round path on one quarter; 2 when it lies on another."""
+        """Parameter of a point of a round path on one quarter; 2 if it lies on another."""
         way = point - self.centre
         angle = (atan2(way[1], way[0]) - (side - 1) * 0.5 * pi + 1e-9) % tau - 1e-9
         if angle > 0.5 * pi:
@@ -137,7 +137,7 @@ def plate_paths(plate: Plate, scale: float) -> tuple[Path, ...]:
 
 
 def _round(edge: Floats, sense: float) -> Round | None:
-    """Centre (2,), radius and sense of an edge of a plate, mm; None of a straight one."""
+    """Centre (2,), radius and sense of an edge of a plate, mm; None for a straight one."""
     return None if sense == 0.0 else (edge[CX : CY + 1], float(edge[RADIUS]), float(np.sign(sense)))
 
 
@@ -148,7 +148,8 @@ def _arc(edge: Floats, sense: float) -> Arc:
         return line(np.append(a, 0.0), np.append(b, 0.0))
     centre = edge[CX : CY + 1]
     u, v = a - centre, b - centre
-    # the tangents at both ends meet over the middle of the arc: cos² of the half angle times as near the centre
+    # The end tangents intersect beyond the middle of the chord, at its distance from the centre over
+    # cos² of the half angle.
     half_square = 0.5 * (1.0 + float(u @ v) / float(np.hypot(*u) * np.hypot(*v)))
     top = centre + 0.5 * (u + v) / half_square
     poles = np.array([[*a, 0.0], [*top, 0.0], [*b, 0.0]])

@@ -51,17 +51,17 @@ class Arc:
         return np.asarray((basis @ self.poles) / basis.sum(axis=1)[:, None])
 
     def moved(self, offset: Floats) -> Arc:
-        """Give the same curve displaced by `offset` (dimension,)."""
+        """Return the curve displaced by `offset` (dimension,)."""
         return Arc(self.poles + offset, self.weights)
 
     def with_ends(self, first: float, last: float) -> Arc:
-        """Give the curve with the z of its end poles replaced (lengths)."""
+        """Return the curve with the z of its end poles replaced (lengths)."""
         poles = self.poles.copy()
         poles[0, 2], poles[-1, 2] = first, last
         return Arc(poles, self.weights)
 
     def elevated(self, degree: int) -> Arc:
-        """Give the same curve written with a higher degree."""
+        """Return the curve written with a higher degree."""
         poles, weights = self.poles, self.weights
         while len(weights) - 1 < degree:
             n = len(weights)
@@ -97,7 +97,7 @@ class RationalPatch:
         return np.asarray(np.einsum("kij,ijc->kc", basis, self.poles) / basis.sum(axis=(1, 2))[:, None])
 
     def elevated(self, degree: int) -> RationalPatch:
-        """Give the same patch written with a higher degree in both directions."""
+        """Return the patch written with a higher degree in both directions."""
         poles, weights = self.poles, self.weights
         for _ in range(2):  # columns of the net, then its rows
             arcs = [
@@ -143,7 +143,7 @@ class PosedQuadric:
     def height(self, x: Floats, y: Floats) -> Floats:
         """Height z (lengths) of the graph over sheet points; NaN where there is none or past the equator.
 
-        The root is taken as c0/(b ± sqrt(b² − M33 c0)), so that flat lenses lose nothing.
+        The root is computed as c0/(b ± sqrt(b² − M33 c0)), which is accurate for flat lenses.
         """
         m, q = self.matrix, self.linear
         dx, dy = np.asarray(x) - self.apex[0], np.asarray(y) - self.apex[1]
@@ -174,7 +174,7 @@ class PosedQuadric:
         return np.asarray(local[..., :2] / divisor[..., None]), np.asarray(divisor)
 
     def moved(self, offset: Floats) -> PosedQuadric:
-        """Give the same quadric displaced by `offset` (3,)."""
+        """Return the quadric displaced by `offset` (3,)."""
         return PosedQuadric(
             self.curvatures, self.side, self.rotation, self.apex + offset, self.matrix, self.linear
         )
@@ -202,7 +202,7 @@ def quadric_patch(quadric: PosedQuadric, u: tuple[float, float], v: tuple[float,
     Returns
     -------
     RationalPatch
-        In the sheet frame; parameters 0 … 1 stand for the given ranges.
+        In the sheet frame; parameters 0 … 1 map to the given ranges.
 
     Notes
     -----
@@ -227,15 +227,15 @@ def section_arc(quadric: PosedQuadric, start: Floats, end: Floats, normal: Float
     ----------
     quadric : PosedQuadric
     start, end : (3,), lengths
-        Points of the section; the shorter way between them is taken (less than half a turn).
+        Points of the section; the shorter arc between them is used (less than half a turn).
     normal : (3,)
         Normal of the cutting plane, any length.
 
     Returns
     -------
     Arc
-        Degree 2. The middle pole is where the end tangents meet; the weight is w² = (DᵀMD/4)/(EᵀME),
-        D = P2 − P0, E = P1 − P0, in which no big numbers cancel. A straight section gets w = 1.
+        Degree 2. The middle pole is the intersection of the end tangents; the weight is w² = (DᵀMD/4)/(EᵀME),
+        D = P2 − P0, E = P1 − P0, in which no big numbers cancel. A straight section has w = 1.
     """
     chord = end - start
     tangent0 = np.cross(normal, quadric.gradient(start))
@@ -256,10 +256,10 @@ def section_arc(quadric: PosedQuadric, start: Floats, end: Floats, normal: Float
 
 
 def parameter_curve(quadric: PosedQuadric, arc: Arc, u: tuple[float, float], v: tuple[float, float]) -> Arc:
-    """Give the exact curve of a section arc in the parameters of `quadric_patch(quadric, u, v)`.
+    """Return the exact curve of a section arc in the parameters of `quadric_patch(quadric, u, v)`.
 
-    Same parameter as the arc: at every t the patch at the curve's (u, v) is the arc's point. Where the end
-    poles of an arc were moved to meet a vertex, pass the unmoved arc.
+    It has the arc's own parameter: at every t the patch at the curve's (u, v) is the arc's point. If the end
+    poles of an arc were moved to a vertex, pass the unmoved arc.
     """
     poles, divisor = quadric.parameters(arc.poles)
     low, span = np.array([u[0], v[0]]), np.array([u[1] - u[0], v[1] - v[0]])
@@ -275,8 +275,8 @@ def line(start: Floats, end: Floats) -> Arc:
 def ruled_wall(low: Arc, high: Arc) -> RationalPatch:
     """Rule a wall between two arcs: degree (n, 1), v = 0 is `low` and v = 1 is `high` with their own parameters.
 
-    In homogeneous coordinates S(u, v) = (1 − v) low(u) + v high(u); both arcs lie in one vertical plane and so
-    does the wall. ∂S/∂u × ∂S/∂v points along (direction of the arcs) × up.
+    In homogeneous coordinates S(u, v) = (1 − v) low(u) + v high(u). Both arcs and the wall lie in one
+    vertical plane. ∂S/∂u × ∂S/∂v points along (direction of the arcs) × up.
     """
     degree = max(low.degree, high.degree)
     low, high = low.elevated(degree), high.elevated(degree)

@@ -1,4 +1,4 @@
-"""Regions of a zone that traced curves bound: any number of rims from side to side, and of closed ones, nested.
+"""Regions of a zone bounded by traced curves: any number of rims from side to side, and nested closed ones.
 
 Lengths in mm, cell frame.
 """
@@ -23,7 +23,7 @@ from clacad.solid.face_pattern import (
 )
 
 NEAR = 1e-5
-"""A traced rim ends at the root of a side that lies this near, relative to the zone's size."""
+"""Distance, relative to the zone's size, within which a traced rim ends at the root of a side."""
 
 
 def cut_pattern(zone: Floats, roots: list[list[float]], proud: Proud, rest: Kind, across: list[Floats], closed: list[Floats],
@@ -38,12 +38,12 @@ def cut_pattern(zone: Floats, roots: list[list[float]], proud: Proud, rest: Kind
     proud : callable
         Whether the lens is there at (x, y), each (n,).
     rest : "land" or "none"
-        What is where the lens is not.
+        Kind of the face where the lens is not.
     across, closed : lists of (n, 2), mm
         Points of curves from side to side and of closed ones, the lens on their left.
     grid : int
-        Divisions of a side of the grid the curves were sought on: what dips in and out between two of them is joined
-        by the roots alone.
+        Divisions of a side of the grid on which the curves were searched. A curve that dips in and out
+        between two of them is joined by the roots alone.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def cut_pattern(zone: Floats, roots: list[list[float]], proud: Proud, rest: Kind
 
 def _matched(zone: Floats, runs: list[tuple[Run, ...]], ends: list[tuple[int, float]], across: list[Floats], grid: int
              ) -> list[tuple[int, int, Floats]] | None:  # fmt: skip
-    """Every path with the numbers of the roots it begins and ends at."""
+    """Every path with the indices of the roots at which it begins and ends."""
     place = np.array([zone[k] + t * (zone[(k + 1) % len(zone)] - zone[k]) for k, t in ends]).reshape(-1, 2)
     size = float(np.ptp(zone, axis=0).max())
     leaves = {run.last[1] for side in runs for run in side if run.kind == "lens" and run.last[0] == "rim"}
@@ -80,7 +80,7 @@ def _matched(zone: Floats, runs: list[tuple[Run, ...]], ends: list[tuple[int, fl
         found = [_nearest(point, place, free, NEAR * size) for point in (path[0], path[-1])]
         if None in found:
             if found == [None, None] and float(np.ptp(path, axis=0).max()) < 10.0 * SNAP:
-                continue  # the tip of a corner, which the sides let go
+                continue  # the tip of a corner, which the sides ignore
             return None
         first, last = found
         assert first is not None
@@ -111,7 +111,7 @@ def _nearest(point: Floats, place: Floats, free: set[int], near: float) -> int |
 
 
 def _outline(region: Region, zone: Floats, runs: list[tuple[Run, ...]], paths: list[Floats]) -> Floats:
-    """Points round the outer loop of a region."""
+    """Points along the outer loop of a region."""
     points: list[Floats] = []
     for what, number, detail in region.loops[0]:
         if what == "run":
@@ -126,7 +126,7 @@ def _outline(region: Region, zone: Floats, runs: list[tuple[Run, ...]], paths: l
 def _with_closed(
     outlines: list[tuple[Region, Floats]], closed: list[Floats], first: int, rest: Kind
 ) -> list[Region]:
-    """Add what closed rims enclose as regions of their own, and as holes in the region round each."""
+    """Add the regions inside closed rims, and holes in the regions around them."""
     holes: list[tuple[Kind, tuple[tuple[str, int, int], ...], Floats]] = []
     for n, path in enumerate(closed):
         lens_inside = polygon_area(path) > 0.0

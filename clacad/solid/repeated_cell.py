@@ -1,4 +1,4 @@
-"""The piece that repeats: one cell of an array with its front and back faces, in the cell frame, lengths in mm."""
+"""The repeated piece: one cell of an array with its front and back faces, in its own frame, lengths in mm."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class CellFace:
     rims : tuple of tuple of Arc
         The 3-D arcs of every chain of the pattern.
     plane, open : bool
-        Whether the face is one plane over all cells; whether the body has no face of this tiling here.
+        Whether the face is one plane over all cells; whether the body has no face of this tiling.
     optical : bool
-        Whether the level is that of an optical plane that ends with its lens, in pieces, and not of land.
+        Whether the level is that of an optical plane that ends with its lens, in pieces, instead of land.
     rim_error : float, mm
         Distance of fitted rims from the true ones; 0 where they are exact.
     misfit : float, mm
-        Distance of the rims' edges from the patch they bound.
+        Distance of the rims' edges from the patch that they bound.
     """
 
     side: int
@@ -63,7 +63,7 @@ class CellFace:
     misfit: float = 0.0
 
     def height(self, kind: Kind, x: Floats, y: Floats) -> Floats:
-        """Heights (n,) of what the face is: lens or level; ±inf where it is open, NaN where it is none (mm)."""
+        """Heights (n,) of the face: lens or level; ±inf where it is open, NaN where there is none (mm)."""
         if kind == "open":
             return np.full(np.shape(x), -np.inf if self.side > 0 else np.inf)
         if kind == "none":
@@ -104,12 +104,12 @@ class Cell:
 
     @property
     def misfit(self) -> float:
-        """Distance of the rims' edges from the patches they bound (mm)."""
+        """Distance of the rims' edges from the patches that they bound (mm)."""
         return max(self.front.misfit, self.back.misfit)
 
     @cached_property
     def island(self) -> bool:
-        """Whether the zone keeps away from the borders (a seam)."""
+        """Whether the zone does not reach the borders (a seam)."""
         return not np.array_equal(self.tile, self.zone)
 
 
@@ -135,12 +135,12 @@ def make_cell(window: Window, front: Face | None, back: Face | None, scale: floa
     scale : float
         mm per design unit.
     array : int
-        Whose cells are meant, where arrays have pitches of their own.
+        Array of the cells, where arrays have different pitches.
 
     Raises
     ------
     ValueError
-        A lens surface does not reach over its zone and no land or opposite face bounds it; a graph has passed
+        A lens surface does not cover its zone and no land or opposite face bounds it; a graph has passed
         the equator (undercut).
     """
     if front is not None and back is not None:
@@ -155,7 +155,7 @@ def make_cell(window: Window, front: Face | None, back: Face | None, scale: floa
 Corners = tuple[tuple[float, float], ...]
 
 
-@lru_cache(maxsize=16)  # faces are immutable: forecast, drawing up and every grid of a sheet share their cell
+@lru_cache(maxsize=16)  # faces are immutable: forecast, drawing and every grid of a sheet share their cell
 def _made_cell(front: Face | None, back: Face | None, corners: tuple[Corners, Corners], pitch: float, scale: float,
                levels: tuple[float | None, float | None]) -> Cell:  # fmt: skip
     """The prototile over (tile, zone), from faces in design units and levels in mm; see `make_cell`."""
@@ -212,7 +212,7 @@ def _lens_face(face: Face, zone: Floats, tolerance: float, rim: Rim) -> CellFace
 
 
 def _misfit(face: CellFace) -> float:
-    """Largest distance (mm) of the rim's edges from the patch they bound."""
+    """Largest distance (mm) of the rim's edges from the patch that they bound."""
     if face.lens is None:
         return 0.0
     t = np.linspace(0.0, 1.0, 17)
@@ -224,7 +224,7 @@ def _misfit(face: CellFace) -> float:
 
 
 def _lens_box(pattern: Pattern, zone: Floats, rims: tuple[tuple[Arc, ...], ...]) -> Floats:
-    """Corners (2, 2) of the least rectangle that holds the lens, with 1 % to spare at its rims."""
+    """Corners (2, 2) of the least rectangle that contains the lens, with a margin of 1 % at its rims."""
     if not rims:
         return zone
     points = [arc.at(np.linspace(0.0, 1.0, 17))[:, :2] for chain in rims for arc in chain]

@@ -1,9 +1,9 @@
-"""Walk the lattice and describe a body, face by face, to a writer. Lengths in mm.
+"""Walk the lattice and pass a body, face by face, to a writer. Lengths in mm.
 
 Every edge is made once and used by exactly two faces; every vertex of a node is shared by all cells that meet
-there. Nothing is welded by a tolerance and no Boolean is taken. The geometry of each class of cells, borders and
-nodes is computed once; an instance is a translation of it. A *writer* turns the description into a solid of
-OCCT or into text.
+there. There is no welding by a tolerance and no Boolean. The geometry of each class of cells, borders and
+nodes is computed once; an instance is a translation of it. A *writer* turns the description into an OCCT
+solid or into text.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from clacad.solid.wall_segments import TOLERANCE
 Role = Literal["lens", "land", "wall", "plane", "side"]
 
 MERGE = 1e-6
-"""Merge height h (mm): ten times the length below which CAD programs call two points one."""
+"""Merge height h (mm): ten times the length below which CAD programs merge points."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,14 +55,14 @@ class FlatEdge:
     points: Floats
 
     def reversed(self) -> FlatEdge:
-        """The same edge listed from its last vertex (its use runs that way)."""
+        """The edge listed from its last vertex (its use runs that way)."""
         return FlatEdge(
             self.use, self.last, self.first, self.owner, -self.way_in, -self.way_out, self.points[::-1]
         )  # fmt: skip
 
 
 class Writer(Protocol):
-    """What receives the description: OCCT or a text file."""
+    """Receiver of the description: OCCT or a text file."""
 
     def vertex(self, point: Floats, tolerance: float) -> int:
         """Make a vertex."""
@@ -79,7 +79,7 @@ class Writer(Protocol):
 
 @dataclass
 class ShellCounts:
-    """What a body consists of."""
+    """Numbers of the elements of a body."""
 
     faces: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     vertices: int = 0
@@ -93,7 +93,7 @@ class ShellCounts:
 
 
 class NodeVertices:
-    """An instance of a node or station: vertices and vertical edges, made when first used."""
+    """An instance of a node or station: vertices and vertical edges, created on first use."""
 
     __slots__ = ("origin", "levels", "vertices", "verticals")
 
@@ -114,7 +114,7 @@ class Segment:
 
 
 class Shells:
-    """Describe bodies to a writer; collects which faces hang together.
+    """Describe bodies to a writer; collect connected faces.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Shells:
     merge : float, mm
         Merge height.
     split : bool
-        Pieces are told apart by shared edges too, not only by columns that share material.
+        Whether pieces are separated by shared edges too, not only by columns that share material.
     """
 
     def __init__(self, writer: Writer, merge: float = MERGE, split: bool = False) -> None:
@@ -135,19 +135,19 @@ class Shells:
         self._parent: list[int] = []
         self._verticals: dict[float, Arc] = {}
 
-    # -- which columns hang together --------------------------------------------------------------
+    # -- connected columns ------------------------------------------------------------------------
 
     def owner(self) -> int:
-        """Register a column; its number collects its faces."""
+        """Register a column; its number identifies its faces."""
         self._parent.append(len(self._parent))
         return len(self._parent) - 1
 
     def join(self, a: int, b: int) -> None:
-        """Two columns share material."""
+        """Record that two columns share material."""
         self._parent[self.root(a)] = self.root(b)
 
     def root(self, a: int) -> int:
-        """The representative of everything that hangs together with column a."""
+        """The representative of everything connected with column a."""
         while self._parent[a] != a:
             self._parent[a] = self._parent[self._parent[a]]
             a = self._parent[a]
@@ -163,7 +163,7 @@ class Shells:
             return list(pieces.values())
         return [part for faces in pieces.values() for part in _parts_by_edges(faces, self._edges)]
 
-    # -- small things -----------------------------------------------------------------------------
+    # -- vertices, edges, faces ---------------------------------------------------------------------
 
     def node(self, origin: Floats, levels: Levels) -> NodeVertices:
         """Make an instance of a node."""
@@ -171,7 +171,7 @@ class Shells:
         return NodeVertices(origin, levels)
 
     def vertex(self, node: NodeVertices, level: int) -> int:
-        """The vertex of a node at a level, made when first asked for."""
+        """The vertex of a node at a level, created on first use."""
         if node.vertices[level] < 0:
             shift = node.levels.shift[level]
             self.counts.largest_shift = max(self.counts.largest_shift, shift)
@@ -211,7 +211,7 @@ class Shells:
 
     def segment(self, kind: SegmentClass, offset: Floats, ends: tuple[NodeVertices, NodeVertices], owners: tuple[int, int],
                 bare: bool = False) -> Segment:  # fmt: skip
-        """Make the edges and walls of one segment; `bare`: a side face of the outline takes the walls' place."""
+        """Make the edges and walls of one segment; `bare`: a side face of the outline replaces the walls."""
         inner = [
             self.node(offset + np.append(kind.shape.points[i], 0.0), kind.posts[i].levels)
             for i in range(1, len(kind.posts) - 1)
@@ -278,7 +278,7 @@ class Shells:
 
 
 def _parts_by_edges(faces: list[int], edges: dict[int, list[int]]) -> list[list[int]]:
-    """Split faces into those that hang together by edges (land in several strips has one owner); `edges` of each."""
+    """Split faces into those connected by edges (land in several strips has one owner); `edges` of each."""
     label = {face: face for face in faces}
 
     def root(face: int) -> int:
@@ -302,5 +302,5 @@ V_HIGH = line(np.array([0.0, 1.0]), np.array([1.0, 1.0]))
 
 
 def reverse(loop: Loop) -> Loop:
-    """Run a loop the other way round."""
+    """Reverse the direction of a loop."""
     return [LoopEdge(use.edge, not use.forward, use.parameters, use.vertex) for use in reversed(loop)]

@@ -1,4 +1,4 @@
-"""The bodies of a window as build123d objects, whose exact solids OCCT holds. Lengths in mm."""
+"""The bodies of a window as build123d objects with exact OCCT solids. Lengths in mm."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ COLOURS = {"array1": (0.62, 0.78, 0.90), "array2": (0.90, 0.80, 0.62)}
 
 
 def solids(window: Window, cells: tuple[int, int] | None = None, merge: float = MERGE) -> list[Any]:
-    """Give the bodies of a window as build123d objects, one per body.
+    """Return the bodies of a window as build123d objects, one per body.
 
     Parameters
     ----------
     window : Window
     cells : (n1, n2) or None
-        The same design with another cell count, centred on the origin.
+        Use another cell count, centred on the origin, with the same design.
     merge : float, mm
-        Heights closer than this at a node, or along a whole border, are one.
+        Heights that differ by less at a node, or along a whole border, are merged.
 
     Returns
     -------
     list of build123d.Solid
-        In mm, in the sheet frame, labelled with the body's name; a body that is several pieces is a
+        In mm, in the sheet frame, labelled with the body's name; a body of several pieces is a
         build123d.Compound of solids. They cut, fuse, fillet and export like any part.
 
     Raises

@@ -30,11 +30,11 @@ class Layer:
     outside : Column or None
         The land between the cells and the outline.
     breaks : tuple of (n,) parameters, or None
-        Per class of borders between two cells: where anything changes, from the cell complex.
+        Per class of borders between two cells: parameters at which anything changes, from the cell complex.
     own : callable or None
-        The cell with an index, where cells differ; `cell` is then one of them, of the same tile.
+        The cell with an index, in a non-uniform sheet; `cell` is then one of them, of the same tile.
     pattern : Lattice or None
-        Of the layer's array, where its pitch is its own.
+        Of the layer's array, if it has its own pitch.
     """
 
     cell: Cell
@@ -49,19 +49,19 @@ class Layer:
         return self.cell if self.own is None else self.own(index)
 
     def places(self, lattice: Lattice) -> Lattice:
-        """Where the layer's cells stand about its own middle; which cells exist is asked of `lattice`."""
+        """Positions of the layer's cells about its own middle; `lattice` defines which cells exist."""
         return lattice if self.pattern is None else self.pattern
 
 
 class Surround(NamedTuple):
-    """What lies round the cells of a body.
+    """Surroundings of the cells of a body.
 
     path : Path or None
         The outline.
     owner : int
-        Whose faces the walls of the land out to it are; −1 without an outline.
+        Owner of the walls of the land out to the outline; −1 without an outline.
     hollow : bool
-        Describe only that land, the cells themselves left out.
+        Describe only the land, without the cells themselves.
     """
 
     path: Path | None
@@ -70,7 +70,7 @@ class Surround(NamedTuple):
 
 
 class Sided(NamedTuple):
-    """A segment seen from one of its columns; `forward`: the segment runs counter-clockwise round the cell."""
+    """A segment as seen from one of its columns; `forward`: it runs counter-clockwise around the cell."""
 
     segment: Segment
     column: int
@@ -96,7 +96,7 @@ class Sided(NamedTuple):
 
 
 class Borders:
-    """All borders of one tiling, described when first asked for.
+    """All borders of one tiling, described on first use.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Borders:
     ----------
     nodes : Nodes
     touching : dict
-        Borders that lie on the outline: identity of the node they start at → edges of front and back face.
+        Borders on the outline: identity of the node at which they start → edges of front and back face.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class Borders:
         return not all((index[0] + di, index[1] + dj) in self._kept for di, dj in self._lattice.steps)
 
     def owner(self, index: Step) -> int:
-        """Whose faces the walls of a cell's column are; −1: nobody's."""
+        """Owner of the walls of a cell's column; −1: none."""
         state = self._state(index)
         if state != "cell":
             return self._around.owner if state == "outside" else -1
@@ -145,7 +145,7 @@ class Borders:
         return self._owners[index]
 
     def at(self, index: Step, k: int) -> Sided:
-        """The segment along side k of a cell, seen from that cell."""
+        """The segment along side k of a cell, as seen from that cell."""
         half = len(self._lattice.steps) // 2
         step = self._lattice.steps[k]
         column = 0 if k < half else 1
@@ -165,7 +165,7 @@ class Borders:
         step = self._lattice.steps[k]
         right = (left[0] + step[0], left[1] + step[1])
         a, b = self.nodes.at(left, k), self.nodes.at(left, (k + 1) % len(self._lattice.steps))
-        # Counter-clockwise round node a the right cell comes just before the left one, round b just after.
+        # Counter-clockwise around node a the right cell comes just before the left one, around b just after.
         states = (a.sectors.states[a.first], a.sectors.states[a.before])
         kind = self._known_class(left, k, states, a, b)
         owners = (
@@ -180,7 +180,7 @@ class Borders:
         return made
 
     def _touch(self, made: Segment, column: int) -> None:
-        """Note a border along which a cell (the segment's `column`) touches the outline."""
+        """Record a border along which a cell (the segment's `column`) touches the outline."""
         hollow = self._around.hollow
         if not hollow:
             self._shells.join(made.owners[column], self._around.owner)
@@ -191,7 +191,7 @@ class Borders:
     def _known_class(
         self, left: Step, k: int, states: tuple[State, State], a: Corner, b: Corner
     ) -> SegmentClass:
-        """The class of a segment: one for all alike, or its own where cells differ."""
+        """The class of a segment: one for all in a uniform sheet, else its own."""
         if self._layer.own is not None:
             return self._class(left, k, states, a, b)
         key = (k, states, a.sectors, b.sectors)

@@ -25,7 +25,7 @@ class Columns:
     Parameters
     ----------
     shells, layer, lattice, scale, around
-        As for its `Borders`.
+        As for `Borders`.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Columns:
         self._repeat(layer.cell)
 
     def _repeat(self, cell: Cell) -> None:
-        """Work out what all cells like this one share: patches, the sides of an island, curves of its rims."""
+        """Compute common data of all cells like this one: patches, sides of an island, curves of its rims."""
         self._present = cell
         self._rim_arcs: dict[tuple[object, ...], Arc] = {}
         self._rim_curves: dict[tuple[int, int, int], Arc] = {}
@@ -52,11 +52,11 @@ class Columns:
 
     @property
     def touching(self) -> dict[int, tuple[Loop, Loop]]:
-        """Borders that lie on the outline: identity of the node they start at → edges of front and back face."""
+        """Borders on the outline: identity of the node at which they start → edges of front and back face."""
         return self._borders.touching
 
     def outside_face(self, face: int) -> CellFace:
-        """The flat face round the cells (the plane of a plane face where there is no outline)."""
+        """The flat face around the cells (the plane of a plane face if there is no outline)."""
         outside = self._layer.outside
         return self.cell.faces[face] if outside is None else outside.faces[face]
 

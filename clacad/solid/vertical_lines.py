@@ -1,4 +1,4 @@
-"""Heights on one vertical line tied to vertices, and which walls share its vertical edges. Lengths in mm."""
+"""Tie heights on one vertical line to vertices, and walls to its vertical edges. Lengths in mm."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Levels:
     z : tuple of float, mm
         Ascending.
     shift : tuple of float, mm
-        How far the heights that share a vertex lie from it at most.
+        Largest distance of the heights that share a vertex from it.
     place : place[sector][face] = number of the vertex, or None (no height, or open)
     copies : for each gap between consecutive vertices: ray → copy
         Ray r lies between sector r and sector r + 1. Walls on rays with the same copy share one vertical edge; two
@@ -45,9 +45,9 @@ def linked_levels(heights: Floats, merge: float) -> Levels:
     Parameters
     ----------
     heights : (k, 2), mm
-        Front and back height of the k sectors round the node, counter-clockwise; NaN: no column; ±inf: open.
+        Front and back height of the k sectors around the node, counter-clockwise; NaN: no column; ±inf: open.
     merge : float, mm
-        Single linkage: heights closer than this to the next one share a vertex, in the middle of their cluster.
+        Single linkage: heights whose gaps are below it share a vertex, in the middle of their cluster.
     """
     known = sorted((float(z), s, f) for (s, f), z in np.ndenumerate(heights) if np.isfinite(z))
     group = linked(np.array([item[0] for item in known]), merge).tolist()
@@ -65,7 +65,7 @@ def linked_levels(heights: Floats, merge: float) -> Levels:
 def _copies(
     heights: Floats, place: Sequence[tuple[int | None, int | None]], n: int, count: int
 ) -> dict[int, int]:
-    """Pair the walls round a node in the gap above vertex n: both walls of one solid stretch share an edge."""
+    """Pair the walls around a node in the gap above vertex n; walls of one solid stretch share an edge."""
     solid = []
     for sector, (front, back) in enumerate(place):
         low = -1 if front is None and heights[sector, 0] == -np.inf else front

@@ -1,13 +1,14 @@
-"""Where two columns meet along a straight segment: stations, edges, walls. Lengths in mm.
+"""Straight segments along which two columns meet: stations, edges, walls. Lengths in mm.
 
-A segment runs from a to b; the *left* column lies on the left hand. Each column is solid between its front and its
-back, so along the segment there are up to four border curves. *Stations* cut the segment wherever something
-changes (rims, crossings); between two stations the curves keep their order, and a wall stands wherever exactly one
-of the two columns is solid. Curves closer than the merge height along a whole piece share one edge.
+A segment runs from a to b; the *left* column lies on the left hand. Each column is solid between its front
+and its back, so along the segment there are up to four border curves. *Stations* cut the segment wherever
+something changes (rims, crossings). Between two stations the curves keep their order, and there is a wall
+wherever exactly one of the two columns is solid. Curves closer than the merge height along a whole piece
+share one edge.
 
-Where the faces of two cells cross is said by the cell complex (`topology.borders`), where walls stand by
-`topology.wall_strips`. Heights are those of the curves that are written, in mm, so that every edge meets its vertices;
-crossings are sought here only on segments the complex does not know: land round the cells, sides of a seam's islands.
+The cell complex (`topology.borders`) defines where the faces of two cells cross, `topology.wall_strips` where
+walls are. Heights are those of the written curves, in mm, so that every edge ends at its vertices. Crossings
+are searched here only on segments unknown to the complex: land around the cells, sides of a seam's islands.
 """
 
 from __future__ import annotations
@@ -25,19 +26,21 @@ from clacad.solid.repeated_cell import Cell, CellFace
 from clacad.topology.wall_strips import BorderCurve, solid_strips
 
 TOLERANCE = 1e-7
-"""Length below which CAD programs call two points one (mm)."""
+"""Length below which CAD programs merge two points (mm)."""
 
 NOISE = 1e-13
-"""Rounding of heights of some tens of millimetres (mm)."""
+"""Rounding error of heights of some tens of millimetres (mm)."""
 
 RULED_BELOW = 0.032
 """A wall narrower than this share of its arcs' sagitta is ruled, not plane: 8/250, κL²/250 with κL² = 8 sagittas."""
 
 FLATTEST = 2e-3
-"""Slope at which an arc must leave a straight edge for the wall between them to be plane, however narrow it ends.
+"""Slope at which an arc must leave a straight edge for the wall between them to be plane, even with a narrow
+end.
 
-CAD programs find where a line meets an arc by roots, not by polygons, so no nearness deceives them; only the stretch in
-which the two are closer than 1e-10 must be shorter than a vertex's tolerance of 1e-7, which takes a slope of 1e-3.
+CAD programs intersect a line and an arc by roots, not by polygons, so their closeness does no harm. Only the
+stretch in which the two are closer than 1e-10 must be shorter than a vertex's tolerance of 1e-7, which takes
+a slope of 1e-3.
 """
 
 _T = 0.5 - 0.5 * np.cos(np.pi * np.arange(35) / 34)
@@ -52,9 +55,9 @@ class Column:
     faces : (front, back)
     runs : (front's, back's) stretches ((t0, t1, kind), ...) along the segment
     offset : (2,), mm
-        Centre of the column's cell in the frame the segment is given in.
+        Centre of the column's cell in the frame of the segment.
     outside : bool
-        Whether this is the land round the cells, not a cell.
+        Whether the column is the land around the cells, not a cell.
     """
 
     faces: tuple[CellFace, CellFace]
@@ -63,13 +66,13 @@ class Column:
     outside: bool = False
 
     def kind(self, face: int, t: float) -> Kind:
-        """What the face is at parameter t."""
+        """Kind of the face at parameter t."""
         return next((kind for t0, t1, kind in self.runs[face] if t0 <= t <= t1), self.runs[face][-1][2])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Strand:
-    """A border curve on one piece: which column (0 left, 1 right), which face (0 front, 1 back), what it is."""
+    """A border curve on one piece: its column (0 left, 1 right), face (0 front, 1 back) and kind."""
 
     column: int
     face: int
@@ -79,7 +82,7 @@ class Strand:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CurveShape:
-    """One edge of a piece: the strands that share it, its arc, how far they are from it (mm)."""
+    """One edge of a piece: the strands that share it, its arc, the distance of the strands from it (mm)."""
 
     strands: tuple[Strand, ...]
     arcs: tuple[Arc, ...]
@@ -98,7 +101,7 @@ class WallShape:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PieceShape:
-    """What stands between two stations."""
+    """Edges and walls between two stations."""
 
     curves: tuple[CurveShape, ...]
     walls: tuple[WallShape, ...]
@@ -114,11 +117,11 @@ class SegmentShape:
     stations : (n,) parameters, 0 and 1 included
     points : (n, 2), mm
     heights : tuple of (2, 2) arrays
-        Heights [column, face] at every station (mm); NaN where there is none.
+        Heights [column, face] at every station (mm); NaN where there is no face.
     pieces : n − 1
     runs : runs[column][face] = numbers of the pieces in each stretch, in the direction of the segment
     crossings : int
-        How many stations are crossings of two faces.
+        Number of stations that are crossings of two faces.
     """
 
     stations: Floats
@@ -170,16 +173,16 @@ def segment_shape(
     ----------
     a, b : (2,), mm
     columns : (left, right)
-        None where there is nothing.
+        None where there is no column.
     merge : float, mm
         Merge height h.
     breaks : (n,) parameters or None
-        Where faces cross, from the cell complex; None: find them here (borders of land, sides of islands).
+        Crossings of faces, from the cell complex; None: find them (borders of land, sides of islands).
 
     Raises
     ------
     ValueError
-        A wall would cross itself: a crossing was missed. Never seen; the gate that proves it.
+        A wall would cross itself: a crossing was missed. This has never occurred; the check proves it.
     """
     length = float(np.hypot(*(b - a)))
     stops = [0.0, 1.0]
@@ -204,7 +207,7 @@ def segment_shape(
 
 
 def _distinct(stops: list[float], width: float) -> list[float]:
-    """Sorted stops, 0 and 1 kept, others dropped where closer than `width` to one before or to an end."""
+    """Sorted stops; 0 and 1 are kept, others dropped if closer than `width` to the previous one or an end."""
     kept = [0.0]
     for t in sorted(stops):
         if t - kept[-1] > width and 1.0 - t > width:
@@ -247,7 +250,7 @@ def _crossings(a: Floats, b: Floats, columns: Sequence[Column | None], low: floa
 
 def _piece(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, high: float, merge: float
            ) -> PieceShape:  # fmt: skip
-    """What stands between the stations at parameters low and high."""
+    """Edges and walls between the stations at parameters low and high."""
     start, end = a + low * (b - a), (b if high == 1.0 else a + high * (b - a))
     xy = start + _T[:, None] * (end - start)
     middle = 0.5 * (low + high)
@@ -274,7 +277,7 @@ def _piece(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, h
 
 
 def _plane_within(strand: Strand, strands: list[Strand]) -> bool:
-    """Whether a strand lies inside one plane face that goes on across the segment: no edge there."""
+    """Whether a strand lies inside one plane face that continues across the segment: no edge there."""
     return strand.kind == "plane" and any(
         s.kind == "plane" and s.face == strand.face and s.column != strand.column for s in strands
     )
@@ -289,7 +292,7 @@ def _solid_strips(
 ) -> list[tuple[bool, bool]]:
     """For each strip between consecutive curves: whether the left and the right column are solid in it.
 
-    A column without an edge at its front (a plane that goes on, an open side) is solid from below all curves.
+    A column without an edge at its front (a continuing plane, an open side) is solid from below all curves.
     """
     there = [c is not None and "none" not in (c.kind(0, t), c.kind(1, t)) for c in columns]
     fronts = {s.column for group in groups for s in group if s.face == 0}
@@ -350,7 +353,7 @@ def _sagitta(arc: Arc) -> float:
 
 
 def _heights_at(columns: Sequence[Column | None], point: Floats, stops: list[float], i: int) -> Floats:
-    """Heights [column, face] at station i; a face that ends there counts with the height it ends at."""
+    """Heights [column, face] at station i; a face that ends there is included with its height at the end."""
     heights = np.full((2, 2), np.nan)
     sides = [0.5 * (stops[j] + stops[j + 1]) for j in (i - 1, i) if 0 <= j < len(stops) - 1]
     for c, column in enumerate(columns):

@@ -1,1 +1,4 @@
-"""Where cells meet: borders, nodes and rims of one cell. Mesh and B-Rep both build from it; neither is here."""
+"""Topology of neighbouring cells: borders, nodes and rims of one cell.
+
+`mesh` and `solid` both build from it.
+"""

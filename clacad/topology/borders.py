@@ -15,14 +15,14 @@ from clacad.sheet.window import PLANE, Body, Face, Window
 from clacad.topology.complex_parts import SIDES, Border, HeightProfile, Part, Side, Stretch
 
 _EPS = float(np.finfo(np.float64).eps)
-_SAMPLES = 47  # on a stretch, Gauss nodes; odd, so that one lies in its middle
+_SAMPLES = 47  # number of Gauss nodes on a stretch; odd, so that one lies in its middle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColumnLine:
-    """The column of one cell over a straight line of its frame: both faces, what they are, exactly.
+    """The column of one cell over a straight line of its frame: exact heights and kinds of both faces.
 
-    `zone` tells whether the line lies in the cell's optical zone (with a seam, borders do not).
+    `zone`: whether the line lies in the cell's optical zone (with a seam, borders do not).
     """
 
     front: HeightProfile
@@ -57,7 +57,7 @@ class ColumnLine:
         return np.where(rimless, lands, np.stack(alone)), np.stack(proud) & ~rimless
 
     def differences(self) -> list[Callable[[Floats], Floats]]:
-        """Functions of t whose sign changes are where this column changes its parts."""
+        """Functions of t whose sign changes mark changes of a face between lens, land and void."""
         if not self.zone:
             return []
         front, back = self.front, self.back
@@ -72,7 +72,7 @@ class ColumnLine:
 
 
 def column_line(body: Body, start: Sequence[float], end: Sequence[float], zone: bool) -> ColumnLine:
-    """Give a body's column over the straight line start → end of the cell frame (lengths)."""
+    """Return a body's column over the straight line start → end of the cell frame (lengths)."""
     a, b = (float(start[0]), float(start[1])), (float(end[0]), float(end[1]))
     return ColumnLine(HeightProfile(body.front, a, b), HeightProfile(body.back, a, b), zone)
 
@@ -90,9 +90,9 @@ def make_border(
     k : int
         Border class, 0 … m/2 − 1.
     merge : length
-        Steps that stay below it are no steps.
+        Steps that never exceed it are no steps.
     spacing : length
-        Crossings closer than this to a node or to one another are dropped.
+        Crossings closer than that to a node or to one another are dropped.
     """
     left, right, sides = _border_lines(window, (body, body), array, columnar, k)
     a, b = np.array(left.front.start), np.array(left.front.end)
@@ -106,7 +106,7 @@ def make_border(
 
 
 def roots_between(window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int) -> Floats:
-    """`Border.roots` (n,) between two cells that differ, of border class k.
+    """`Border.roots` (n,) of border class k between two cells of a non-uniform sheet.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def _border_lines(
     tile, m = lattice.tile(), len(lattice.steps)
     zone = window.land.seam == 0.0
     left = column_line(bodies[0], tile[k], tile[(k + 1) % m], zone)
-    # the same border in the right cell's frame, met in the same direction
+    # the same border in the right cell's frame, in the same direction
     right = column_line(bodies[1], tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m], zone)
     if columnar:
         sides: tuple[Side, ...] = SIDES
@@ -142,7 +142,7 @@ def _roots(left: ColumnLine, right: ColumnLine, sides: tuple[Side, ...], columna
 
 
 def _alone(line: ColumnLine, side: Side) -> ColumnLine:
-    """The same line with the other face so far away that it never matters (two displaced tilings)."""
+    """The line with the other face so far away that it never matters (two displaced tilings)."""
     far = Face(PLANE, (0.0, 0.0, np.inf if side == "front" else -np.inf))
     profile: HeightProfile = getattr(line, side)
     other = HeightProfile(far, profile.start, profile.end)
@@ -200,7 +200,7 @@ def _spaced(t: Floats, spacing: float) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stretches:
-    """Both columns on the stretches between a border's breaks, evaluated once.
+    """Both columns on the stretches between the breaks of a border, evaluated once.
 
     edges : (k + 1,)
     left, right : (2, k, n) heights at parameters inside, the first and the last just inside
@@ -230,7 +230,7 @@ def _stretches(left: ColumnLine, right: ColumnLine, breaks: Floats) -> _Stretche
 
 
 def _step(on: _Stretches, face: int, merge: float) -> tuple[Stretch, ...]:
-    """How the left and right heights of one face (0 front, 1 back) lie to one another, from 0 to 1."""
+    """Sign of the step between left and right heights of a face (0 front, 1 back) along a border, 0 to 1."""
     found: list[Stretch] = []
     for n, (start, stop) in enumerate(zip(on.edges[:-1].tolist(), on.edges[1:].tolist())):
         left, right = (
@@ -277,7 +277,7 @@ def _joints(on: _Stretches) -> tuple[tuple[float, float], ...]:
 def _kept_breaks(
     steps: dict[Side, tuple[Stretch, ...]], joints: tuple[tuple[float, float], ...] | None, breaks: Floats
 ) -> Floats:
-    """Drop the breaks at which nothing visible changes (crossings hidden under land, say)."""
+    """Drop the breaks at which nothing visible changes (for example crossings hidden under land)."""
     kept = {t for step in steps.values() for stretch in step for t in (stretch.start, stretch.stop)}
     kept |= {t for interval in joints or () for t in interval}
     return np.asarray([t for t in breaks if float(t) in kept])

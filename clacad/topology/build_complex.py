@@ -16,7 +16,7 @@ from clacad.topology.nodes import make_nodes
 def cell_complex(
     window: Window, body: Body, merge: float | None = None, spacing: float | None = None
 ) -> CellComplex:
-    """Give the one topology of a body that mesh and B-Rep share.
+    """Build the one topology of a body that mesh and B-Rep share.
 
     Parameters
     ----------
@@ -24,16 +24,16 @@ def cell_complex(
     body : Body
         One of `window.bodies`.
     merge : length, optional
-        Heights at a node or border that lie closer than this are one. Default 1 nm (1e-6 mm, ten times
-        the uncertainty a STEP file states), at most 1e-3 of the pitch.
+        Heights at a node or border that differ by less are merged. Default 1 nm (1e-6 mm, ten times
+        the uncertainty stated in a STEP file), at most 1e-3 of the pitch.
     spacing : length, optional
-        Crossings closer than this to a node or to one another are dropped. Default: `merge`.
+        Crossings closer than that to a node or to one another are dropped. Default: `merge`.
 
     Raises
     ------
     ValueError
         The body's two faces repeat on displaced arrays but the window has no outline; or an outline is
-        asked for a face without land.
+        requested for a face without land.
     """
     if merge is None:
         merge = min(1e-9 / window.unit, 1e-3 * min(window.lattice.pitch))

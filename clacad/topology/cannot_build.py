@@ -1,4 +1,4 @@
-"""What stops a body from being made: one error with a code, the reason and the way out."""
+"""`CannotBuild`: the error for a body that cannot be made, with a code, the reason and a remedy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ CODES: dict[str, str] = {
 
 
 class CannotBuild(ValueError):
-    """A body that this design cannot have; the message begins with the code and names a way out; exit status 2.
+    """A body of this design cannot be made. The message begins with the code and names a remedy.
+
+    Exit status 2.
 
     Parameters
     ----------
@@ -40,12 +42,12 @@ class CannotBuild(ValueError):
 
 
 def refuse_buried_land(front: Face, back: Face) -> None:
-    """Refuse a plano lens whose land lies behind its plane face: there is nothing between its lenslets.
+    """Refuse a plano lens whose land lies behind its plane face: no material is left between its lenslets.
 
     Raises
     ------
     CannotBuild
-        CL134, with the thickness that holds the land.
+        CL134, with the thickness at which the land fits.
     """
     lens, plane = (front, back) if back.array is None else (back, front)
     if lens.array is None or plane.array is not None or lens.land is None:

@@ -1,7 +1,7 @@
-"""The nouns of the planar cell complex: profiles, borders, nodes.
+"""Classes of the planar cell complex: profiles, borders, nodes.
 
-Where every cell of an array is the same piece, the complex of a sheet of any size is one prototile:
-m/2 *border classes* (a border and the opposite border of the neighbour are one and the same) and
+Where all cells of an array are identical pieces, the complex of a sheet of any size is one prototile:
+m/2 *border classes* (a border and the opposite border of the neighbour are one class) and
 one *node class* (square, rectangular: four cells meet) or two (hexagonal: three cells meet).
 
 Conventions
@@ -66,10 +66,10 @@ class Stretch:
     start, stop : float
         Parameters on the border, 0 … 1.
     sign : −1, 0 or +1
-        Sign of d = z_left − z_right; 0 where a side is void, or the step never exceeds the merge height: ONE shared
-        edge and no wall.
+        Sign of d = z_left − z_right. 0 where a side is void or the step never exceeds the merge height: the
+        cells then share ONE edge and have no wall.
     left, right : "lens", "land" or "void"
-        What the face is, left and right of the border. Both void: no edge at all.
+        Kind of the face, left and right of the border. Both void: no edge at all.
     """
 
     start: float
@@ -89,7 +89,8 @@ class Border:
     start, end : (2,) lengths
         In the left cell's frame (t = 0, 1).
     steps : side → tuple of Stretch
-        How the two heights of each face that repeats on this tiling lie to one another, from 0 to 1 without gaps.
+        Stretches of each face that repeats on this tiling, with the sign of the step, from 0 to 1 without
+        gaps.
     joints : ((t0, t1), ...) or None
         Stretches on which the two columns share material. None where the body's two faces repeat on different tilings
         (always joined).
@@ -98,7 +99,7 @@ class Border:
         rims of either cell, ends of joints), ascending, ends excluded. Both cells need a vertex there.
     roots : (n,) parameters
         Every sign change of every difference of lens and land heights on the border, visible or not
-        (a crossing hidden under land, say), unspaced; `breaks` is chosen from them.
+        (for example a crossing hidden under land), unspaced; `breaks` is chosen from them.
     """
 
     index: int
@@ -119,7 +120,7 @@ class Node:
         The k cells counter-clockwise: index step from the first cell, and which of its tile's corners
         lies at the node. The first entry is ((0, 0), corner).
     saddle_front, saddle_back : bool
-        Four walls share one vertical edge: one diagonal pair stands proud of the other.
+        Four walls share one vertical edge: one diagonal pair of cells is higher than the other.
     joined : bool
         All k columns share material at the node (false: a pinhole, columns that touch in a line, or no common height).
     """
@@ -156,7 +157,7 @@ class CellComplex:
     window : Window
     body : Body
     merge : length
-        Merge height h: heights at a node or border closer than h are one.
+        Merge height h: heights at a node or border closer than h are merged.
     tilings : (Tiling,) or (front's Tiling, back's Tiling)
         One where the body is cut into columns (both faces on one tiling, or one face a plane); two for
         a slab whose arrays are displaced against one another.

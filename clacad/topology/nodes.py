@@ -1,4 +1,4 @@
-"""Nodes: where the corners of three or four cells meet, their saddles."""
+"""Nodes, where the corners of three or four cells meet, and their saddles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from clacad.topology.wall_strips import linked
 def make_nodes(
     window: Window, body: Body, array: int, faces: tuple[Side, ...], merge: float
 ) -> tuple[Node, ...]:
-    """Build the node classes of a body's tiling on `array`; `faces` names those that repeat on it, `merge` is a length."""
+    """Build the node classes of a body's tiling on `array`; `faces`: those repeating on it.
+
+    `merge`: a length.
+    """
     tile = window.lattice_of(array).tile()
     zone = window.land.seam == 0.0
     nodes = []
@@ -34,7 +37,7 @@ def make_nodes(
 
 
 def cluster(heights: Floats, merge: float) -> Floats:
-    """Single linkage: sorted heights whose gaps are at most `merge` share the middle of their cluster.
+    """Single linkage: sorted heights whose gaps are at most `merge` all become the middle of their cluster.
 
     Two heights closer than `merge` therefore always agree afterwards, and the order never changes.
     NaN stays NaN.
@@ -48,13 +51,13 @@ def cluster(heights: Floats, merge: float) -> Floats:
     group = linked(z, merge)
     first = np.searchsorted(group, group, side="left")
     last = np.searchsorted(group, group, side="right") - 1
-    # the middle, written so that a cluster of equal heights keeps its very value
+    # the middle, written so that a cluster of identical heights keeps its exact value
     out[order] = z[first] + 0.5 * (z[last] - z[first])
     return out
 
 
 def _saddle(level: Floats, proud: int) -> bool:
-    """Whether both cells of one diagonal stand proud of both cells of the other."""
+    """Whether both cells of one diagonal are higher than both cells of the other."""
     if len(level) != 4 or np.isnan(level).any():
         return False
     z = proud * level

@@ -1,4 +1,4 @@
-"""Rims: the curves inside a cell where a lens ends on the other lens, on a plane, on land."""
+"""Rims: the curves inside a cell where a lens ends at the other lens, at a plane or at land."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.base.unique_rows import unique_rows
 
 FAN = 24
-"""Rings of the grid a rim is sought on, unless asked otherwise."""
+"""Default number of rings of the grid on which a rim is searched."""
 
 Gap = Callable[[Floats, Floats], Floats]
-"""How far one surface lies above another at x, y (n,): positive on the side of the lens, zero on the rim."""
+"""Height of one surface over another at x, y (n,): positive on the side of the lens, zero on the rim."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,9 +35,9 @@ class TracedCurve:
 def trace_zero(function: Gap, polygon: Floats, fan: int = FAN) -> tuple[TracedCurve, ...]:
     """Trace the zero curves of a function inside a convex polygon.
 
-    The polygon is triangulated as `fan`² triangles about its centre per side; curves that dip between
-    two neighbouring grid points of the inside are not seen (on the polygon's own sides none is missed,
-    if the caller passes those roots to the mesh).
+    The polygon is triangulated as `fan`² triangles about its centre per side. Curves that dip between two
+    neighbouring inner grid points are missed. On the polygon's own sides none is missed if the caller
+    passes their roots to the mesh.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def _edge_roots(function: Gap, points: Floats, edges: Ints, positive: Bools) -> 
 
 
 def _following_edges(triangles: Ints, number: Ints, positive: Bools) -> dict[int, int]:
-    """Edge by which the curve enters a triangle → edge by which it leaves; `number` (t, 3) are the triangles' edges."""
+    """Edge by which the curve enters a triangle → edge by which it leaves; `number` (t, 3): edge numbers."""
     follows: dict[int, int] = {}
     for corner, edge in zip(triangles, number):
         sign = positive[corner]
@@ -91,7 +91,7 @@ def _following_edges(triangles: Ints, number: Ints, positive: Bools) -> dict[int
             continue
         lone = int(np.flatnonzero(sign == (sign.sum() == 1))[0])
         leaving, entering = int(edge[lone]), int(edge[(lone + 2) % 3])
-        # positive on the left hand: round a lone positive corner the curve runs from the edge after it
+        # positive on the left hand: around a single positive corner the curve runs from the edge after it
         first, second = (leaving, entering) if sign[lone] else (entering, leaving)
         follows[first] = second
     return follows

@@ -1,6 +1,7 @@
-"""Walls stand where exactly one of two columns is solid; round a node, which of them share a vertical edge.
+"""Walls: strips where exactly one of two columns is solid, and those that share a vertical edge at a node.
 
-Mesh and B-Rep ask here, each with heights of its own: whole numbers of a step for triangles, millimetres for faces.
+Mesh and B-Rep both use this module, with different heights: integer multiples of a step for triangles,
+millimetres for faces.
 """
 
 from __future__ import annotations
@@ -14,7 +15,10 @@ from clacad.base.types import Floats, Ints
 
 
 class BorderCurve(NamedTuple):
-    """The face of a column over a border: `column` 0 is left, 1 right; `opens`: material begins above it (a front)."""
+    """A column's face over a border. `column`: 0 left, 1 right.
+
+    `opens`: material begins above it (a front).
+    """
 
     column: int
     opens: bool
@@ -28,14 +32,14 @@ def solid_strips(
     Parameters
     ----------
     curves : iterable
-        Upwards; curves of both columns that coincide come together.
+        Ascending; coincident curves of both columns are passed together.
     below : (left, right)
         Whether a column is solid below all curves.
 
     Returns
     -------
     list of (left, right)
-        One fewer than there are curves. A wall stands in a strip where the two differ.
+        One fewer than there are curves. A wall fills a strip where the two differ.
     """
     depth = [int(solid) for solid in below]
     strips = []
@@ -47,10 +51,10 @@ def solid_strips(
 
 
 def runs_round(solid: Sequence[bool]) -> list[int]:
-    """Number the runs of neighbouring solid sectors round a vertical line; −1 where a sector is not solid.
+    """Number the runs of adjacent solid sectors around a vertical line; −1 where a sector is not solid.
 
-    Counter-clockwise; run 0 is the first that begins after sector −1. The two walls of a run share one vertical edge:
-    two runs are a saddle, columns that touch in a line.
+    Counter-clockwise; run 0 is the first that begins after sector −1. The two walls of a run share one
+    vertical edge. Two runs are a saddle: columns that touch in a line.
     """
     starts = [s for s in range(len(solid)) if solid[s] and not solid[s - 1]]
     runs = [0 if one else -1 for one in solid]

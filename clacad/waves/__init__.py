@@ -1,10 +1,11 @@
-"""Light as a wave through one telescopelet: the far field behind it, beside what rays say of it.
+"""Light as a wave through one telescopelet: the far field behind it, compared with traced rays.
 
-Two ways, each exact where the other is not. `exit_pupil`: the exact trace tells where rays leave and how long their optical
-paths are, and Fraunhofer's integral does the rest; aberration and diffraction at lens 2's rim together, but not what lens
-1's rim does on the way (Fresnel numbers of 10 and more). `lens_planes`: the band-limited angular spectrum through ideal
-lenses with rims; all diffraction, no aberration. `through_sheet` takes the one that holds and shows both. Cells do not
-interfere here; what equal cells do in coherent light follows from the pitch alone (`coherent_orders`).
+There are two methods with different ranges. In `exit_pupil` the exact trace gives exit points and optical
+paths of rays, and Fraunhofer's integral gives the far field. It combines aberration with diffraction at lens
+2's rim, but omits diffraction at lens 1's rim (valid for Fresnel numbers of 10 and more). `lens_planes` is
+the band-limited angular spectrum through ideal lenses with rims: all diffraction, no aberration.
+`through_sheet` uses the valid method and reports both. Interference between cells is not computed; for
+identical cells in coherent light it follows from the pitch alone (`coherent_orders`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What waves and rays do, as rows of text for a person."""
+"""Results of waves and rays as rows of text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HEAD = (
     "through the peak",
     "half of the light in",
 )
-"""Of `rows`; the last four in mrad, along lens x and lens y."""
+"""Head of `rows`; the last four columns in mrad, along lens x and lens y."""
 
 
 def mrad(values: Sequence[float]) -> str:
@@ -56,7 +56,7 @@ def rows(found: WaveReport) -> list[tuple[str, ...]]:
 
 
 def head(found: WaveReport) -> str:
-    """Which cell where cells differ, wavelength, direction, Fresnel number, and which way holds."""
+    """Cell (of a non-uniform sheet), wavelength, direction, Fresnel number, and the valid method."""
     x, y = found.slope
     one = (
         ""
@@ -70,7 +70,7 @@ def head(found: WaveReport) -> str:
 
 
 def sentences(found: WaveReport) -> list[str]:
-    """What goes beside the rows: the slit, the rays' error, orders, and what was not computed."""
+    """Sentences that accompany the rows: the slit, the rays' error, orders, and what was not computed."""
     cells = "equal" if found.cell is None else "neighbouring"
     return [
         "widths are of the light summed over the other axis; that through the peak is of a section through the brightest direction",

@@ -1,10 +1,11 @@
-"""Where the exact trace's light leaves a telescopelet and with which phase, and the far field of that (pupil method).
+"""Pupil method: exit points and phases of a telescopelet's light by exact trace, and its far field.
 
-A plane wave meets lens 1 of one cell on a regular grid; every ray of it that leaves through its partner is carried on to
-one plane across the law's direction, where its optical path from a wave front of the incident light is its phase, and
-what the bundle round it is spread over its amplitude. Fraunhofer's integral over that plane is the far field. Rays do not
-come there on a grid: each is shared out to the four points round its place, and the transform is divided by that of the
-sharing (the type-1 transform of Dutt & Rokhlin, SIAM J. Sci. Comput. 14, 1368 (1993), with a triangle as the kernel).
+A plane wave is incident on lens 1 of one cell on a regular grid. Every ray that leaves through the partner is
+carried on to one plane across the law's direction. Its optical path from a wave front of the incident light
+gives its phase, and the spread of the neighbouring rays its amplitude. Fraunhofer's integral over that plane
+is the far field. Rays do not arrive on a grid: each is distributed over the four grid points around it, and
+the transform is divided by that of the distribution (the type-1 transform of Dutt & Rokhlin, SIAM J. Sci.
+Comput. 14, 1368 (1993), with a triangle as the kernel).
 """
 
 from __future__ import annotations
@@ -26,36 +27,36 @@ from clacad.tracing.trace import trace
 from clacad.waves.far_field import Complex, FarField, brightest, marginal, section
 
 MOST = 4096
-"""Rays along each side of a cell."""
+"""Largest number of rays along each side of a cell."""
 
 FEWEST = 256
-"""Rays along each side of a cell, so that the rim of what is lit is drawn."""
+"""Least number of rays along each side of a cell, enough to resolve the rim of the lit area."""
 
 SHARE_RAYS = 1 << 14
-"""Rays by which the share to the partner is told."""
+"""Number of rays that measure the share to the partner."""
 
 TRIAL = 64
-"""Rays a side by which the phase steps are found."""
+"""Number of rays along each side that measure the phase steps."""
 
 STEP = 0.5 * pi
 """Largest step of the phase between neighbouring rays."""
 
 BLOCK = 1 << 18
-"""Rays traced at a time."""
+"""Number of rays traced at a time."""
 
 MARGIN = 4
-"""Grid points round the lit ones."""
+"""Number of grid points around the lit ones."""
 
 SECONDS = 4.2e-6
-"""Processor seconds a ray on the reference machine: numpy's trace, and its share of the transforms."""
+"""Processor seconds per ray on the reference machine: numpy's trace, and its share of the transforms."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pupil:
-    """A cell's light on the plane across the law's direction, one row a launched ray, a side × side grid.
+    """A cell's light on the plane across the law's direction: one row per launched ray, side × side rays.
 
     place : (n, 2) lengths
-        Along lens x and y, from the mean place.
+        Along lens x and y, from the mean point.
     phase : (n,) radians
     off : (n, 2)
         Direction cosines off the law.
@@ -63,7 +64,7 @@ class Pupil:
         From the optical zone of lens 1 through the partner.
     side : int
     step : (2,) lengths
-        Of the grid on lens 1.
+        Step of the grid on lens 1.
     """
 
     place: Floats
@@ -75,7 +76,7 @@ class Pupil:
 
     @property
     def largest_step(self) -> float:
-        """Largest phase step between neighbouring rays, radians; 0 where no two get through."""
+        """Largest phase step between neighbouring rays, radians; 0 if no two neighbours get through."""
         phase = np.where(self.alive, self.phase, np.nan).reshape(self.side, self.side)
         steps = [np.abs(np.diff(phase, axis=axis)) for axis in (0, 1)]
         return float(max(np.nanmax(one, initial=0.0, where=np.isfinite(one)) for one in steps))
@@ -83,12 +84,12 @@ class Pupil:
 
 @dataclass(frozen=True, eq=False)
 class RaySpread:
-    """What the exact trace says of the same light, without waves.
+    """Directions of the light by exact trace, without waves.
 
     off : (n, 2)
-        Direction cosines off the law of the rays that obey it, along lens x and y.
-    share : float
-        Of the light on lens 1's optical zone.
+            Direction cosines, less those of the law, of the rays that obey it, along lens x and y.
+        share : float
+            Transmitted share of the light on lens 1's optical zone.
     """
 
     off: Floats
@@ -96,18 +97,18 @@ class RaySpread:
 
     @property
     def mean(self) -> Pair2:
-        """Mean off the law, radians."""
+        """Mean deviation from the law, radians."""
         x, y = self.off.mean(axis=0)
         return float(x), float(y)
 
     @property
     def rms(self) -> float:
-        """Root of the mean square off the law, both axes together, radians."""
+        """Root mean square deviation from the law, both axes together, radians."""
         return float(np.sqrt((self.off**2).sum(axis=1).mean()))
 
     @property
     def half_energy(self) -> Pair2:
-        """Widths that hold the middle half of the rays, radians."""
+        """Widths that contain the middle half of the rays, radians."""
         low, high = np.quantile(self.off, (0.25, 0.75), axis=0)
         return float(high[0] - low[0]), float(high[1] - low[1])
 
@@ -131,14 +132,14 @@ def pupil(window: Window, direction: Floats, wavelength: float, side: int, cell:
         Of the incident light.
     wavelength : float, metres
     side : int
-        Rays along each side of the box round the cell.
+        Rays along each side of the box around the cell.
     cell : (2,) ints or None
-        Which one, of a sheet whose cells differ; None: all are alike.
+        The lit cell of a non-uniform sheet; None: all cells are identical.
 
     Raises
     ------
     ValueError
-        The law sends light of this direction nowhere, or a wavelength lies outside a material's data.
+        The law has no exit direction for this light, or a wavelength lies outside a material's data.
     """
     sheet, lit = _lit_cell(window, cell)
     asked = sheet.law_at(np.array(lit)).refract(direction[None, :])[0]
@@ -162,13 +163,16 @@ def pupil(window: Window, direction: Floats, wavelength: float, side: int, cell:
 
 
 def columns_crossed(window: Window, direction: Floats) -> float:
-    """Cells that light of a direction (3,) passes over inside the thickest body, at most: its height times the slope over the pitch."""
+    """Largest number of cells that light of a direction (3,) passes over inside the thickest body.
+
+    It is the body's height times the slope over the pitch.
+    """
     heights = [plan.high - plan.low for plan in lay_out(window).bodies]
     return float(max(heights) * (np.abs(direction[:2]) / direction[2] / np.array(window.lattice.pitch)).sum())
 
 
 def _lit_cell(window: Window, cell: Ints | None) -> tuple[Window, tuple[int, int]]:
-    """The sheet that is traced, and which cell of it is lit: of equal cells a few suffice."""
+    """The sheet to trace and the lit cell; for a uniform sheet a few cells suffice."""
     if cell is None:
         few = window.with_cells((3, 3))
         return few, central_cell(few)
@@ -177,7 +181,7 @@ def _lit_cell(window: Window, cell: Ints | None) -> tuple[Window, tuple[int, int
 
 
 def _axes_across(window: Window, direction: Floats) -> Floats:
-    """Two unit vectors (2, 3) across a direction, as near to lens x and lens y as can be."""
+    """Two unit vectors (2, 3) perpendicular to a direction, as near to lens x and lens y as possible."""
     x = window.thin.rotation[:, 0]
     u = x - (x @ direction) * direction
     u = u / np.linalg.norm(u)
@@ -188,7 +192,7 @@ def _traced(
     window: Window, cell: tuple[int, int], points: Floats, direction: Floats, asked: Floats, across: Floats,
     wavelength: float,
 ) -> tuple[Floats, Floats, Floats, Bools]:  # fmt: skip
-    """Places (n, 2), optical paths (n,), direction cosines off the law (n, 2), and which rays (n,) obey it."""
+    """Exit points (n, 2), optical paths (n,), direction cosines off the law (n, 2), obedient rays (n,)."""
     ways = np.broadcast_to(direction, (len(points), 3)).copy()
     lit = launched(window, points, ways, cell, direction).rays
     seen = trace(
@@ -207,7 +211,10 @@ def _traced(
 def rays_of(
     found: Pupil, window: Window, direction: Floats, wavelength: float, cell: Ints | None = None
 ) -> RaySpread:
-    """The same light without waves; its share by points that keep to no grid, whose rows a rim would cut whole."""
+    """Ray result for the light of a pupil; its share is measured at irregular points.
+
+    A rim would cut whole rows of a regular grid.
+    """
     sheet, chosen = _lit_cell(window, cell)
     lit = bundle(sheet, SHARE_RAYS, 0.0, middle=direction, cell=chosen)
     seen = trace(sheet, _at_wavelength(sheet, lit.rays, wavelength), path="numpy")
@@ -217,12 +224,12 @@ def rays_of(
 
 
 def _at_wavelength(window: Window, rays: Rays, wavelength: float) -> Rays:
-    """Rays of a wavelength (metres), where the window knows of any."""
+    """Rays of a wavelength (metres), if the window has a wavelength at all."""
     return rays if window.wavelength is None else Rays(rays.position, rays.direction, wavelength)
 
 
 def rays_needed(window: Window, direction: Floats, wavelength: float, cell: Ints | None = None) -> int:
-    """Rays a side with phase steps of a quarter turn at most, a power of two.
+    """Number of rays along a side for phase steps of at most a quarter turn, a power of two.
 
     Raises
     ------
@@ -247,7 +254,7 @@ def far_field(found: Pupil, wavelength: float) -> FarField:
     Parameters
     ----------
     found : Pupil
-        With some light that obeys the law.
+        With at least some light that obeys the law.
     wavelength : float, length
     """
     weight = np.sqrt(_spread(found))[found.alive]
@@ -272,7 +279,7 @@ def _spread(found: Pupil) -> Floats:
         rise = np.diff(place, axis=axis) / found.step[axis]
         gap = np.full((1, found.side, 2) if axis == 0 else (found.side, 1, 2), np.nan)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # rays without neighbours: told below
+            warnings.simplefilter("ignore", RuntimeWarning)  # rays without neighbours: see below
             both = np.stack([np.concatenate([gap, rise], axis), np.concatenate([rise, gap], axis)])
             slopes.append(np.nanmean(both, axis=0))
     a, b = slopes
@@ -282,7 +289,7 @@ def _spread(found: Pupil) -> Floats:
 
 
 def _shared_out(place: Floats, light: Complex, spacing: Floats, count: int) -> Complex:
-    """Amplitude on a regular grid whose transform is that of the rays."""
+    """Amplitude on a regular grid whose transform equals that of the rays."""
     points = count + 2 * MARGIN
     at = (place - place.min(axis=0)) / spacing + MARGIN
     first = np.floor(at).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The far field of one telescopelet along each lens axis, and the numbers that are read off it."""
+"""The far field of one telescopelet along each lens axis, and its widths."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from clacad.base.types import Floats, Pair2
 Complex = NDArray[np.complex128]
 
 FINE = 16
-"""Points of a far field in λ/w, at least: half-maximum points are then good to a thousandth of it."""
+"""Least number of points of a far field per λ/w: half-maximum points are then accurate to a thousandth of
+it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """Light against the angle off the law along one lens axis: summed over the other, or along a section through the peak.
+    """Light against the angle off the law along a lens axis: summed over the other, or cut through the peak.
 
     off : (k,) radians
-        Direction cosine less that of the law, evenly spaced, rising.
+        Direction cosine less that of the law, evenly spaced, ascending.
     density : (k,) 1/radian
         Its integral is 1.
     """
@@ -32,7 +34,7 @@ class Marginal:
 
     @property
     def half_maximum(self) -> Pair2:
-        """Where the density falls to half of its peak on either side of it, radians."""
+        """Angles at which the density falls to half its peak on either side, radians."""
         peak = int(np.argmax(self.density))
         half = 0.5 * self.density[peak]
         left, right = self.density[: peak + 1], self.density[peak:]
@@ -42,7 +44,7 @@ class Marginal:
         return self._crossing(i, half), self._crossing(j - 1, half)
 
     def _crossing(self, k: int, level: float) -> float:
-        """Where the line from point k to the next one has a density."""
+        """Angle at which the line from point k to the next one has a given density."""
         a, b = self.density[k], self.density[k + 1]
         part = (level - a) / (b - a) if b != a else 0.0
         return float(self.off[k] + part * (self.off[k + 1] - self.off[k]))
@@ -76,11 +78,12 @@ class FarField:
     marginals : (Marginal, Marginal)
         Along lens x and lens y, summed over the other axis.
     sections : (Marginal, Marginal)
-        Along lens x and lens y through the brightest direction: of a cell whose sides lie along the lens axes the same.
+        Along lens x and lens y through the brightest direction. Equal to `marginals` for a cell with sides
+        along the lens axes.
     strehl : float
-        Peak over the peak of the light that meets the partner, were its wave front flat: 1 at most.
+        Peak over that of the light through the partner with a flat wave front: at most 1.
     points : tuple of int
-        Of the grid: rays a side, or points along each axis.
+        Number of rays along a side, or of points along each axis.
     """
 
     way: str
@@ -106,10 +109,10 @@ def marginal(field: Complex, axis: int, spacing: float, wavelength: float, width
     Parameters
     ----------
     field : (n,) or (n, n) complex
-        Against a flat wave front across the law's direction.
+        Relative to a flat wave front across the law's direction.
     axis : int
     spacing, wavelength, width : float, lengths
-        Of the grid; of the light; of what is lit, for the fineness.
+        Of the grid; of the light; of the lit area, which determines the resolution.
 
     Notes
     -----
@@ -126,22 +129,22 @@ def marginal(field: Complex, axis: int, spacing: float, wavelength: float, width
 def section(
     field: Complex, axis: int, turns: Sequence[float], spacing: float, wavelength: float, width: float
 ) -> Marginal:
-    """Far field of an amplitude on a regular grid (n, n) along one axis, through the direction that `brightest` found."""
+    """Far field of an amplitude on a regular grid (n, n) along an axis, through the `brightest` direction."""
     other = 1 - axis
     wave = np.exp(-2j * np.pi * turns[other] * np.arange(field.shape[other]))
     return marginal(np.tensordot(field, wave, axes=(other, 0)), 0, spacing, wavelength, width)
 
 
 def flatness(field: Complex) -> float:
-    """Peak of a far field over that of the same amplitude with a flat wave front; 1 at most."""
+    """Peak of a far field over that of an equal amplitude with a flat wave front; at most 1."""
     return brightest(field)[0] / float(np.abs(field).sum()) ** 2
 
 
 def brightest(field: Complex) -> tuple[float, tuple[float, ...]]:
-    """Largest |Σ field|² over all directions, the field being a pupil on a regular grid, and that direction.
+    """Largest |Σ field|² over all directions of a pupil on a regular grid, and its direction.
 
-    The largest point of the fast transform, then a finer one about it. The direction is told in turns from point to point,
-    one number an axis.
+    The largest point of the fast transform is refined on a finer grid. The direction is given in turns per
+    grid point, one number for each axis.
     """
     dims = field.ndim
     size = [1 << int(np.ceil(np.log2(2 * n))) for n in field.shape]
@@ -149,7 +152,7 @@ def brightest(field: Complex) -> tuple[float, tuple[float, ...]]:
     at = np.unravel_index(int(np.argmax(whole)), whole.shape)
     near, tried = field, []
     for axis in range(dims):
-        # half steps of a fifth of a bin about the best bin
+        # points a tenth of a bin apart, within one bin about the best one
         tried.append((at[axis] + np.linspace(-1.0, 1.0, 21)) / size[axis])
         wave = np.exp(-2j * np.pi * np.outer(tried[axis], np.arange(field.shape[axis])))
         near = np.moveaxis(np.tensordot(wave, near, axes=(1, axis)), 0, axis)

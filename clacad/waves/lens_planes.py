@@ -1,13 +1,13 @@
-"""Waves through ideal thin lenses with rims, plane after plane: band-limited angular spectrum.
+"""Waves through ideal thin lenses with rims, plane by plane: band-limited angular spectrum.
 
-*Frame.* x is counted from the chief ray, the ray of the incident direction through the middle of the first lens, and
-phases from the wave that it carries along: a lens off that ray turns the ray, and only what is left bends the wave. So
-the grid does not know how steeply the light comes, the far field is that about the chief ray's exit, which is the law's,
-and slopes add as thin lenses add them (t' = t − x/f).
+*Frame.* x is measured from the chief ray, the ray of the incident direction through the middle of the first
+lens. Phases are relative to the wave that the chief ray carries along: a decentred lens deflects that ray,
+and only the remainder bends the wave. So the grid is independent of the angle of incidence. The far field is
+centred on the chief ray's exit, which is the law's, and slopes add as in thin lenses (t' = t − x/f).
 
-*Law.* Fresnel's propagation, exp(−iπλ z ν²), without the waves that would leave the grid on the way (Matsushima &
-Shimobaba, Opt. Express 17, 19662 (2009)). Axes are independent but for the rims: cells along the lens axes are done axis
-by axis, others on a square grid.
+*Law.* Fresnel's propagation, exp(−iπλ z ν²), without the waves that would leave the grid on the way
+(Matsushima & Shimobaba, Opt. Express 17, 19662 (2009)). Axes are coupled by the rims alone: cells along the
+lens axes are computed axis by axis, others on a square grid.
 """
 
 from __future__ import annotations
@@ -23,14 +23,18 @@ from clacad.storage.errors import LimitRefused
 from clacad.waves.far_field import Complex
 
 MOST = 4096
-"""Points along each side of a square grid; as many in all along one axis alone."""
+"""Largest number of points along each side of a square grid; a single axis may have MOST² points."""
 
 FEWEST = (256, 128)
-"""Points across the first rim in one dimension and in two, so that it and what it diffracts are drawn."""
+"""Least number of points across the first rim, in one dimension and in two, to resolve it and its
+diffraction.
+"""
 
 ROOM = (16.0, 12.0)
-"""Width of the grid over the half width of what must find room on it, in one dimension and in two: wider ones change the
-share by 1e-4 and the width of the far field by a thousandth."""
+"""Width of the grid over the half width of its content, in one dimension and in two.
+
+Wider grids change the share by 1e-4 and the width of the far field by a thousandth.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +45,9 @@ class LensPlane:
         From the plane before it.
     power : (dims,) 1/length
     vertex : (dims,) lengths
-        Lens centre from the axis through the centre of the first one.
+        Lens centre relative to the axis through the centre of the first lens.
     stop : (m, dims) lengths
-        Corners of the convex rim from that same axis; the two ends in one dimension.
+        Corners of the convex rim relative to that axis; the two ends in one dimension.
     """
 
     distance: float
@@ -57,12 +61,12 @@ class Emerging:
     """The wave that leaves the last plane.
 
     field : complex array of `dims` dimensions
-        Against the wave of the chief ray, on the points inside the last rim of a grid of `spacing`.
+        Relative to the wave of the chief ray, at the points inside the last rim of a grid of `spacing`.
     spacing : float, length
     share : float
-        Of the light through the first rim.
+        Share of the light through the first rim.
     points : (dims,) int
-        Of the whole grid.
+        Number of points of the whole grid.
     """
 
     field: Complex
@@ -84,12 +88,12 @@ def telescope(
         Middle of the partner cell, and centre of lens 2, from the axis of lens 1.
     separation : float, length
     zone : (m, dims) lengths
-        Rim of lens 1, and of a field lens, about the middle of its own cell.
+        Rim of lens 1, and of a field lens, relative to the middle of its own cell.
     rim : (m, dims) lengths or None
-        Of lens 2; None: the same.
+        Of lens 2; None: as `zone`.
     field_lens : bool
-        Whether a lens at the common focus, in cells of its own on the lines from cell to partner, images lens 1 onto
-        lens 2: 1/f = 1/f1 + 1/f2.
+        Whether a lens at the common focus images lens 1 onto lens 2: 1/f = 1/f1 + 1/f2. Its own cells lie on
+        the lines from cell to partner.
 
     Raises
     ------
@@ -119,7 +123,10 @@ def telescope(
 
 
 def chief_ray(planes: Sequence[LensPlane], slope: Sequence[float]) -> tuple[list[Floats], Floats]:
-    """Where the chief ray of an incident slope (dims,) meets each plane, (dims,) lengths each, and its exit slope (dims,)."""
+    """Points (dims,), lengths, where the chief ray of an incident slope (dims,) crosses each plane.
+
+    The second result is its exit slope (dims,).
+    """
     place, ray, met = np.zeros(len(slope)), np.asarray(slope, dtype=np.float64), []
     for plane in planes:
         place = place + plane.distance * ray
@@ -130,7 +137,7 @@ def chief_ray(planes: Sequence[LensPlane], slope: Sequence[float]) -> tuple[list
 
 @dataclass(frozen=True)
 class Grid:
-    """points along each axis, spacing (length)."""
+    """A regular grid: points along each axis, spacing (length)."""
 
     points: int
     spacing: float
@@ -142,7 +149,7 @@ class Grid:
 
 
 def grid_for(planes: Sequence[LensPlane], slope: Sequence[float], wavelength: float) -> Grid:
-    """The coarsest grid on which the phase steps by a quarter turn at most between neighbours.
+    """The coarsest grid on which the phase changes by at most a quarter turn between neighbours.
 
     Parameters
     ----------
@@ -153,7 +160,7 @@ def grid_for(planes: Sequence[LensPlane], slope: Sequence[float], wavelength: fl
     Raises
     ------
     LimitRefused
-        More points than are ever computed with; says how many are needed.
+        More points than the limit `MOST` allows; the message gives the number needed.
     """
     dims, reach, finest = len(slope), 0.0, inf
     met, _ = chief_ray(planes, slope)
@@ -181,7 +188,7 @@ def grid_for(planes: Sequence[LensPlane], slope: Sequence[float], wavelength: fl
 
 
 def _rounded(count: int) -> int:
-    """The next number whose fast transform is fast: three binary digits, then zeros."""
+    """The next number with a fast transform: three binary digits, then zeros."""
     step = 1 << max(0, count.bit_length() - 3)
     return -(-count // step) * step
 
@@ -205,12 +212,12 @@ def propagate(
     Parameters
     ----------
     planes : sequence of LensPlane
-        In one or two dimensions, all alike.
+        All in one dimension, or all in two.
     slope : (dims,)
         Of the incident wave.
     wavelength : float, length
     grid : Grid or None
-        None: the coarsest that suffices.
+        None: the coarsest sufficient grid.
 
     Raises
     ------
@@ -227,7 +234,7 @@ def propagate(
         if k == 0:
             begun = float(
                 inside.sum()
-            )  # the rim's own area, whatever share of its light drawn edges let through
+            )  # the rim's own area, independent of the light at its discretised edges
         if k == len(planes) - 1:
             share = float((inside * np.abs(field) ** 2).sum()) / begun
         field = field * inside
@@ -239,13 +246,13 @@ def propagate(
 
 
 def _any_across(values: Floats, axis: int) -> Floats:
-    """Largest value (n,) at each place along one axis."""
+    """Largest value (n,) at each point along one axis."""
     others = tuple(k for k in range(values.ndim) if k != axis)
     return np.asarray(values.max(axis=others)) if others else values
 
 
 def _travel(field: Complex, grid: Grid, distance: float, wavelength: float) -> Complex:
-    """The same wave so far on, without what would come back in from the other side of the grid."""
+    """The wave after a distance, without frequencies that would re-enter from the other side of the grid."""
     frequency = np.fft.fftfreq(grid.points, grid.spacing)
     stays = np.abs(wavelength * distance * frequency) <= 0.25 * grid.points * grid.spacing
     step = np.where(stays, np.exp(-1j * np.pi * wavelength * distance * frequency**2), 0.0)
@@ -255,18 +262,19 @@ def _travel(field: Complex, grid: Grid, distance: float, wavelength: float) -> C
 
 
 def _along(values: Complex, axis: int, dims: int) -> Complex:
-    """Values (n,) as they stand along one axis of an array of `dims` dimensions."""
+    """Values (n,) laid along one axis of an array of `dims` dimensions."""
     return values.reshape([-1 if k == axis else 1 for k in range(dims)])
 
 
 def coverage(stop: Floats, grid: Grid) -> Floats:
-    """Part of each grid point's own square, or length, that lies inside a convex rim (m, dims)."""
+    """Share of each grid point's square (or length) that lies inside a convex rim (m, dims)."""
     x, step = grid.places, grid.spacing
     if stop.shape[1] == 1:
         low, high = float(stop.min()), float(stop.max())
         within = np.minimum(x + 0.5 * step, high) - np.maximum(x - 0.5 * step, low)
         return np.asarray(np.clip(within / step, 0.0, 1.0))
-    # how far inside each border, in points: right but at corners, where the last point's half is at stake
+    # depth inside each border, in points: exact but at corners, where up to half of the last point is
+    # uncertain
     corners = stop if _turns_left(stop) else stop[::-1]
     found = np.ones((grid.points, grid.points))
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):

@@ -1,7 +1,8 @@
-"""A sheet's telescopelet in light of one direction, before waves are sent through it.
+"""A sheet's telescopelet in light of one direction, prepared for waves.
 
-Where cells differ it is the cell that the whole sheet is judged by (`tracing/worst_cell.py`), lit along the middle of its own
-field; rays of it go through the whole sheet, and its lens 2 has the rim of its own array.
+In a non-uniform sheet it is the worst cell, by which the whole sheet is judged (`tracing/worst_cell.py`). It
+is lit along the middle of its own field. Its rays go through the whole sheet, and its lens 2 has the rim of
+its own array.
 """
 
 from __future__ import annotations
@@ -35,15 +36,15 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 HOLDS = 10.0
-"""Fresnel number from which the pupil method holds: rays to the partner are then right within 5 % an axis."""
+"""Least Fresnel number of the pupil method: rays to the partner are then accurate within 5 % per axis."""
 
 ALONG = 1e-9
-"""Part of a cell by which its rim may miss the lens axes and still be done axis by axis."""
+"""Tolerance, relative to a cell, within which its rim counts as parallel to the lens axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class LitSheet:
-    """A window lit from one direction, before anything is computed.
+    """A window lit from one direction; its numbers are computed on demand.
 
     seen : SeenCell
         The cell, in its sheet.
@@ -60,12 +61,12 @@ class LitSheet:
 
     @property
     def window(self) -> Window:
-        """The sheet of equal cells like this one; the sheet itself where its cells are alike."""
+        """The uniform equivalent of this cell; the sheet itself if it is uniform."""
         return self.seen.like
 
     @property
     def own_cell(self) -> Ints | None:
-        """Which cell (2,) of the sheet, where cells differ."""
+        """Index (2,) of the cell in a non-uniform sheet, else None."""
         return self.seen.cell if self.seen.tried else None
 
     @cached_property
@@ -90,18 +91,18 @@ class LitSheet:
 
     @property
     def slope(self) -> Pair2:
-        """Along lens x and y."""
+        """Slope of the light along lens x and y."""
         x, y = self.cells.slopes(self.direction[None, :])[0]
         return float(x), float(y)
 
     @cached_property
     def fresnel(self) -> Pair2:
-        """Fresnel numbers."""
+        """Fresnel numbers along lens x and y."""
         return fresnel_numbers(self.cells, self.wave, clip(self.cells.image, self.rim))
 
     @property
     def pupil_suits(self) -> bool:
-        """Whether the pupil method holds: real foci, Fresnel numbers from `HOLDS` on."""
+        """Whether the pupil method is valid: real foci, Fresnel numbers of at least `HOLDS`."""
         powered = [
             m
             for m, f in zip(focal_ratio(self.window.thin), self.window.thin.focal_length[1], strict=True)
@@ -115,7 +116,7 @@ class LitSheet:
 
     @property
     def along_axes(self) -> bool:
-        """Whether cells stand along the lens axes, so that these are independent."""
+        """Whether the sides of cells are parallel to the lens axes, so that the axes are independent."""
         zone = self.cells.zone  # array 2's has the same directions
         half = 0.5 * np.ptp(zone, axis=0)
         return len(zone) == 4 and bool((np.abs(np.abs(zone) - half) <= ALONG * half).all())
@@ -141,7 +142,7 @@ class LitSheet:
 
     @property
     def unsuited(self) -> str:
-        """Why the pupil method does not hold."""
+        """Reason why the pupil method is not valid."""
         if self.field_lens and not self.built:
             return "the sheet as built has no field lens to trace"
         if min(self.fresnel) < HOLDS:
@@ -150,15 +151,15 @@ class LitSheet:
 
     @property
     def share(self) -> float:
-        """Share of the light on lens 1's optical zone that meets the partner, for rays through ideal lenses."""
+        """Share of the light on lens 1's optical zone that reaches the partner, by rays and ideal lenses."""
         return area(self.lit) / area(self.cells.image) if len(self.lit) else 0.0
 
     @cached_property
     def lit(self) -> Floats:
-        """What is lit of lens 2 (m, 2), lengths; empty where no light obeys the law."""
+        """Lit part of lens 2 (m, 2), lengths; empty where no light obeys the law."""
         moved = np.asarray(self.cells.separation * np.array(self.slope)) - self.cells.centre
         image = self.cells.image
-        if self.field_lens:  # lens 1 is imaged onto the partner, wherever the light comes from
+        if self.field_lens:  # lens 1 is imaged onto the partner, for any direction of the light
             focus = np.array([f / self.cells.separation for f in self.window.thin.focal_length[0]])
             met = focus * moved
             return (
@@ -176,7 +177,7 @@ def _ends(points: Floats) -> Floats:
 def situation(
     design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
 ) -> LitSheet:
-    """A cell of a design's window lit from one direction; what cannot be is refused.
+    """A cell of a design's window lit from one direction; invalid requests are refused.
 
     Parameters
     ----------
@@ -186,12 +187,12 @@ def situation(
     wavelength : float or None, metres
         None: the design's.
     field_lens : bool
-        As if a lens stood at the common focus.
+        As if a lens were mounted at the common focus.
 
     Raises
     ------
     BadRequest
-        A wavelength or angle that cannot be, or a direction that no light obeys the law of.
+        An invalid wavelength or angle, or a direction for which no light obeys the law.
     LimitRefused, DesignError, NoSuchLens
     """
     from clacad.exporting.limits import refuse_uncountable

@@ -1,8 +1,9 @@
-"""Waves through a sheet's telescopelet in one direction, held beside its rays.
+"""Waves through a sheet's telescopelet in one direction, compared with its rays.
 
-*Which way.* From Fresnel number 10 on, and with foci between the lenses, the pupil method: there lens 1's rim is imaged
-sharply enough on lens 2. Below, or where a focus is virtual and lens 1's rim is nowhere imaged, the angular spectrum of
-the ideal pair. Both are given where both can be computed; `far_field` is the one that holds.
+*Choice of method.* From Fresnel number 10 on, and with foci between the lenses, the pupil method: lens 1's
+rim is then imaged sharply enough on lens 2. Below, or where a virtual focus leaves lens 1's rim without an
+image, the angular spectrum of the ideal pair. Both are given where both can be computed; `far_field` is the
+valid one.
 """
 
 from __future__ import annotations
@@ -25,32 +26,34 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 SECONDS = 0.15
-"""Processor seconds of the rest: the design prescribed, trial rays."""
+"""Processor seconds of all other work: prescription of the design, trial rays."""
 
 SECONDS_TO_CHOOSE = 0.6
-"""Processor seconds it takes besides to find the worst of cells that differ."""
+"""Processor seconds, in addition, to find the worst cell of a non-uniform sheet."""
 
 SECONDS_A_COLUMN = 7e-8
-"""Processor seconds that a ray takes in each cell that it passes over inside a body."""
+"""Processor seconds per ray and cell that it passes over inside a body."""
 
 MOST_COLUMNS = 1000
-"""Cells that light may pass over inside a body; of that many the rays take some ten seconds."""
+"""Largest number of cells that light may pass over inside a body; the rays then take about ten seconds."""
 
 SECONDS_A_POINT = 0.25e-6
-"""Processor seconds that a point of a grid takes on the reference machine, both planes and the way between them."""
+"""Processor seconds per grid point on the reference machine, for both planes and the propagation between
+them.
+"""
 
 
 def wave(
     design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
 ) -> WaveReport:
-    """Light as a wave through one telescopelet of a design: far field, Strehl ratio, share, beside the rays.
+    """Wave through one telescopelet of a design: far field, Strehl ratio, share, compared with rays.
 
     Parameters
     ----------
     design : Design
     field : (x, y), radians
-        Angles of the incident light off the middle of the field, along the sheet's x and y; where cells differ, of that of the
-        worst cell.
+        Angles of the incident light off the middle of the field, along the sheet's x and y. In a non-uniform
+        sheet the field is that of the worst cell.
     wavelength : float or None, metres
         None: the design's, 550 nm where it gives a bare index.
     field_lens : bool
@@ -63,10 +66,10 @@ def wave(
     Raises
     ------
     BadRequest
-        A direction that no light obeys the law of, a wavelength outside the material's data, or a field lens where the
-        focus is virtual.
+        A direction for which no light obeys the law, a wavelength outside the material's data, or a field
+        lens where the focus is virtual.
     LimitRefused
-        The way that holds needs a larger grid than is computed; says which.
+        The valid method needs a larger grid than is computed; the message names the method.
     DesignError, NoSuchLens
         The design cannot be built.
     """
@@ -74,7 +77,7 @@ def wave(
 
 
 def look(lit: LitSheet, name: str) -> WaveReport:
-    """As `wave`, of a window lit from one direction."""
+    """As `wave`, for a window lit from one direction."""
     try:
         return _look(lit, name)
     except ValueError as why:
@@ -82,7 +85,7 @@ def look(lit: LitSheet, name: str) -> WaveReport:
 
 
 def _columns(lit: LitSheet) -> float:
-    """Cells that the light passes over inside a body.
+    """Number of cells that the light passes over inside a body.
 
     Raises
     ------
@@ -109,7 +112,7 @@ def _look(lit: LitSheet, name: str) -> WaveReport:
         refused["pupil"] = lit.unsuited
     try:
         thin, thin_share = _thin(lit)
-    except (LimitRefused, ValueError) as why:  # too large a grid, or crossed field lenses over turned cells
+    except (LimitRefused, ValueError) as why:  # too large a grid, or crossed field lenses over rotated cells
         if not lit.pupil_suits:
             raise
         refused["angular spectrum"] = f"{why}; shares are those of rays"
@@ -127,7 +130,7 @@ def _look(lit: LitSheet, name: str) -> WaveReport:
 
 
 def outlook(lit: LitSheet) -> dict[str, float]:
-    """What `look` would take: rays and points along a side, processor seconds, bytes.
+    """Forecast of `look`: rays and points along a side, processor seconds, bytes.
 
     Raises
     ------
@@ -161,7 +164,7 @@ def outlook(lit: LitSheet) -> dict[str, float]:
 
 
 def _thin(lit: LitSheet) -> tuple[FarField, float]:
-    """Far field and share of the ideal pair: axis by axis where cells allow, else on a square grid."""
+    """Far field and share of the ideal pair: axis by axis where cells allow it, else on a square grid."""
     widths = np.ptp(lit.lit, axis=0)
     if lit.along_axes:
         x, y = (propagate(lit.planes((k,)), (lit.slope[k],), lit.wave) for k in (0, 1))

@@ -1,4 +1,4 @@
-"""What waves through one telescopelet show: the report, its JSON, and its picture with the rays along both lens axes."""
+"""Report of waves through one telescopelet: numbers, JSON, picture with the rays along both lens axes."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ STYLE = {"font.size": 9.0, "svg.hashsalt": "clacad", "svg.fonttype": "path"}
 INK, WAVES, IDEAL, RAYS = "#1c2733", "#1b6ca8", "#8b98a5", "#c2571a"
 
 LOBES = 4.0
-"""Widths λ/w that are shown on either side of the law, at least."""
+"""Least number of widths λ/w shown on either side of the law."""
 
 BINS = 60
-"""Of the rays."""
+"""Number of bins of the rays' histogram."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,25 +34,25 @@ class WaveReport:
     design : str
     wavelength : float, metres
     slope : (x, y)
-        Of the incident light along lens x and y.
+        Slope of the incident light along lens x and y.
     fresnel : (x, y)
         Fresnel numbers along the middle of the field.
     slit : (x, y), radians
-        λ over the width that is lit of lens 2.
+        λ over the lit width of lens 2.
     order : (x, y), radians
-        Steps between the directions that equal cells send coherent light to, λ/p on a square lattice.
+        Angles between the directions into which identical cells send coherent light, λ/p on a square lattice.
     field_lens : bool
     exact, thin : FarField or None
         Pupil method and angular spectrum; None where it could not be computed.
     rays : RaySpread
-        Through the exact surfaces.
+        By exact trace through the surfaces.
     thin_share, thin_share_of_rays : float
         Light to the partner through ideal lenses as waves (NaN where not computed), and as rays.
     refused : mapping of way to sentence
     cell : (i, j) or None
-        Whose light it is, where cells differ: that which the sheet is judged by.
-    tried : int
-        Of how many cells it is the worst.
+            The lit cell of a non-uniform sheet: the one by which the sheet is judged.
+        tried : int
+            Number of cells of which it is the worst.
     """
 
     design: str
@@ -73,16 +73,17 @@ class WaveReport:
 
     @property
     def far_field(self) -> FarField:
-        """The one that holds here: the pupil's wherever it was computed."""
+        """The valid far field: the pupil's wherever it was computed."""
         found = self.exact or self.thin
         assert found is not None, "one of them was computed, or `wave` raised"
         return found
 
     @property
     def share(self) -> float:
-        """Of the light on lens 1's optical zone that leaves through the partner, aberration and diffraction counted.
+        """Share of the light on lens 1's optical zone that leaves through the partner.
 
-        Rays through the exact surfaces times what waves change in it through ideal lenses.
+        It includes aberration and diffraction: the share of rays through the exact surfaces times the change
+        by waves through ideal lenses.
         """
         change = self.thin_share / self.thin_share_of_rays if np.isfinite(self.thin_share) else 1.0
         return self.thin_share if self.exact is None else min(1.0, self.rays.share * change)
@@ -104,7 +105,7 @@ class WaveReport:
 
 
 def draw(figure: Figure, found: WaveReport) -> None:
-    """Draw on a figure that is given."""
+    """Draw on a given figure."""
     for k, axes in enumerate(figure.subplots(1, 2)):
         axis(axes, found, k)
     one = "one telescopelet" if found.cell is None else f"cell ({found.cell[0]}, {found.cell[1]})"
@@ -115,7 +116,7 @@ def draw(figure: Figure, found: WaveReport) -> None:
 
 
 def axis(axes: Axes, found: WaveReport, k: int) -> None:
-    """Draw one lens axis, k = 0 or 1, on axes that are given."""
+    """Draw one lens axis, k = 0 or 1, on given axes."""
     rays = found.rays.off[:, k]
     reach = max(LOBES * found.slit[k], 1.2 * float(np.abs(rays).max(initial=0.0)))
     scale = found.slit[k]
@@ -129,7 +130,7 @@ def axis(axes: Axes, found: WaveReport, k: int) -> None:
     counts, edges = np.histogram(rays, BINS, (-reach, reach))
     height = counts / max(1, len(rays)) / (edges[1] - edges[0]) * scale
     axes.stairs(height, 1e3 * edges, color=RAYS, fill=True, alpha=0.25, label="rays, exact surfaces")
-    if height.max(initial=0.0) > 2.0:  # rays of a good pair stand in one place: let the waves be seen
+    if height.max(initial=0.0) > 2.0:  # rays of a good pair share one direction: keep the waves visible
         axes.set_ylim(0.0, 2.0)
     axes.axvline(0.0, color=INK, lw=0.6)
     axes.set_xlabel(f"off the law along lens {'xy'[k]} / mrad")

@@ -1,4 +1,4 @@
-"""What runs the effects: plan, passes over blocks, bounds, split and followed paths, light for a camera.
+"""Engine of the effects: plan, passes over blocks, bounds, split and followed paths, light for a camera.
 
 Each effect's own physics is in its file one folder up.
 """

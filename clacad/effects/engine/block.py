@@ -1,4 +1,4 @@
-"""A block of rays under the effects' passes, and what each face did to its rays."""
+"""A block of rays for the effects' passes, and its crossings of each face."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class FaceCrossing:
 
 @dataclass(eq=False)
 class RayBlock:
-    """A block of traced rays under the passes: columns are changed in place.
+    """A block of traced rays for the passes, which change its columns in place.
 
     Attributes
     ----------
@@ -43,12 +43,12 @@ class RayBlock:
         As launched.
     result : TraceResult
         Its direction, position, optical_path and flux may be written; fate, cell, order and surface are
-        geometry and stay.
+        geometry and must not change.
     rung : str
     wavelength : float or None, metres
         Of all rays of the block; None: the design wavelength.
     compiled : bool
-        The tracer's compiled kernels are at work, so compiled passes may be.
+        Whether the tracer uses compiled kernels, so that compiled passes may run.
     """
 
     window: Window
@@ -58,7 +58,7 @@ class RayBlock:
     wavelength: float | None
     compiled: bool = False
     state: dict[str, Any] = field(default_factory=dict)
-    """What passes of one effect keep from face to face."""
+    """Data that passes of one effect keep from face to face."""
 
     def index(self, body: Body) -> float:
         """Refractive index of a body for this block."""
@@ -89,11 +89,11 @@ class RayBlock:
 
 
 def crossings(block: RayBlock) -> Iterator[FaceCrossing]:
-    """Every face the block's rays went through, in the order of the light.
+    """Every face that the block's rays crossed, in the order of the light.
 
-    On rungs surfaces and mesh these are the faces. Law and thin have none: there each lens stands as a plane
-    plate across the lens axis, met as the ray arrives at lens 1 and as it leaves lens 2, which is exact for
-    light through the lens centres.
+    On rungs surfaces and mesh these are the faces. Law and thin have no faces: each lens is represented by a
+    plane plate across the lens axis, crossed as the ray arrives at lens 1 and as it leaves lens 2. That is
+    exact for light through the lens centres.
     """
     if block.rung in ("law", "thin"):
         yield from plate_crossings(block)
@@ -112,7 +112,10 @@ def crossings(block: RayBlock) -> Iterator[FaceCrossing]:
 
 
 def crossed(result: TraceResult, face: int, point: Floats) -> Bools:
-    """Which rays (n,) went through a face at `point` (n, 3): they met it, elsewhere than the last, and did not end there."""
+    """Rays (n,) that crossed a face at `point` (n, 3): it differs from their last point.
+
+    They did not end there.
+    """
     assert result.hits is not None
     ended = (result.fate >= Fate.TIR) & (result.surface == face)
     met = (result.surface >= face) & (result.fate < Fate.MISSED)
@@ -121,7 +124,7 @@ def crossed(result: TraceResult, face: int, point: Floats) -> Bools:
 
 
 def plate_crossings(block: RayBlock) -> Iterator[FaceCrossing]:
-    """Crossings of the plates that stand for the lenses on rungs law and thin."""
+    """Crossings of the plates that represent the lenses on rungs law and thin."""
     result = block.result
     through = None if bool((result.fate <= Fate.GHOST).all()) else block.emerging()
     start, end = unit_rows(block.rays.direction), result.direction
@@ -138,7 +141,7 @@ def plate_crossings(block: RayBlock) -> Iterator[FaceCrossing]:
         index = block.index(body)
         inside = inside_plate(ray, axis, index)
         if body is last:
-            yield FaceCrossing(start, end, 1.0, 1.0, through)  # the lenses' turn costs nothing
+            yield FaceCrossing(start, end, 1.0, 1.0, through)  # the deflection by the lenses loses no light
         yield FaceCrossing(ray, inside, 1.0, index, through)
         yield FaceCrossing(inside, ray, index, 1.0, through)
 
@@ -166,7 +169,10 @@ def lens_slopes(block: RayBlock) -> tuple[Floats, Floats]:
 
 
 def bend(block: RayBlock, slopes: Floats, rows: Bools) -> None:
-    """Set the exit direction of some rays (n,) from lens-frame slopes (n, 2); those turned back keep theirs."""
+    """Set the exit direction of some rays (n,) from lens-frame slopes (n, 2).
+
+    Rays turned back are unchanged.
+    """
     out = np.column_stack([slopes[rows], np.ones(int(rows.sum()))]) @ block.window.thin.rotation.T
     out /= np.sqrt((out * out).sum(axis=1))[:, None]
     chosen = np.flatnonzero(rows)

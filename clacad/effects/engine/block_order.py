@@ -1,4 +1,4 @@
-"""Blocks of rays on their way through the tracer and back into the order of launch."""
+"""Results of ray blocks, collected in the order of launch."""
 
 from __future__ import annotations
 
@@ -22,10 +22,13 @@ _ROOM = local()
 
 
 class OrderedResult:
-    """Results of blocks on their way back into the order of launch."""
+    """Results of blocks, stored in the order of launch."""
 
     def __init__(self, count: int, window: Window, direct: bool | None) -> None:
-        """`direct`: the compiled tracer writes slices of the whole itself, with hits recorded or not."""
+        """`direct`: the compiled tracer writes slices of the whole itself (True: with hits recorded).
+
+        None: it does not.
+        """
         self.count, self.window = count, window
         self.columns: dict[str, Any] = {}
         self.whole: TraceResult | None = None
@@ -48,7 +51,7 @@ class OrderedResult:
     def traced_with_losses(
         self, rows: slice, rays: Rays, wavelength: float | None, lossy: Sequence[Effect]
     ) -> TraceResult:
-        """Trace a block and count the light lost on the way; rays that had to be walked have it counted afterwards."""
+        """Trace a block with the losses on the way; rays that had to be walked get theirs afterwards."""
         from clacad.effects.engine.compiled_passes import Traced, losses_pass
 
         bodies = self.window.bodies
@@ -73,7 +76,10 @@ class OrderedResult:
     def traced(
         self, rows: slice, rays: Rays, indices: tuple[float, ...], faces: int, more: int = 0
     ) -> TraceResult:
-        """Trace a block into its slice, hits kept at so many faces; see `trace_chunk` for the indices."""
+        """Trace a block into its slice, with the hits at the first `faces` faces kept.
+
+        See `trace_chunk` for the indices.
+        """
         from clacad.tracing.compiled.surfaces import trace_compiled
         from clacad.tracing.layout import lay_out
         from clacad.tracing.ledger import Ledger
@@ -90,7 +96,7 @@ class OrderedResult:
         return ledger.closed()
 
     def lent(self, name: str, faces: int, count: int) -> Floats:
-        """Room (faces, count, 3) for one block's hits, used again by the thread's next: fresh pages cost as much as a pass."""
+        """Buffer (faces, count, 3) for a block's hits, reused by the thread: allocating costs a pass's time."""
         size = faces * count * 3
         room: Floats | None = getattr(_ROOM, name, None)
         if room is None or len(room) < size:

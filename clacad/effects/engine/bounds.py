@@ -1,4 +1,4 @@
-"""What the planner looks at: the rays a scene sends to the sheet, and the bound an effect draws from them."""
+"""Input of the planner: a scene's rays on the sheet, and the bound that an effect derives from them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 
 PROBE = 4096
-"""Rays of the probe trace."""
+"""Number of rays of the probe trace."""
 
 DOUBT = 3.0
 """Standard errors added to a share counted on the probe: one bound in a thousand is then too small."""
@@ -22,14 +22,14 @@ DOUBT = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """What is left out when an effect is off.
+    """Bound of the error made without an effect.
 
     Attributes
     ----------
     angle : float, radians
-        Largest change of direction; 0 where the effect turns nothing.
+        Largest change of direction; 0 for an effect that changes no direction.
     radiance : float
-        Largest relative change of radiance, averaged over the rays; 0 where it takes and adds none.
+        Largest relative change of radiance, averaged over the rays; 0 for an effect without losses or gains.
     why : str
         One sentence with numbers.
     cost : float
@@ -53,25 +53,26 @@ class Situation:
     ----------
     window : Window
     setting : Setting
-        Parameters of the effects as the scene has them.
+        Parameters of the effects in the scene.
     rays : Rays
-        Probe rays as the camera sends them, at most `PROBE` used.
+        Probe rays from the camera, at most `PROBE` used.
     angle, radiance : float
         Smallest change that matters: radians, relative radiance.
     contrast : float
         Brightest over mean radiance of the scene behind the sheet.
     front : float
-        Mean radiance of the world on the camera's side over that behind the sheet.
+        Mean radiance on the camera's side of the sheet over that behind the sheet.
     near, far : float, lengths
-        Range of distances from the camera of what is seen (depth of field).
+        Range of distances from the camera of visible objects (depth of field).
     sheet_distance : float, length
         From the camera to the sheet; inf for parallel light.
     pixel : float, radians
         Angle of a pixel; 0 without a camera.
     spread : float
-        Tangent of the half angle of the cone sent about the middle of the field; 0 where a camera sends the rays.
+        Tangent of the half angle of the cone of rays about the middle of the field; 0 for rays of a camera.
     stand_ins : tuple of ((i, j), Situation)
-        Where cells differ: sheets of equal cells like some of them, with the light that comes to those; see `stand_ins`.
+        For a non-uniform sheet: uniform equivalents of some cells, with the light that reaches them; see
+        `stand_ins`.
     """
 
     window: Window
@@ -91,19 +92,19 @@ class Situation:
 
     @cached_property
     def probe(self) -> TraceResult:
-        """The probe rays through the exact surfaces, hits kept."""
+        """The probe rays through the exact surfaces, with hits."""
         from clacad.tracing.trace import trace
 
         return trace(self.window, self.rays, "surfaces", record=True, path="size")
 
     @cached_property
     def met(self) -> NDArray[np.intp]:
-        """Rows (m,) of the probe rays that meet the sheet."""
+        """Rows (m,) of the probe rays that hit the sheet."""
         return np.flatnonzero(self.probe.fate < Fate.MISSED)
 
     @cached_property
     def kept(self) -> dict[str, float]:
-        """What effects worked out from this very situation; a changed one begins anew."""
+        """Cache of effects' results for this situation; a changed situation starts with an empty one."""
         return {}
 
     def share(self, *fates: Fate) -> float:
@@ -121,24 +122,24 @@ class Situation:
 
     @cached_property
     def directions(self) -> Floats:
-        """Unit directions (m, 3) of the probe rays that meet the sheet."""
+        """Unit directions (m, 3) of the probe rays that hit the sheet."""
         ray = self.rays.direction[self.met]
         return np.asarray(ray / np.linalg.norm(ray, axis=1)[:, None])
 
     @cached_property
     def slopes(self) -> Floats:
-        """Slopes (m, 2) of those rays in the lens frame."""
+        """Slopes (m, 2) of the probe rays that hit the sheet, lens frame."""
         turned = self.directions @ self.window.thin.rotation
         return np.asarray(turned[:, :2] / turned[:, 2:])
 
     @property
     def faces(self) -> int:
-        """Optical faces that light crosses."""
+        """Number of optical faces that light crosses."""
         return 2 * len(self.window.bodies)
 
     @property
     def wavelengths(self) -> tuple[float, ...]:
-        """Lines of the light, metres; the design wavelength where the scene says nothing."""
+        """Lines of the light, metres; the design wavelength if the scene has none."""
         if self.setting.wavelengths:
             return self.setting.wavelengths
         return () if self.window.wavelength is None else (self.window.wavelength,)

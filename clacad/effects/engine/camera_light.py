@@ -1,10 +1,10 @@
 """The light a picture needs: for every camera ray, the rays that carry radiance to it.
 
-A trace gives one row a ray. A picture may need more than one (a ghost on the homogeneous sheet, a split path) or
-none (a ghost that is not shown). `light_reaching_camera` gives them as one flat list.
+A trace gives one row per ray. A picture may need more than one (a ghost on the homogeneous sheet, a split
+path) or none (a ghost that is not shown). `light_reaching_camera` returns them as one flat list.
 
-Rung law has no cells: there every ray carries the closed-form share of the light that stays with its partner, and
-with `ghosts` one further ray a ghost order (`clacad.effects.engine.homogeneous_light`).
+Rung law has no cells: every ray carries the closed-form share of the light that stays with its partner, and
+with `ghosts` one further ray per ghost order (`clacad.effects.engine.homogeneous_light`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ from clacad.sheet.need_window import need_one_eta
 from clacad.sheet.window import Window
 
 MANY = 50_000
-"""Rays above which split paths are compiled: loading the code costs as much as following some thousand rays."""
+"""Number of rays above which split paths are compiled: loading the code costs as much as some thousand
+rays.
+"""
 
 
 def light_reaching_camera(
@@ -39,7 +41,7 @@ def light_reaching_camera(
     setting: Setting | None = None,
     **options: Any,
 ) -> tuple[LightRays, TraceResult]:
-    """Trace camera rays and give the light that they see.
+    """Trace camera rays and return the light that they collect.
 
     Parameters
     ----------
@@ -81,6 +83,6 @@ def light_reaching_camera(
 
 
 def shining(result: TraceResult, names: Sequence[str]) -> Bools:
-    """Which rows of a trace shine, given the effects that are on, (n,)."""
+    """Which rows of a trace carry light, given the effects that are on, (n,)."""
     fates = {Fate.ALIVE, Fate.LAND, *(kind.shows for kind in declared_all(names) if kind.shows is not None)}
     return np.isin(result.fate, list(fates)) & (result.flux > 0.0)

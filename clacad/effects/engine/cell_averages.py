@@ -1,4 +1,4 @@
-"""Averages over a cell that some effects need: thickness of a body, height of its steps."""
+"""Averages over a cell for some effects: thickness of a body, height of its steps."""
 
 from __future__ import annotations
 
@@ -27,10 +27,12 @@ def cell_points(window: Window) -> Floats:
 
 
 def mean_thickness(window: Window, body: Body) -> float:
-    """Mean extent of a body along z where light near the axis passes it, length; of a sample of cells where they differ.
+    """Mean extent of a body along z for light near the axis, length.
 
-    Lens 1's light arrives at lens 2 as a copy scaled by m = −f2/f1 per meridian: of lens 2 only |m| is lit where
-    |m| < 1, of lens 1 only 1/|m| is seen where |m| > 1.
+    In a non-uniform sheet of a sample of cells.
+
+    Lens 1's light arrives at lens 2 as a copy scaled by m = −f2/f1 per meridian. Only |m| of lens 2 is lit
+    where |m| < 1; only 1/|m| of lens 1 is transmitted where |m| > 1.
     """
     if not window.uniform:
         return _over_cells(window, window.bodies.index(body))
@@ -67,8 +69,8 @@ def _heights(window: Window, body: Body, x: Floats, y: Floats) -> tuple[Floats, 
 def mean_steps(window: Window) -> float:
     """Σ over faces and cell directions of mean step height over the cell's width.
 
-    Where two cells meet, both show their own height of the face along the common border; light of slope t loses
-    at most about t times the mean step over the pitch there.
+    Where two cells meet, both have their own height of the face along the common border. Light of slope t
+    loses at most about t times the mean step over the pitch there.
     """
     lattice = window.lattice
     total = 0.0

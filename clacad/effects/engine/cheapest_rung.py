@@ -1,4 +1,4 @@
-"""The cheapest rung that shows a scene as the exact surfaces would, within what it tolerates."""
+"""The cheapest rung whose picture of a scene agrees with the exact surfaces within the tolerance."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from clacad.sheet.vignetting import focal_ratio, thin_cells
 from clacad.sheet.window import Window
 
 COVERED = 2.0
-"""Lenslets across a pixel from which on a picture cannot show them singly."""
+"""Number of lenslets across a pixel from which on a picture does not resolve them."""
 
 
 def choose_rung(situation: Situation, asked: str) -> tuple[Rung, str]:
-    """The asked rung, or with "auto" the cheapest that leaves out less than matters, and why.
+    """The requested rung, or for "auto" the cheapest whose error does not matter, and the reason.
 
     Notes
     -----
-    Law, the homogeneous sheet with the closed-form share of the light: lenslets unresolved, its direction and its
-    share right on the scene's own rays, the light's sideways step at the sheet below what matters. Thin: its
-    directions and fates right on those rays. Else the exact surfaces.
+    Law, the homogeneous sheet with the closed-form share of the light, requires: unresolved lenslets,
+    direction and share correct on the scene's own rays, and a negligible lateral displacement of light at the
+    sheet. Thin requires correct directions and fates on those rays. Otherwise the exact surfaces are used.
     """
     if asked != "auto":
         return cast("Rung", asked), "as asked"
@@ -45,7 +45,7 @@ def choose_rung(situation: Situation, asked: str) -> tuple[Rung, str]:
 
 
 def homogeneous(situation: Situation) -> tuple[str, str]:
-    """Why the homogeneous sheet would not do ("" where it does), and why it does."""
+    """Reason against the homogeneous sheet ("" if none), and reason for it."""
     window = situation.window
     if window.many_sizes:
         return "light of a cell that meets a neighbour's lens 2, of another size, obeys no law", ""
@@ -70,7 +70,7 @@ def homogeneous(situation: Situation) -> tuple[str, str]:
 
 
 def share_gap(situation: Situation) -> float:
-    """Difference of the partner's share, closed form against counted, mean over the scene's rays."""
+    """Difference of the partner's share, closed form minus counted, mean over the scene's rays."""
     from clacad.effects.engine.homogeneous_light import shares
 
     cells = thin_cells(situation.window)
@@ -80,7 +80,7 @@ def share_gap(situation: Situation) -> float:
 
 
 def cells_met(window: Window, rays: Rays) -> Ints:
-    """Cells (n, 2) of array 0 that rays cross in z = 0."""
+    """Cells (n, 2) of array 0 in which rays cross z = 0."""
     step = rays.position[:, 2:] / rays.direction[:, 2:]
     return window.lattice.locate(*(rays.position[:, :2] - step * rays.direction[:, :2]).T)[0]
 

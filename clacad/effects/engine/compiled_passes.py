@@ -1,7 +1,7 @@
 """The passes over faces, compiled: one loop over the rays of a block, all faces of a ray at once.
 
-Twins of the numpy passes in `fresnel`, `absorption` and `polarisation` (bare faces); the same closed forms in
-D·D' and nothing else. Loaded only where the tracer's compiled kernels are.
+Compiled versions of the numpy passes in `fresnel`, `absorption` and `polarisation` (bare faces), with the
+same closed forms in D·D'. Loaded only together with the tracer's compiled kernels.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ GHOST, TIR, MISSED = int(Fate.GHOST), int(Fate.TIR), int(Fate.MISSED)
 
 
 class Traced(NamedTuple):
-    """What a trace recorded, and the refractive indices on the way.
+    """Record of a trace, and the refractive indices along it.
 
     Attributes
     ----------
     start, ray : (n, 3)
         As launched, directions of any length.
     hits, turns : (f, n, 3)
-        Where each face was met and the direction behind it.
+        Point at which each face was hit and the direction behind it.
     fate : (n,) bytes, last : (n,) ints
-        What became of the ray, and the last face it met.
+        Fate of the ray, and the last face that it hit.
     indices : (f + 1,)
         Refractive index before the first face and behind each.
     """
@@ -43,7 +43,7 @@ class Traced(NamedTuple):
 
 @exact
 def crosses(traced: Traced, k: int, row: int) -> bool:
-    """Whether a ray went through face k: it met it at another place than the one before, and did not end there."""
+    """Whether a ray crossed face k: its hit differs from the one before, and it did not end there."""
     fate, last = traced.fate[row], traced.last[row]
     if fate <= GHOST:
         return True
@@ -66,9 +66,9 @@ def deviation(before: Vector, after: Vector) -> float:
 
 @exact
 def reflected(turn: float, n1: float, n2: float) -> float:
-    """Share of unpolarised light that a bare face reflects where the passage turns the ray by 1 − D·D' = turn.
+    """Share of unpolarised light reflected at a bare face that deflects the ray by 1 − D·D' = turn.
 
-    The one compiled twin of `clacad.optics.surface.fresnel_coefficients.amplitudes`.
+    The only compiled version of `clacad.optics.surface.fresnel_coefficients.amplitudes`.
     """
     step = (n2 - n1) * (n2 + n1)
     if step == 0.0:
@@ -81,7 +81,7 @@ def reflected(turn: float, n1: float, n2: float) -> float:
 
 @exact
 def fresnel_share(traced: Traced, row: int) -> float:
-    """Share of unpolarised light that the bare faces which one ray crossed let through; see `fresnel_pass`."""
+    """Share of unpolarised light that all bare faces crossed by one ray transmit; see `fresnel_pass`."""
     ray, turns, index = traced.ray, traced.turns, traced.indices
     x, y, z = ray[row, 0], ray[row, 1], ray[row, 2]
     length = 1.0 / sqrt(x * x + y * y + z * z)
@@ -97,14 +97,14 @@ def fresnel_share(traced: Traced, row: int) -> float:
 
 @entry
 def fresnel_pass(traced: Traced, flux: Floats) -> None:
-    """Multiply each ray's flux (n,) by what bare faces let through of unpolarised light."""
+    """Multiply each ray's flux (n,) by the transmission of bare faces for unpolarised light."""
     for row in range(len(flux)):
         flux[row] *= fresnel_share(traced, row)
 
 
 @exact
 def absorbed(hits: Floats, rates: Floats, row: int) -> float:
-    """Share of one ray that bodies of these attenuations (b,) let through between its hits (2 b, n, 3)."""
+    """Share of one ray that bodies of these attenuations (b,) transmit between its hits (2 b, n, 3)."""
     depth = 0.0
     for b in range(len(rates)):
         square = 0.0
@@ -117,14 +117,14 @@ def absorbed(hits: Floats, rates: Floats, row: int) -> float:
 
 @entry
 def absorption_pass(hits: Floats, rates: Floats, flux: Floats) -> None:
-    """Multiply each ray's flux by exp(−Σ rate · length) over the bodies (b,) that its hits (2 b, n, 3) bound."""
+    """Multiply each ray's flux by exp(−Σ rate · length) over the bodies (b,) between its hits (2 b, n, 3)."""
     for row in range(len(flux)):
         flux[row] *= absorbed(hits, rates, row)
 
 
 @entry
 def losses_pass(traced: Traced, rates: Floats, reflects: bool, flux: Floats) -> None:
-    """Give a flux to the rays that have none (NaN), from their hits: those that the straight trace did not hold for."""
+    """Compute the flux of rays without one (NaN) from their hits; the straight trace failed for them."""
     for row in range(len(flux)):
         if flux[row] == flux[row]:
             continue
@@ -144,10 +144,11 @@ def across(wx: float, wy: float, x: float, y: float, z: float) -> Vector:
 
 @exact
 def carried(field: Vector, before: Vector, after: Vector, n1: float, n2: float) -> Vector:
-    """Carry the field E over a face that turns the ray D into D'.
+    """Carry the field E over a face that deflects the ray D into D'.
 
     Snell's law makes τ_s = τ_p D·D', so that τ_p (D·D' E − (E·D') D) is the field behind the face: its part across
-    the plane of incidence times τ_s, the rest turned and times τ_p. τ_p² = 4 n1 n2 (n2 c − n1)(n2 − n1 c)/(n2² − n1²)² c².
+    the plane of incidence times τ_s, the rest rotated and times τ_p.
+    τ_p² = 4 n1 n2 (n2 c − n1)(n2 − n1 c)/(n2² − n1²)² c².
     """
     (a, b, c), (x, y, z), (u, v, w) = field, before, after
     turn = deviation(before, after)
@@ -161,7 +162,9 @@ def carried(field: Vector, before: Vector, after: Vector, n1: float, n2: float) 
 
 @entry
 def polarisation_pass(traced: Traced, analyser: Floats, polariser: Floats, flux: Floats) -> None:
-    """Multiply each ray's flux by what polariser, faces and analyser pass; see `clacad.effects.polarisation`.
+    """Multiply each ray's flux by the transmission of polariser, faces and analyser.
+
+    See `clacad.effects.polarisation`.
 
     Parameters
     ----------

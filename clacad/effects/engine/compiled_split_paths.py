@@ -1,9 +1,10 @@
 """Split paths, compiled: partial reflections followed from lens to lens.
 
-The quick twin of `clacad.effects.engine.nonsequential` for light that went through lenses only: from every recorded hit a part is
-reflected, meets the faces it came through again, each in the lenslet it stands before or on the flat border, and is
-reflected forward once more. What a walk would have to decide (steps between lenslets, seams, the sheet's edge, total
-reflection) ends the path here; that is a few per cent of light that is itself a few per cent.
+The fast version of `clacad.effects.engine.nonsequential` for light that passed lenses only. From every
+recorded hit a part is reflected back through the faces it came through, each in the lenslet before it or on
+the flat border, and is reflected forward once more. Cases that need a walk end the path here: steps between
+lenslets, seams, the sheet's edge, total reflection. That is a few per cent of light that is itself a few per
+cent.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from clacad.tracing.compiled.records import Ray, Vector
 
 
 class Passing(NamedTuple):
-    """What faces and bodies do to light of one wavelength.
+    """Properties of faces and bodies for light of one wavelength.
 
     Attributes
     ----------
@@ -58,7 +59,10 @@ class SplitPaths(NamedTuple):
 
 @exact
 def reflected_share(turn: float, n1: float, n2: float, layer: float) -> float:
-    """Share of unpolarised light reflected where a passage turns the ray by 1 − D·D' = turn; layer as in `Passing`."""
+    """Share of unpolarised light reflected at a face that deflects the ray by 1 − D·D' = turn.
+
+    Layer as in `Passing`.
+    """
     if layer == 0.0 or n1 == n2:
         return reflected(turn, n1, n2)
     square, c = (n2 - n1) * (n2 - n1), 1.0 - turn
@@ -88,7 +92,10 @@ def _cell_of(lat: Floats, array: int, x: float, y: float) -> tuple[float, float,
 
 @exact
 def meet_lens_or_land(sheet: Packed, k: int, ray: Ray) -> tuple[float, Vector]:
-    """Distance to face k along a ray of the sheet's frame and the unit normal there; NaN where the walk must decide."""
+    """Distance to face k along a ray of the sheet's frame and the unit normal there.
+
+    NaN where a walk is needed.
+    """
     t, normal = meet_lens(sheet, k, ray)
     face, b, lat = sheet.faces[k], k // 2, sheet.lattice
     if t == t or face[slot.ARRAY] < 0.0 or lat[slot.OPAQUE] != 0.0:
@@ -145,7 +152,7 @@ def meet_lens(sheet: Packed, k: int, ray: Ray) -> tuple[float, Vector]:
         if in_zone(lat, cx + on * u, cy + on * v, lat[slot.MARGIN]):
             buried = (
                 pz + on * w - (face[slot.LAND] + level)
-            ) * side > 0.0  # never so for NaN, a face without land
+            ) * side > 0.0  # never true for NaN, a face without land
             if buried or not kept(lat, sheet.rows, i, j):
                 return np.nan, normal
             return t_hit, normal
@@ -178,7 +185,7 @@ def through(
 
 @exact
 def forward(sheet: Packed, k: int, ray: Ray, flux: float, passing: Passing) -> tuple[float, Ray]:
-    """Light going on from behind face k − 1 through faces k, k + 1, …: its share and ray behind the last."""
+    """Follow light from behind face k − 1 through faces k, k + 1, …: its share and ray behind the last."""
     for face in range(k, len(sheet.faces)):
         n1, n2 = passing.indices[face], passing.indices[face + 1]
         t, ray, lost, _ = through(sheet, face, ray, n1, n2, passing.layer)
@@ -194,7 +201,7 @@ def forward(sheet: Packed, k: int, ray: Ray, flux: float, passing: Passing) -> t
 def _way_back(
     sheet: Packed, passing: Passing, order: int, k: int, part: float, ray: Ray, paths: SplitPaths, i: int
 ) -> None:
-    """Light reflected at face k of the ray in row i on its way back, and what each face it meets sends forward again."""
+    """Follow light reflected back at face k of row i, and its forward reflections at the faces it hits."""
     pair = len(sheet.faces) + k * (k - 1) // 2
     for face in range(k - 1, -1, -1):
         paths.flux[i, pair] = 0.0
@@ -220,7 +227,7 @@ def _way_back(
 
 @exact
 def _put(paths: SplitPaths, i: int, path: int, ray: Ray) -> None:
-    """Write where a path of row i ends."""
+    """Write the end of a path of row i."""
     position, direction = paths.position, paths.direction
     position[i, path, 0], position[i, path, 1], position[i, path, 2] = ray.x, ray.y, ray.z
     direction[i, path, 0], direction[i, path, 1], direction[i, path, 2] = ray.L, ray.M, ray.N
@@ -230,18 +237,18 @@ def _put(paths: SplitPaths, i: int, path: int, ray: Ray) -> None:
 def bounce_pass(
     sheet: Packed, passing: Passing, order: int, rows: Rows, start: Floats, hits: Floats, turns: Floats, paths: SplitPaths
 ) -> None:  # fmt: skip
-    """Split paths of rays whose every face was a lens.
+    """Split paths of rays that crossed lenses at every face.
 
     Parameters
     ----------
     order : 1 or 2
-        Reflections of a path at most.
+        Largest number of reflections in a path.
     rows : (m,)
         Rays to split.
     start : (n, 3)
         Unit directions as launched.
     hits, turns : (f, n, 3)
-        Where each face was met, and the direction behind it.
+        Point at which each face was hit, and the direction behind it.
     """
     index = passing.indices
     for i in range(len(rows)):

@@ -1,4 +1,4 @@
-"""An effect: when it runs, what it needs, and the passes it makes over a block of rays."""
+"""An effect: when it runs, its required data, and its passes over a block of rays."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ class Effect:
     finish : callable or None
         `finish(block)` after the last face, for effects at HIT that gather over the faces.
     compiled : callable or None
-        `compiled(block)`: the same as `apply` over all faces at once, by compiled code.
+        `compiled(block)`: `apply` over all faces at once, as compiled code.
     launch : callable or None
         `launch(window, rays)` → rays, at LAUNCH.
     rung : str or None
-        The rung the effect stands for (facets: mesh).
+        The rung that implements the effect (facets: mesh).
     options : mapping
         Keyword arguments of `trace` on that rung.
     losses : callable or None
-        `losses(wavelength)`: the same as the pass where the compiled tracer can count it on the way.
+        `losses(wavelength)`: the losses of the pass, where the compiled tracer can include them.
     colours : bool
         Whether the pass depends on the wavelength, so that a block may hold only one.
     """
@@ -77,27 +77,29 @@ def _never(_: Situation) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Declaration:
-    """What the package knows of an effect; its model, law and cost are in its module's docstring.
+    """Properties of an effect; its model, law and cost are in its module's docstring.
 
     Attributes
     ----------
     name : str
-        Word by which scenes and options name it; the name of its module.
+        Name in scenes and options; the name of its module.
     effect : callable
         `effect(window, setting)` → `Effect`, ready to run.
     bound : callable
-        `bound(situation)` → `Bound` of what is left out when the effect is off.
+        `bound(situation)` → `Bound` of the error made when the effect is off.
     measured : callable or None
-        `measured(situation)` → change of direction (radians) and of radiance (relative), from traces with and without the effect.
-        None: the direction is kept, and the radiance is that of the light reaching the camera.
+        `measured(situation)` → change of direction (radians) and of radiance (relative), from traces with and
+        without the effect. None: the direction is unchanged, and the radiance is that of the light reaching
+        the camera.
     shows : Fate or None
-        Fate of the rays that carry light with the effect and are black without it. Its bound is the share of those rays.
+        Fate of the rays that carry light with the effect and none without it. Their share is the bound.
     follows : bool
-        Whether rays of that fate are traced on, with every loss: such effects run last and have the last word on those rows.
+        Whether rays of that fate are traced on, with every loss. Such effects run last and their result is
+        final.
     splits : bool
         Whether one ray becomes several.
     includes : tuple of str
-        Effects whose losses on the straight path it counts itself.
+        Effects whose losses on the straight path are included in this one.
     loses : bool
         Whether faces reflect a share of the light.
     attenuations : callable or None
@@ -105,13 +107,13 @@ class Declaration:
     lines : bool
         Whether each wavelength of the light is traced by itself.
     waves : bool
-        Whether it calls for the light of one telescopelet as a wave.
+        Whether it requires the light of one telescopelet as a wave.
     rung : Rung or None
-        Rung that it replaces the exact surfaces by; that rung alone switches it.
+        Rung that replaces the exact surfaces; the effect is on exactly on that rung.
     stated : callable
-        `stated(situation)`: whether the scene states it, whatever its bound.
+        `stated(situation)`: whether the scene requests the effect, regardless of its bound.
     camera : bool
-        Whether the camera runs it, and not the trace of its rays.
+        Whether the camera implements it, and not the trace of its rays.
     """
 
     name: str

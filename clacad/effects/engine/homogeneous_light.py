@@ -1,8 +1,8 @@
-"""Light through the homogeneous sheet: the law's direction, with the share that lenslets would let through.
+"""Light through the homogeneous sheet: the law's direction, with the share that lenslets would transmit.
 
-Where a picture point covers many lenslets, a ray stands for the light of all of them: a share V goes where the law
-says, and shares V_m into ghost orders m, whose slopes differ from the law's by a constant. Both are closed forms of
-the thin pair (`clacad.sheet.vignetting`).
+Where a picture point covers many lenslets, one ray represents the light of all of them. A share V follows the
+law. Shares V_m go into ghost orders m, whose slopes differ from the law's by a constant. Both are closed
+forms of the thin pair (`clacad.sheet.vignetting`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FAINT = 1e-6
 
 
 def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> LightRays:
-    """Light of the rays that cross the sheet on rung law."""
+    """Light of the rays that pass the sheet on rung law."""
     rows = np.flatnonzero(result.fate == Fate.ALIVE)
     cells = thin_cells(window)
     slopes = cells.slopes(rays.direction[rows])
@@ -50,7 +50,7 @@ def _order(
     window: Window, cells: ThinCells, result: TraceResult, chosen: tuple[NDArray[np.intp], Ints | None], slopes: Floats,
     order: tuple[int, int],
 ) -> LightRays:  # fmt: skip
-    """Light of rays, their rows (k,) and their cells where these differ, lens-frame slopes (k, 2), that goes into one order."""
+    """Light of one order, from rays, rows (k,), cells of a non-uniform sheet, lens-frame slopes (k, 2)."""
     rows, index = chosen
     flux = result.flux[rows] * shares(cells, slopes, order, index)
     kept = np.flatnonzero(flux > FAINT)  # most rays reach but a few of the orders that some ray reaches
@@ -71,8 +71,9 @@ def _order(
 
 
 def orders(cells: ThinCells, slopes: Floats, index: Ints | None = None) -> list[tuple[int, int]]:
-    """Ghost orders that light of these lens-frame slopes (m, 2) can reach; `index` (m, 2): through which cells, where they
-    differ.
+    """Ghost orders that light of lens-frame slopes (m, 2) can reach.
+
+    `index` (m, 2): cells of a non-uniform sheet.
     """
     if not len(slopes):
         return []
@@ -116,9 +117,9 @@ def overlap(moved: Floats, fixed: Floats, shift: Floats) -> Floats:
 
     Notes
     -----
-    The border of what they share is made of the parts of each one's sides inside the other, and its area is half
-    the sum of x dy − y dx along them: no corner is ever constructed. Sides that coincide are counted once.
-    Of two rectangles along the axes it is the product of what they share on each axis.
+    The border of the common area consists of the parts of each polygon's sides inside the other. Its area is
+    half the sum of x dy − y dx along them: no corner is ever constructed. Coincident sides are counted once.
+    For two rectangles along the axes it is the product of the overlaps on each axis.
     """
     low, high = fixed.min(axis=0) - moved.max(axis=0), fixed.max(axis=0) - moved.min(axis=0)
     meet = np.flatnonzero(((shift > low) & (shift < high)).all(axis=1))
@@ -142,9 +143,9 @@ def _upright(polygon: Floats) -> bool:
 def _along_sides(
     polygon: Floats, other: Floats, shift: Floats, closed: bool, origin: Floats | None = None
 ) -> Floats:
-    """½ ∮ (x dy − y dx), (n,), along the sides of a polygon moved by `shift` as far as they lie in the other one.
+    """½ ∮ (x dy − y dx), (n,), along the sides of a polygon moved by `shift`, as far as inside the other.
 
-    `origin` moves the point about which area is swept: both polygons must use the same.
+    `origin` is the reference point of the area: both polygons must use the same.
     """
     area = np.zeros(len(shift))
     normals = np.roll(other, -1, axis=0) - other

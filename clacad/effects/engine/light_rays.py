@@ -1,4 +1,4 @@
-"""Rays that carry radiance to the camera, as one flat list: what the kinds of light all give."""
+"""Rays that carry radiance to the camera, as one flat list: the common result of all kinds of light."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class LightRays:
     Attributes
     ----------
     parent : (m,) ints
-        The launched ray whose picture point gains by it.
+        The launched ray whose picture point receives the light.
     position, direction : (m, 3), sheet frame
-        Where the ray leaves the sheet and its unit direction; one with d_z < 0 goes back to the camera's side.
+        Point where the ray leaves the sheet and its unit direction; d_z < 0 goes back to the camera's side.
     flux : (m,)
-        Factor on the radiance that the ray meets.
+        Factor on the radiance at which the ray ends.
     """
 
     parent: Rows
@@ -33,7 +33,7 @@ class LightRays:
 
 
 def join_light(*lights: LightRays) -> LightRays:
-    """Several lists of light in one."""
+    """Concatenate several lists of light."""
     return LightRays(
         np.concatenate([light.parent for light in lights]),
         np.concatenate([light.position for light in lights]),

@@ -1,4 +1,4 @@
-"""What an effect changes, measured: the scene's probe rays traced with it and without."""
+"""Measured change by an effect: the scene's probe rays traced with it and without."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from clacad.optics.law.angle import angle_between
 from clacad.optics.rays import Fate, TraceResult
 
 MOST = 0.99
-"""Share of the light whose largest turn is meant."""
+"""Share of the light over which the largest change of direction is taken."""
 
 
 def measure(situation: Situation, kind: Declaration) -> tuple[float, float]:
@@ -23,11 +23,11 @@ def measure(situation: Situation, kind: Declaration) -> tuple[float, float]:
     Returns
     -------
     angle : float
-        As the effect's `measured` says: the largest of 99 % of the light (a few rays at borders change lenslets without changing
-        order), the largest, the rms, or the angle that holds half of the light.
+        As defined by the effect's `measured`: the largest of 99 % of the light (a few rays at borders change
+        lenslets without changing order), the largest, the rms, or the angle that contains half of the light.
     radiance : float
-        Mean over the rays on the sheet of the light that is added or taken; light sent elsewhere by reflection
-        counts with the contrast and brightness of what it then shows.
+        Mean over the rays on the sheet of the light added or removed; light redirected by reflection
+        counts with the contrast and brightness of the scene that it then comes from.
     """
     if kind.measured is not None:
         return kind.measured(situation)
@@ -45,7 +45,7 @@ def radiance_change(situation: Situation, name: str) -> float:
 
 
 def traced_with(situation: Situation, *names: str) -> TraceResult:
-    """The probe rays with these effects, by exact surfaces; the same bits whatever ran before."""
+    """The probe rays with these effects, by exact surfaces; reproducible to the bit."""
     window, rays = situation.window, situation.rays
     return trace_with(window, rays, "surfaces", names, setting=situation.setting, path="size")
 
@@ -57,12 +57,15 @@ def light_with(situation: Situation, *names: str) -> LightRays:
 
 
 def turned_angles(situation: Situation, name: str, last: Fate = Fate.GHOST) -> Floats:
-    """Angles (k,), radians, by which an effect turns the rays that pass with fates up to `last`; (1,) zero without any."""
+    """Angles (k,), radians, by which an effect deflects rays that pass with fates up to `last`.
+
+    Without such rays the result is (1,) zero.
+    """
     turned = angles(traced_with(situation), traced_with(situation, name), last)
     return turned if len(turned) else np.zeros(1)
 
 
 def angles(a: TraceResult, b: TraceResult, last: Fate) -> Floats:
-    """Angles (k,), radians, between exit directions of rays that both traces let pass with the same fate and order."""
+    """Angles (k,), radians, between exit directions of rays that pass both traces with one fate and order."""
     same = (a.fate <= last) & (a.fate == b.fate) & (a.order == b.order).all(axis=1)
     return angle_between(a.direction[same], b.direction[same])

@@ -1,4 +1,4 @@
-"""The window seen from behind: z → −z, so that light going back is light going on."""
+"""The window mirrored, z → −z, so that returning light travels forward."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ FLIP = np.diag([1.0, 1.0, -1.0])
 def mirrored(window: Window) -> Window:
     """The mirror image of a window in the plane z = 0: bodies in reverse order, arrays keep their numbers.
 
-    Every surface is even in its own x and y, so the mirror image is the same surface on its other side with
+    Every surface is even in its own x and y, so the mirror image is that surface on its other side with
     the rotation F R F, F = diag(1, 1, −1), again a proper one. For tracing only: `law`, `thin` and `recipe`
-    still speak of the window itself.
+    still describe the original window.
     """
     low, high = window.z_range
     bodies = tuple(_body(body) for body in reversed(window.bodies))

@@ -1,8 +1,8 @@
-"""Light followed through the sheet face by face, whatever it meets: walls, total reflection, split paths.
+"""Non-sequential trace: light followed face by face, with walls, total reflection and split paths.
 
-Rays travel in packets that share a state: upwards or downwards, at which body, inside its material or outside.
-`clacad.tracing.reference.column` says what each meets first; downward packets live in the mirrored window, where they
-travel upwards too. At a face a packet is refracted, reflected, split or ended.
+Rays travel in packets that share a state: upwards or downwards, at which body, inside its material or
+outside. `clacad.tracing.reference.column` finds the first hit of each; downward packets live in the mirrored
+window, where they travel upwards too. At a face a packet is refracted, reflected, split or ended.
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ from clacad.tracing.wall_normals import NUDGE, wall_normals
 State = tuple[bool, int, bool]
 
 MARGIN = 64
-"""Most faces of a path beyond those of the sheet: a guard, far above what carries light."""
+"""Largest number of faces of a path beyond those of the sheet: a guard, far above that of relevant light."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """What happens at interfaces.
+    """Rules at interfaces.
 
     Attributes
     ----------
     walls : bool
-        Go through walls and faces met from their wrong side; else the light ends there.
+        Pass walls and faces hit from their wrong side; else the light ends there.
     total : bool
         Go on after total internal reflection at a face; else the light ends there.
     losses : bool
-        Fresnel: what passes is 1 − R, and R is reflected.
+        Fresnel: 1 − R is transmitted, and R is reflected.
     order : int
-        Most partial reflections of a path; 0: nothing is split.
+        Largest number of partial reflections in a path; 0: nothing is split.
     faces : int
-        Most faces after the first wall or total reflection.
+        Largest number of faces after the first wall or total reflection.
     attenuation : one a body, 1/length
     indices : one a body
     coating, ratio : see `clacad.optics.surface.fresnel_coefficients.reflected`
@@ -83,17 +83,17 @@ class Packet:
     flux : (m,)
     path : (m,) lengths
         Optical path from the start.
-    position : (m, 3) sheet frame, last point met
+    position : (m, 3) sheet frame, last point hit
     gate : (m, 2) lengths, gate_cell : (m, 2) ints
-        Where the ray last left a body, seen from the cell it was in; for the baffle.
+        Point where the ray last left a body, relative to the cell it was in; for the baffle.
     gated : (m,) bool
-        It has crossed the gap between the arrays since.
+        Whether it has crossed the gap between the arrays since then.
     bounces : (m,) ints
         Partial reflections so far.
     faces : (m,) ints
-        Faces met.
+        Number of faces hit.
     astray : (m,) ints
-        Faces met since the first wall or total reflection; 0 before.
+        Number of faces hit since the first wall or total reflection; 0 before.
     """
 
     beam: Beam
@@ -108,7 +108,7 @@ class Packet:
     astray: Ints
 
     def take(self, chosen: Rows | Bools) -> Packet:
-        """The chosen rays: row numbers, or which (m,)."""
+        """Select rays: row numbers, or a mask (m,)."""
         return Packet(self.beam.take(chosen), *(getattr(self, f.name)[chosen] for f in fields(self)[1:]))
 
     def __len__(self) -> int:
@@ -121,22 +121,22 @@ CAUSES: tuple[Cause, ...] = ("forward", "front", "wall", "total", "opaque", "asi
 
 @dataclass(frozen=True, eq=False)
 class NonsequentialLight:
-    """Where the light went.
+    """Result of a non-sequential trace.
 
     Attributes
     ----------
     parent : (m,) ints
-        Which launched ray each piece of light comes from.
+        Launched ray of each piece of light.
     position, direction : (m, 3), sheet frame
     flux, optical_path : (m,)
     front : (m,) bool
-        It left on the side it came from.
+        Whether it left on the side it came from.
     bounces : (m,) ints
-        Partial reflections on its way.
+        Number of partial reflections on its way.
     share : dict of (n,) arrays
-        For every launched ray, the share of its light by what became of it; they sum to 1. "forward" and
-        "front" left the sheet, "wall", "total" and "opaque" ended there, "aside" left sideways, "absorbed" was,
-        "cut" is what lay beyond the most reflections or faces asked for.
+        For every launched ray, the share of its light by outcome; the shares sum to 1. "forward" and "front"
+        left the sheet; "wall", "total" and "opaque" ended there; "aside" left sideways; "absorbed" was
+        absorbed; "cut" lay beyond the largest number of reflections or faces.
     """
 
     parent: Rows
@@ -155,7 +155,7 @@ def trace_nonsequential(window: Window, rays: Rays, rows: Rows, rules: Rules) ->
     Parameters
     ----------
     rows : (k,) ints
-        Rays that meet the sheet.
+        Rays that hit the sheet.
     rules : Rules
         Its `indices` are one refractive index a body.
     """
@@ -167,7 +167,7 @@ def trace_nonsequential(window: Window, rays: Rays, rows: Rows, rules: Rules) ->
 
 
 class _Packets:
-    """Packets under way and light that has left. One use, inside `trace_nonsequential`."""
+    """Packets under way and light that has left. Used once, inside `trace_nonsequential`."""
 
     def __init__(self, window: Window, rays: Rays, rules: Rules) -> None:
         self.rules = rules
@@ -181,7 +181,7 @@ class _Packets:
     # -- start and end
 
     def launch(self, rows: Rows) -> None:
-        """Put the launched rays `rows` (k,) before the first body; those beside it have ended."""
+        """Put the launched rays `rows` (k,) before the first body; those that miss it end."""
         body = self.layouts[True].bodies[0]
         beam, carried = launch(self.layouts[True], body, self.rays.position, self.rays.direction, rows)
         beam = to_array(self.layouts[True], beam, body.arrays[0])
@@ -196,7 +196,7 @@ class _Packets:
         self.put((True, 0, False), packet)
 
     def put(self, state: State, packet: Packet) -> None:
-        """Let a packet wait for its step, in the cells of its body's first array."""
+        """Queue a packet for its next step, in the cells of its body's first array."""
         if not len(packet):
             return
         layout = self.layouts[state[0]]
@@ -210,7 +210,7 @@ class _Packets:
         np.add.at(self.share[cause], packet.beam.rows, packet.flux if flux is None else flux)
 
     def run(self) -> None:
-        """Step packets until none waits."""
+        """Step packets until the queue is empty."""
         while self.waiting:
             state = min(self.waiting)
             packet = _joined(self.waiting.pop(state))
@@ -222,7 +222,7 @@ class _Packets:
                 self.step(state, packet)
 
     def result(self) -> NonsequentialLight:
-        """The light that has left, and what became of the rest."""
+        """The light that has left, and the outcome of the rest."""
         packets = [packet for packet, _ in self.out]
         empty = np.zeros((0, 3))
 
@@ -243,7 +243,7 @@ class _Packets:
     # -- one step
 
     def step(self, state: State, packet: Packet) -> None:
-        """Carry a packet to what it meets first in its body, or out of it."""
+        """Carry a packet to its first hit in its body, or out of it."""
         up, number, inside = state
         layout = self.layouts[up]
         body = layout.bodies[number]
@@ -256,7 +256,7 @@ class _Packets:
         self.end("aside", packet.take(aside))
         risen = event.kind == ABOVE
         if risen.any():
-            # a ray that rose past a body keeps its last point; the gap is paid for in `leave`
+            # a ray that rose past a body keeps its last point; `leave` adds the gap
             self.leave(up, number, packet.take(risen))
         met = np.flatnonzero(~(aside | risen))
         if len(met):
@@ -272,7 +272,7 @@ class _Packets:
         return replace(packet, flux=flux)
 
     def stopped(self, layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> tuple[Packet, Event]:
-        """End what the honeycomb between the arrays stops."""
+        """End rays that the honeycomb between the arrays stops."""
         array = body.arrays[0]
         met = event.starts[array] + event.distance[:, None] * packet.beam.direction[:, :2]
         share = honeycomb.reach(layout, packet.gate, met, event.cells[array] - packet.gate_cell)
@@ -282,7 +282,7 @@ class _Packets:
         return packet.take(on), event.take(on)
 
     def leave(self, up: bool, number: int, packet: Packet) -> None:
-        """From the space over a body to the next body, or out of the sheet."""
+        """Move from the space over a body to the next body, or out of the sheet."""
         layout = self.layouts[up]
         if number + 1 == len(layout.bodies):
             self.end("forward" if up else "front", packet)
@@ -309,7 +309,7 @@ class _Packets:
     # -- interfaces
 
     def meet(self, state: State, packet: Packet, event: Event) -> None:
-        """End what may not go on here; carry the rest to the interface and divide it."""
+        """End rays that may not continue; carry the rest to the interface and divide it."""
         up, number, inside = state
         layout = self.layouts[up]
         land = np.isin(event.kind, (FRONT_LAND, BACK_LAND))
@@ -336,11 +336,14 @@ class _Packets:
         self.divide(state, packet, normal, astray, nudge)
 
     def index(self, up: bool, number: int) -> float:
-        """Refractive index of a body counted in the order in which the packet meets it."""
+        """Refractive index of a body, numbered in the order in which the packet reaches it."""
         return self.rules.indices[number if up else len(self.layouts[True].bodies) - 1 - number]
 
     def divide(self, state: State, packet: Packet, normal: Floats, astray: Bools, nudge: Floats) -> None:
-        """Send on what passes the interface of unit normals (m, 3) and what is reflected; `nudge` (m, 2) over a wall."""
+        """Send transmitted and reflected light on from interface normals (m, 3).
+
+        `nudge` (m, 2) over a wall.
+        """
         up, number, inside = state
         n1, n2 = (self.index(up, number), 1.0) if inside else (1.0, self.index(up, number))
         ray = packet.beam.direction
@@ -369,7 +372,7 @@ class _Packets:
             self.send(state, child.take(kept), back[passing][kept], -nudge[passing][kept])
 
     def send(self, state: State, packet: Packet, direction: Floats, nudge: Floats) -> None:
-        """Put rays under way with new directions (m, 3), in the window that they see upright."""
+        """Start rays with new directions (m, 3), in the window in which they travel upwards."""
         if not len(packet):
             return
         up, number, inside = state
@@ -390,7 +393,7 @@ class _Packets:
 
 
 def normals_met(layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> Floats:
-    """Unit normals (m, 3) of what rays meet, on the side the rays go to."""
+    """Unit normals (m, 3) at the hits, on the side the rays go to."""
     ray = packet.beam.direction
     step = event.distance[:, None] * ray
     points = {array: start + step[:, :2] for array, start in event.starts.items()}
@@ -413,7 +416,7 @@ def normals_met(layout: Layout, body: BodyPlan, packet: Packet, event: Event) ->
 
 
 def arrived(layout: Layout, body: BodyPlan, packet: Packet, event: Event, up: bool, index: float) -> Packet:
-    """Rays at what they met, in the cells of the body's first array, having come through a refractive index."""
+    """Rays at their hits, in the cells of the body's first array, after a medium of index `index`."""
     array, beam = body.arrays[0], packet.beam
     local = event.starts[array] + event.distance[:, None] * beam.direction[:, :2]
     z = beam.z + event.distance * beam.direction[:, 2]
@@ -431,7 +434,7 @@ def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -
     """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator.
 
     places : LensPlaces
-        Where each point's lens stands, see `clacad.tracing.layout.lenses`.
+        Position of each point's lens, see `clacad.tracing.layout.lenses`.
     """
     vx, vy, vz = places.apex
     point = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
@@ -444,7 +447,7 @@ def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -
 
 
 def _joined(packets: list[Packet]) -> Packet:
-    """Packets of one state in one; their beams name the same array."""
+    """Merge packets of one state; their beams name the same array."""
     if len(packets) == 1:
         return packets[0]
     array = packets[0].beam.array

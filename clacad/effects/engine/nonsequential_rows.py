@@ -1,4 +1,4 @@
-"""Follow rays that ended, for the effects that let them go on."""
+"""Follow rays that ended, for effects that let them continue."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def rules_for(window: Window, setting: Setting, wavelength: float | None, order:
 
 
 def trace_ended_rays(block: RayBlock, setting: Setting, fate: Fate) -> None:
-    """Follow the block's rays of one fate to where they leave; those that do not leave get flux 0."""
+    """Follow the block's rays of one fate until they leave; rays that do not leave get flux 0."""
     result = block.result
     rows = np.flatnonzero(result.fate == fate)
     if not len(rows) or block.rung in ("law", "thin"):

@@ -1,4 +1,4 @@
-"""Parameters of the effects: one frozen value, neutral unless a design or a scene says otherwise."""
+"""Parameters of the effects: one frozen value, neutral unless a design or a scene sets it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ class Setting:
     wavelengths : tuple of float, metres
         Lines of the light (dispersion); empty: one line, the design wavelength.
     order : int
-        Most reflections of a split path (reflections).
+        Largest number of reflections in a split path (reflections).
     faces : int
-        Most further faces a followed ray meets (walls, tir_paths).
+        Largest number of further faces that a followed ray hits (walls, tir_paths).
     roughness : float, length in metres
         Rms height of the optical faces' roughness (scatter).
     slope_rms : float, radians
         Rms slope error of the optical faces (scatter).
     polariser, analyser : float or None, radians
-        Angle from the sheet's x axis towards y of what the scene's light, and the camera, passes.
+        Angle from the sheet's x axis towards y of the polarisation transmitted for the scene's light, and by
+        the camera.
     aperture, focus : float, design lengths
         Diameter of the camera's entrance, distance of the sharp plane along its axis (depth_of_field).
     axis : (3,)

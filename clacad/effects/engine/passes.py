@@ -1,8 +1,8 @@
 """Effects as passes over a block of rays, and the driver that runs them.
 
-A trace without effects never comes here. With effects, rays are traced a block at a time with their hits kept,
-every pass goes over the block once, and the block's rows are written to the result; the channels a pass needs
-(the hits) exist for one block at a time and only if some pass asks for them.
+A trace without effects does not use this module. With effects, rays are traced a block at a time with their
+hits. Every pass goes over the block once, and the block's rows are written to the result. The channels of a
+pass (the hits) exist for one block at a time and only if some pass needs them.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.window import Window
 
 BLOCK = 8192
-"""Rays at a time: the hits of four faces take 1.5 MB."""
+"""Number of rays at a time: the hits of four faces take 1.5 MB."""
 
 LIGHT_BLOCK = 65536
-"""The same where hits are kept of few rays only."""
+"""Number of rays at a time where hits are kept of few rays only."""
 
 
 Place = tuple[Chosen, float | None]
@@ -79,7 +79,7 @@ def trace_with(
     Returns
     -------
     TraceResult
-        One row a ray, as without effects; fate, cell, order and surface are the same.
+        One row per ray, as without effects; fate, cell, order and surface are unchanged.
     """
     from clacad.tracing.trace import trace
 
@@ -100,8 +100,8 @@ def trace_with(
 
 
 def _run_on_threads(run_block: _BlockRun, places: list[Place], threads: int) -> None:
-    """Run the blocks at these places; on one thread where little is to do."""
-    run_block(places[0])  # its columns say what the others' look like
+    """Run the blocks at these places; on one thread if there is little work."""
+    run_block(places[0])  # its columns define those of the others
     if threads == 1 or len(places) <= 2:
         for place in places[1:]:
             run_block(place)
@@ -114,10 +114,10 @@ def _run_on_threads(run_block: _BlockRun, places: list[Place], threads: int) -> 
 
 @dataclass(frozen=True, eq=False)
 class _BlockRun:
-    """How each block of a trace is traced and put through the passes.
+    """Tracing of each block, and its passes.
 
-    passes : those that change columns; `lossy` of them are counted by the compiled tracer on the way, then `others` run
-    keep : whether hits are kept while a block is under way; `record`: also in the result
+    passes : those that change columns; `lossy` of them run inside the compiled tracer, then `others` run
+    keep : whether hits are kept while a block is processed; `record`: also in the result
     fast : whether compiled code writes slices of the whole
     options : of `trace`
     """
@@ -144,7 +144,7 @@ class _BlockRun:
         record: bool,
         options: dict[str, Any],
     ) -> _BlockRun:
-        """Choose how; `options["path"]` is "numba" or "numpy"."""
+        """Choose the way of tracing; `options["path"]` is "numba" or "numpy"."""
         fast = options["path"] == "numba" and rung == "surfaces" and window.uniform
         lossy = [effect for effect in passes if effect.losses is not None]
         others = [effect for effect in passes if effect.losses is None]
@@ -156,7 +156,7 @@ class _BlockRun:
 
     @property
     def size(self) -> int:
-        """Rays of a block."""
+        """Number of rays in a block."""
         return LIGHT_BLOCK if self.lossy else BLOCK
 
     def __call__(self, place: Place) -> None:
@@ -218,7 +218,7 @@ def run(passes: Sequence[Effect], block: RayBlock) -> None:
 
 
 def blocks(rays: Rays, by_colour: bool, size: int = BLOCK) -> Iterator[Place]:
-    """Rows of rays a block at a time, each of one wavelength where that matters."""
+    """Rows of rays a block at a time, each of one wavelength if required."""
     if rays.wavelength is None or not by_colour or len(rays) == 0:
         for first in range(0, max(len(rays), 1), size):
             yield slice(first, min(first + size, len(rays))), None
@@ -236,17 +236,17 @@ def blocks(rays: Rays, by_colour: bool, size: int = BLOCK) -> Iterator[Place]:
 
 
 def one_colour(rays: Rays) -> bool:
-    """Whether rays have a wavelength, and all the same."""
+    """Whether rays have a wavelength, and all the same one."""
     waves = rays.wavelength
     return waves is not None and len(waves) > 0 and bool((waves == waves[0]).all())
 
 
 def _real(wave: float) -> float | None:
-    """A wavelength that exists, or None: rays without one are INVALID anyway."""
+    """A valid wavelength, or None: rays without one are INVALID anyway."""
     return wave if np.isfinite(wave) and wave > 0.0 else None
 
 
 def take_rays(rays: Rays, rows: Chosen) -> Rays:
-    """Chosen rays."""
+    """Select rays."""
     waves = None if rays.wavelength is None else rays.wavelength[rows]
     return Rays(rays.position[rows], rays.direction[rows], waves)

@@ -1,8 +1,8 @@
-"""Which effects a scene calls for, why, and what the others would change.
+"""Plan of effects: which effects a scene needs, why, and the error made by leaving out the others.
 
-Each effect's own file says when it matters (`bound`); here the bounds are compared with what the scene tolerates,
-the user's wishes are heard, and the cheapest faithful rung is chosen. The bounds are first order, or counted on
-a probe of the scene's own rays; `exact=True` measures each by a trace with and without.
+Each effect's own file defines when it matters (`bound`). The plan compares the bounds with the scene's
+tolerance, applies the user's wishes and chooses the cheapest faithful rung. The bounds are first order, or
+counted on a probe of the scene's own rays; `exact=True` measures each by a trace with and without.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ State = Literal["on", "off", "forced", "without", "unknown"]
 Mode = Literal["auto", "list", "none"]
 
 EXACT_MARGIN = 1.25
-"""Factor on a measured change: 4096 rays know it to about that."""
+"""Factor on a measured change: about its uncertainty with 4096 rays."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,17 +45,17 @@ class PlanRow:
     ----------
     effect : str
     state : "on", "off", "forced", "without" or "unknown"
-        Unknown: off, and what that leaves out is not bounded.
+        Unknown: off, and the error made by that is not bounded.
     why : str
     angle : float, radians
     radiance : float, relative
-        Bounds of what is left out without the effect.
+        Bounds of the error made without the effect.
     cost : float
         Predicted time of a trace with this effect over the bare trace.
     measured : bool
         The bounds were measured rather than estimated.
     known : bool
-        False: what is left out without the effect is not bounded, for want of a number.
+        False: the error made without the effect is not bounded, because a number is not known.
     """
 
     effect: str
@@ -79,14 +79,14 @@ class Plan:
 
     Attributes
     ----------
-    rows : tuple of PlanRow, one an effect
+    rows : tuple of PlanRow, one per effect
     rung : "law", "thin", "surfaces" or "mesh"
     rung_why : str
     angle, radiance : float
         Smallest change that matters.
     setting : Setting
     tried : int
-        Cells by the worst of which effects are bounded; 0 where all are alike.
+        Number of cells tried for the bounds, of which the worst counts; 0 for a uniform sheet.
     """
 
     rows: tuple[PlanRow, ...]
@@ -107,12 +107,12 @@ class Plan:
 
     @property
     def wavelengths(self) -> tuple[float, ...]:
-        """Lines to be traced apart, metres; empty: one line."""
+        """Lines to trace separately, metres; empty: one line."""
         return self.setting.wavelengths if self.by_lines else ()
 
     @property
     def by_lines(self) -> bool:
-        """Whether an effect traces each wavelength by itself."""
+        """Whether an effect traces each wavelength separately."""
         return any(one.lines for one in declared_all(self.names))
 
     @property
@@ -136,19 +136,19 @@ class Plan:
         raise KeyError(effect)
 
     def traced(self) -> tuple[str, ...]:
-        """Effects that run on camera rays: the camera itself sees to its opening and to the lines."""
+        """Effects that run on camera rays; the camera itself handles its opening and the lines."""
         return tuple(
             kind.name for kind in declared_all(self.names) if not (kind.camera or kind.lines or kind.rung)
         )
 
     def light(self, window: Window, rays: Rays, **options: Any) -> tuple[LightRays, TraceResult]:
-        """Trace rays as planned and give the light they see; see `clacad.effects.light_reaching_camera`."""
+        """Trace rays as planned and return their light; see `clacad.effects.light_reaching_camera`."""
         from clacad.effects.engine.camera_light import light_reaching_camera
 
         return light_reaching_camera(window, rays, self.rung, self.traced(), self.setting, **options)
 
     def left_out(self) -> tuple[float, float]:
-        """Largest angle, and the sum of radiances, of all that is left out."""
+        """Largest angle, and the sum of radiances, of all effects left out."""
         off = [row for row in self.rows if not row.on and declared(row.effect).rung is None]
         return max((row.angle for row in off), default=0.0), sum(row.radiance for row in off)
 
@@ -195,7 +195,7 @@ def plan_effects(
     force: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> Plan:
-    """Choose the effects that a scene calls for.
+    """Choose the effects that a scene needs.
 
     Parameters
     ----------
@@ -221,14 +221,14 @@ def plan_effects(
 def plan_sheets(
     scene: Scene, stack: Stack, *, exact: bool = False, force: Sequence[str] = (), without: Sequence[str] = ()
 ) -> tuple[Plan, ...]:
-    """Choose the effects of each of the sheets of a scene, by the light that comes to it.
+    """Choose the effects of each sheet of a scene, by the light that reaches it.
 
     Parameters
     ----------
     scene : Scene
         A still.
     stack : Stack
-        Its sheets, as they stand.
+        Its sheets, at their positions.
     exact, force, without
         As of `plan_effects`, for every sheet.
 
@@ -257,7 +257,7 @@ def plan_sheets(
 
 
 def _planned(situation: Situation, wishes: Wishes, asked: str, exact: bool) -> Plan:
-    """The plan for a situation, the wishes heard."""
+    """The plan for a situation with the user's wishes."""
     situation = with_stand_ins(situation)
     rung, why = choose_rung(situation, asked)
     bounds = _bounds(situation, rung, exact)
@@ -271,7 +271,7 @@ def _planned(situation: Situation, wishes: Wishes, asked: str, exact: bool) -> P
 
 @dataclass(frozen=True, slots=True)
 class Wishes:
-    """What the user says about effects, whatever their bounds."""
+    """The user's choice of effects, which overrides their bounds."""
 
     mode: Mode = "auto"
     chosen: tuple[str, ...] = ()
@@ -281,7 +281,7 @@ class Wishes:
     def with_(
         self, mode: Mode | None, chosen: Sequence[str], force: Sequence[str], without: Sequence[str]
     ) -> Wishes:
-        """These wishes and more."""
+        """These wishes plus further ones."""
         merged = Wishes(
             mode or self.mode,
             (*self.chosen, *chosen),
@@ -297,7 +297,7 @@ class Wishes:
 
 
 def _look_at(target: Scene | Design | Window | Situation) -> tuple[Situation, Wishes, str]:
-    """Situation, wishes and asked rung of whatever is planned for."""
+    """Situation, wishes and requested rung of the target of a plan."""
     from clacad.effects.engine import probe_rays
 
     if isinstance(target, Situation):
@@ -314,13 +314,13 @@ def _look_at(target: Scene | Design | Window | Situation) -> tuple[Situation, Wi
 
 
 def _wishes(scene: Scene) -> Wishes:
-    """What a scene says about effects."""
+    """Choice of effects in a scene."""
     effects = scene.effects
     return Wishes(effects.mode, tuple(effects.list), tuple(effects.force), tuple(effects.without))
 
 
 def _within(situation: Situation, tolerance: float | tuple[float, float] | None) -> Situation:
-    """The situation with the asked smallest angle, or angle and radiance, that matter."""
+    """The situation with the requested tolerance: smallest angle, or angle and radiance, that matter."""
     if tolerance is None:
         return situation
     angle, radiance = tolerance if isinstance(tolerance, tuple) else (tolerance, situation.radiance)
@@ -335,7 +335,7 @@ def _bounds(situation: Situation, rung: Rung, exact: bool) -> dict[str, Bound]:
             if declared(name).rung in (
                 None,
                 rung,
-            ):  # else a mesh would be made to judge what is not simulated
+            ):  # otherwise a mesh would be built to evaluate an effect that is not simulated
                 bounds[name] = _measured(situation, name, bounds[name])
     if rung == "mesh":
         bounds = {name: _smooth(name, bound) for name, bound in bounds.items()}
@@ -343,7 +343,7 @@ def _bounds(situation: Situation, rung: Rung, exact: bool) -> dict[str, Bound]:
 
 
 def _state(name: str, bound: Bound, situation: Situation, wishes: Wishes, rung: Rung) -> State:
-    """Whether an effect is simulated and who decided it."""
+    """State of an effect, which includes who decided it."""
     kind = declared(name)
     if kind.rung is not None:  # the rung decides
         return "on" if rung == kind.rung else "off"
@@ -374,7 +374,7 @@ def _row(name: str, bound: Bound, state: State, measured: bool) -> PlanRow:
 
 
 def _smooth(name: str, bound: Bound) -> Bound:
-    """What effects that trace paths of their own leave out on rung mesh."""
+    """Bound, on rung mesh, of an effect that traces its own paths."""
     if not (declared(name).follows or declared(name).splits):
         return bound
     return replace(bound, why=f"{bound.why}; these paths follow the exact surfaces, not the facets")

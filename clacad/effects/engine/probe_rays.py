@@ -1,4 +1,4 @@
-"""What the planner needs of a design, a window or a scene: probe rays, and what stands where how brightly."""
+"""Situation of a design, window or scene for the planner: probe rays, distances, brightness of objects."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 
 FINEST = 0.15e-3
-"""Smallest angle that angle = "auto" asks for, radians: half a minute of arc."""
+"""Smallest angle that angle = "auto" can request, radians: half a minute of arc."""
 
 RADIANCE = 0.01
-"""Smallest relative radiance that matters where nothing else is said."""
+"""Default smallest relative radiance that matters."""
 
 FIELD = pi / 180.0
-"""Half angle of the bundle sent through a bare window, radians."""
+"""Half angle of the bundle for a bare window, radians."""
 
 
 def situation_of_window(
@@ -40,8 +40,9 @@ def situation_of_window(
     radiance: float = RADIANCE,
     field: float = FIELD,
 ) -> Situation:
-    """A cone of parallel bundles about the middle of the field, over the cells in the middle of the sheet; where cells differ,
-    over a sample of them, each about the middle of its own.
+    """A cone of parallel bundles about the middle of the field, over the cells in the middle of the sheet.
+
+    For a non-uniform sheet: over a sample of cells, each about the middle of its own field.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def cone(window: Window, field: float, count: int = PROBE) -> Rays:
     cells = middle_cells(window) if window.uniform else sampled_cells(window)
     centres = window.lattice.centres(cells)
     cell = np.minimum((u[:, 0] * len(centres)).astype(np.intp), len(centres) - 1)
-    # one parallelogram of the lattice a cell: even whatever the cell's outline
+    # one parallelogram of the lattice per cell: even for any outline of the cell
     part = np.column_stack([u[:, 0] * len(centres) % 1.0, u[:, 1]]) - 0.5
     within = part @ np.array([window.lattice.a1, window.lattice.a2])
     point = centres[cell] + within
@@ -85,7 +86,7 @@ def middle_cells(window: Window) -> NDArray[np.int64]:
 
 
 def situation_of_design(design: Design, angle: float | None = None, radiance: float = RADIANCE) -> Situation:
-    """The bundle by which the design is judged; angles that matter: its `law_rms`."""
+    """The bundle by which the design is verified; angles that matter: its `law_rms`."""
     from clacad.prescription.prescribe import prescribe
 
     window = prescribe(design)
@@ -94,7 +95,7 @@ def situation_of_design(design: Design, angle: float | None = None, radiance: fl
 
 
 def design_setting(design: Design) -> Setting:
-    """Parameters of the effects that a design states."""
+    """Parameters of the effects in a design."""
     return Setting(roughness=design.body.roughness * design.unit_m, slope_rms=design.body.slope_rms)
 
 
@@ -107,11 +108,11 @@ def situation_of_scene(
     ----------
     scene : Scene
     window : Window or None
-        Prescribed already.
+        If prescribed already.
     number : int
-        Of the sheet, where the scene has several.
+        Number of the sheet, if the scene has several.
     rays : Rays or None
-        What comes to that sheet, in its frame and unit; None: what the camera sends.
+        Light that reaches this sheet, in its frame and unit; None: the camera's rays.
     """
     from clacad.prescription.prescribe import prescribe
 
@@ -139,7 +140,7 @@ def situation_of_scene(
 
 
 def scene_setting(scene: Scene, design: Design, scale: float) -> Setting:
-    """Parameters of the effects that a scene and its design state; `scale`: window lengths in one scene length."""
+    """Parameters of the effects in a scene and its design; `scale`: window lengths in one scene length."""
     camera, light = scene.camera, scene.light
     position, target = np.array(camera.position), np.array(camera.target)
     distance = float(np.linalg.norm(target - position))
@@ -164,7 +165,7 @@ def picture_width(camera: Camera, distance: float) -> float:
     """Width of the picture at the target, scene lengths."""
     if camera.frame is not None:
         return camera.frame
-    assert camera.fov is not None  # the scene's rules ask for one of the two
+    assert camera.fov is not None  # the scene's rules require one of the two
     return 2.0 * distance * tan(0.5 * camera.fov)
 
 
@@ -191,7 +192,7 @@ def camera_rays(scene: Scene, window: Window, count: int = PROBE) -> Rays:
 
 
 def brightness(scene: Scene) -> tuple[float, float]:
-    """Contrast of the scene (brightest over mean), and the camera's side's mean over the mean behind."""
+    """Contrast (brightest over mean), and mean radiance on the camera's side over that behind the sheet."""
     light = scene.light
     shade = light.ambient + 0.5 * light.key
     floors = [thing for thing in scene.objects if thing.kind == "checker"]
@@ -222,7 +223,7 @@ def luminance(colour: tuple[float, float, float]) -> float:
 
 
 def depths(scene: Scene) -> tuple[float, float]:
-    """Nearest and farthest distance of what is seen, from the camera; infinite with sky."""
+    """Nearest and farthest distance of visible objects from the camera; infinite with sky."""
     position = np.array(scene.camera.position)
     places = [np.array(thing.at) - position for thing in scene.objects if thing.kind != "checker"]
     near = min((hypot(*place) for place in places), default=inf)

@@ -1,4 +1,4 @@
-"""Deterministic draws: the same ray, at the same place in the call, gets the same numbers every time."""
+"""Deterministic draws: a ray with given bits and row number always gets the same numbers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _MIX_A, _MIX_B = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 
 
 def uniform(rays: Rays, count: int, seed: int, salt: int) -> Floats:
-    """Numbers in (0, 1), `count` columns a ray.
+    """Numbers in (0, 1), `count` columns per ray.
 
     Parameters
     ----------
     rays : Rays
-        Their bits and their row numbers are the key, so blocks and tiles do not repeat one another's draws.
+        Their bits and their row numbers are the key, so blocks and tiles have different draws.
     salt : int
         One for each effect, so that effects draw independently.
 

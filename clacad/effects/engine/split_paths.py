@@ -1,4 +1,4 @@
-"""Split paths of many rays: the compiled ones where lenses alone are met, the non-sequential trace for the rest."""
+"""Split paths of many rays: compiled for rays through lenses only, the non-sequential trace for the rest."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from clacad.tracing.layout import lay_out
 def reflected_paths(
     window: Window, rays: Rays, result: TraceResult, setting: Setting, compiled: bool
 ) -> LightRays:
-    """Paths with at least one partial reflection, of the rays that meet the sheet.
+    """Paths with at least one partial reflection, of the rays that hit the sheet.
 
     Parameters
     ----------
     rays : Rays
         n as launched.
     result : TraceResult
-        What they did without splitting: n rows.
+        Their trace without splitting: n rows.
     setting : Setting
-        With the effects that are on; `order` is the most reflections of a path.
+        With the effects that are on; `order` is the largest number of reflections in a path.
     compiled : bool
-        Where lenses alone were met, by compiled code that ends paths at steps, seams and edges.
+        Use compiled code for rays through lenses only; it ends paths at steps, seams and edges.
     """
     left = result.fate < Fate.MISSED
     parts = []
@@ -56,13 +56,13 @@ def reflected_paths(
 
 
 def known_to_compiled(window: Window, setting: Setting) -> bool:
-    """Whether the compiled paths know all that the window has."""
+    """Whether the compiled paths support everything in the window."""
     plain = window.uniform and all(isinstance(face.surface, Quadric) for face in window.faces)
     return plain and window.baffle is None and setting.order <= 2
 
 
 def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[LightRays, Bools]:
-    """Split paths of the rays that went through lenses only, and which rays (n,) those are.
+    """Split paths of the rays that passed lenses only, and which rays (n,) those are.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
-"""Sheets of equal cells by which effects are bounded where a sheet's cells differ.
+"""Uniform equivalents of cells, on which effects are bounded for a non-uniform sheet.
 
-An effect's bound is worked out for one cell and its equal neighbours (`clacad.sheet.like_cell`), with the light that comes to
-that cell. Of the cells that light comes to, those are tried whose lenses stand farthest out, and a sample; what an effect
-leaves out is then at most what it leaves out in the worst of them. What only counts rays is counted on the whole sheet too.
+An effect's bound is computed for one cell with identical neighbours (`clacad.sheet.like_cell`) and the light
+that reaches that cell. The cells tried, among those lit, are the ones with the outermost lenses, and a
+sample. The error without the effect is then at most that of the worst of them. Effects that only count rays
+also count them on the whole sheet.
 """
 
 from __future__ import annotations
@@ -22,20 +23,20 @@ from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
 
 SAMPLED = 16
-"""Cells tried besides those whose lenses stand farthest out."""
+"""Number of cells tried in addition to those with the outermost lenses."""
 
 DIRECTIONS = 8
-"""Directions in which the farthest lenses are looked for."""
+"""Number of directions in which the outermost lenses are searched."""
 
 RAYS = 512
-"""Rays through each cell that is tried."""
+"""Number of rays through each cell that is tried."""
 
 TINY = 1e-300
-"""In place of an angle or a radiance of which nothing is tolerated."""
+"""Replaces an angle or a radiance tolerance of 0."""
 
 
 def worst_bound(situation: Situation, kind: Declaration) -> Bound:
-    """Bound of an effect: that of the sheet where its cells are alike, else that of the worst cell tried."""
+    """Bound of an effect: that of a uniform sheet itself, else that of the worst cell tried."""
     if not situation.stand_ins:
         return kind.bound(situation)
     every = [kind.bound(one) for _, one in situation.stand_ins]
@@ -52,7 +53,7 @@ def worst_bound(situation: Situation, kind: Declaration) -> Bound:
     radiance = max(one.radiance for one in every)
     if (
         kind.shows is Fate.WALL and situation.window.many_sizes
-    ):  # steps between lenses of unlike sizes: equal cells have none
+    ):  # steps between lenses of different sizes: a uniform sheet has none
         radiance = max(radiance, situation.most(counted))
     return Bound(
         max(one.angle for one in every),
@@ -65,7 +66,7 @@ def worst_bound(situation: Situation, kind: Declaration) -> Bound:
 
 
 def with_stand_ins(situation: Situation) -> Situation:
-    """The situation, and where cells differ with the sheets of equal cells by which its effects are bounded."""
+    """The situation, for a non-uniform sheet with the uniform equivalents that bound its effects."""
     window = situation.window
     if window.uniform:
         return situation
@@ -73,10 +74,10 @@ def with_stand_ins(situation: Situation) -> Situation:
 
 
 def _stand_ins(situation: Situation) -> Iterator[tuple[tuple[int, int], Situation]]:
-    """Cells that light comes to, and the same light on a sheet of cells like each."""
+    """Lit cells, each with its light on its uniform equivalent."""
     rays = situation.rays
     cells, x, y = situation.window.lattice.locate(*_in_sheet(rays).T)
-    # the slope at the middle of the cell that a ray meets
+    # the slope at the middle of the cell that a ray hits
     way = rays.direction[:, :2] / rays.direction[:, 2:] - np.column_stack([x, y]) / situation.sheet_distance
     for row in _tried(situation.window, cells):
         like = like_cell(situation.window, cells[row], widest=False)
@@ -87,13 +88,13 @@ def _stand_ins(situation: Situation) -> Iterator[tuple[tuple[int, int], Situatio
 
 
 def _in_sheet(rays: Rays) -> Floats:
-    """Where (n, 2) rays cross z = 0."""
+    """Points (n, 2) where rays cross z = 0."""
     step = rays.position[:, 2:] / rays.direction[:, 2:]
     return np.asarray(rays.position[:, :2] - step * rays.direction[:, :2])
 
 
 def _tried(window: Window, cells: Ints) -> list[int]:
-    """Rows of rays through kept cells (n, 2) that differ: the lenses farthest out, then a sample."""
+    """Rows of rays through distinct kept cells (n, 2): the outermost lenses, then a sample."""
     rows = np.flatnonzero(window.lattice.contains(cells))
     if not len(rows):
         return []

@@ -1,4 +1,4 @@
-"""The ideal law of a generalized confocal lenslet array: what the sheet does to directions.
+"""The ideal law of a generalized confocal lenslet array: how the sheet changes directions.
 
 Per axis of the lenses, parallel rays of slope t leave with slope t' = (t − δ)/η. In the sheet frame
 this is a homography of directions, d' ∝ A d with A = R M Rᵀ (Hamilton & Courtial 2009, eq. 6; 3-D

@@ -2,7 +2,7 @@
 
 A sum or product of two doubles equals its rounded value plus an error that is itself a double
 (Dekker 1971, Knuth TAOCP 4.2.2). Carrying that error keeps differences such as m − δ m_z accurate to
-the last place when the two terms cancel. Nothing here may be compiled with contracted products.
+the last place when the two terms cancel. This module must not be compiled with contracted products.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from clacad.base.types import Floats
 
 
 def difference_of_products(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """a·b − c·d (n,) to about one unit in the last place of the result, whatever cancels.
+    """a·b − c·d (n,) to about one unit in the last place of the result, also under cancellation.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def is_direction(vectors: Floats) -> NDArray[np.bool_]:
 def angle_between(a: ArrayLike, b: ArrayLike) -> Floats:
     """Angle between directions, atan2(|a × b|, a · b): relative accuracy down to the tiniest angle.
 
-    The one home of angular error. acos(a · b) loses every angle below 1.5e-8 rad, and a cross product
-    whose terms are rounded before they cancel loses those below 1e-16; here neither happens.
+    All angular errors are computed here. acos(a · b) loses every angle below 1.5e-8 rad, and a cross product
+    whose terms are rounded before they cancel loses those below 1e-16; this function loses neither.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""δ that sends a cell's light to a place, and how wide it is there: closed forms of a thin pair."""
+"""Closed forms of a thin pair: δ that sends a cell's light to a given point, and the spot's width."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from clacad.optics.law.law import Law
 
 
 def deltas_to(law: Law, ways: Floats, distance: float) -> Floats:
-    """δ (n, 2) that sends light along the sheet's normal `ways` (n, 2) aside on a screen `distance` behind, lengths.
+    """δ (n, 2) that sends light along the normal to points `ways` (n, 2) of a screen at `distance`, lengths.
 
     t' = −δ/η, so δ = −η way/Z, along the lens axes of an upright sheet.
     """
@@ -20,7 +20,7 @@ def deltas_to(law: Law, ways: Floats, distance: float) -> Floats:
 def spot_widths(
     law: Law, pitch: Pair2, distance: float, source: float, wavelength: float
 ) -> tuple[Pair2, Pair2, Pair2]:
-    """Full widths (lengths) along the lens axes of a cell's light on a screen: of the cell, the source, diffraction.
+    """Full widths (lengths) of a cell's spot on a screen along the lens axes, by cell, source, diffraction.
 
     |η| p; 2 Z α/|η| for a source of half angle α (radians); λ Z/(|η| p).
 

@@ -13,12 +13,12 @@ from clacad.optics.law.angle import angle_between
 from clacad.optics.law.orientation import Axes, euler_angles, rotation
 
 _ROUNDING = 1e-12  # of |A₁||A₂|: far above the rounding of two matrices, far below any design's intent
-_ACROSS = 1e-6  # cosine of an axis that lies across the light's way, with its rounding
-_EDGE = 1e-9  # radians; φ = 45° is common in designs, so the edge of the range of φ lies just beside it
+_ACROSS = 1e-6  # cosine of an optical axis perpendicular to the light, with its rounding
+_EDGE = 1e-9  # radians; φ = 45° is common in designs, and the range of φ ends there
 
 
 class LawParameters(NamedTuple):
-    """What a `Law` is made of: η and δ (numbers), φ, θ, ψ (radians) and their convention."""
+    """Parameters of a `Law`: η and δ (numbers), φ, θ, ψ (radians) and their convention."""
 
     eta_x: float
     eta_y: float
@@ -53,7 +53,7 @@ class LawParameters(NamedTuple):
 
 
 class Decomposition(NamedTuple):
-    """A law read from a matrix for one supposed optical axis, and how badly the axis fits."""
+    """A law read from a matrix for one assumed optical axis, with residuals that rate the axis."""
 
     law: LawParameters
     axis_residual: float
@@ -72,7 +72,7 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
     ----------
     matrix : (3, 3) array
     axis : (3,) array
-        Supposed optical axis n, any length; taken with n_z > 0.
+        Assumed optical axis n, any length; taken with n_z > 0.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
 
 
 def _across(n: Floats) -> Floats:
-    """Two unit vectors across a unit vector n (3,) and each other, as the columns of (3, 2)."""
+    """Two unit vectors perpendicular to a unit vector n (3,) and to each other, as the columns of (3, 2)."""
     e1 = np.cross(np.eye(3)[np.argmin(np.abs(n))], n)
     e1 /= np.linalg.norm(e1)
     return np.stack([e1, np.cross(n, e1)], axis=1)
@@ -156,7 +156,7 @@ def compose(first: LawParameters, second: LawParameters) -> LawParameters:
     allowed = _ROUNDING * float(np.linalg.norm(a1) * np.linalg.norm(a2))
     n1, n2 = first.optical_axis, second.optical_axis
     found = [d for n in (n1, n2, *candidate_axes(matrix)) if (d := decompose(matrix, n)) is not None]
-    # An axis across the light's way can keep the product symmetric too, but would refuse half the light.
+    # An axis perpendicular to the light can keep the product symmetric too, but would refuse half the light.
     forward = [d for d in found if min(d.optical_axis @ n1, d.optical_axis @ n2) > _ACROSS]
     laws = [d for d in forward if max(d.axis_residual, d.asymmetry) <= allowed]
     if laws:
@@ -191,7 +191,7 @@ def canonical(law: LawParameters) -> LawParameters:
         phi, psi = phi + psi, 0.0
     eta_x, eta_y, delta_x, delta_y = law.eta_x, law.eta_y, law.delta_x, law.delta_y
     phi = _wrapped(phi)
-    if eta_x == eta_y:  # a round lens: turning it turns only its offset
+    if eta_x == eta_y:  # a round lens: rotating it rotates only its offset
         c, s = (1.0, 0.0) if phi == 0.0 else (cos(phi), sin(phi))
         delta_x, delta_y, phi = c * delta_x - s * delta_y, s * delta_x + c * delta_y, 0.0
     turns = int(np.ceil((phi - pi / 4 - _EDGE) / (pi / 2)))

@@ -1,4 +1,4 @@
-"""Fit a Law to directions before and behind a sheet: what `verify` calls the measured η and δ."""
+"""Fit a Law to directions before and behind a sheet; `verify` reports the result as measured η and δ."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from clacad.optics.law.compose import LawParameters, candidate_axes, decompose
 
 NAMES = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
 NO_POWER = "the exit directions do not depend on the incoming ones along an axis: eta is infinite"
-_STARTS = 6  # valleys looked into
-_START_RAYS = 1024  # enough rays to find the valley; all rays find its floor
+_STARTS = 6  # number of local minima that are searched
+_START_RAYS = 1024  # enough rays to find the best local minimum; all rays refine it
 _LEAST_DAMPING = 1e-14  # of the largest singular value squared
-_KNOWN = 1e-10  # smallest relative singular value that counts as seen: below it 1e-16 of light is 1e-6 of a parameter
+_KNOWN = 1e-10  # least relative singular value that counts: below it 1e-16 of light is 1e-6 of a parameter
 
 
 class FittedParameters(NamedTuple):
-    """Parameters of a law that were fitted to directions, and how well the directions determine them; see `clacad.Fit`."""
+    """Parameters of a law fitted to directions, and how well the directions determine them.
+
+    See `clacad.Fit`.
+    """
 
     law: LawParameters
     rms: float
@@ -40,8 +43,8 @@ def fit_law(d_in: ArrayLike, d_out: ArrayLike, axes: LawParameters | None = None
     d_in, d_out : (n, 3) arrays, any length > 0
         Directions before and behind the sheet; rows that are not finite are left out.
     axes : LawParameters or None
-        Hold φ, θ, ψ of these and fit η and δ (4 parameters, well conditioned); None fits all seven.
-        From a narrow bundle θ and δ act alike, and the covariance says so.
+        Hold φ, θ, ψ at these values and fit η and δ (4 parameters, well conditioned); None fits all seven.
+        In a narrow bundle θ and δ have similar effects; the covariance shows that.
 
     Raises
     ------
@@ -51,8 +54,9 @@ def fit_law(d_in: ArrayLike, d_out: ArrayLike, axes: LawParameters | None = None
 
     Notes
     -----
-    A linear start (free axes: direct linear transform, Hartley & Zisserman, Multiple View Geometry, ch. 4), then
-    Gauss–Newton in 1/η, δ/η and a small turn of the lens frame, which stay regular where Euler angles do not.
+    A linear start (free axes: direct linear transform, Hartley & Zisserman, Multiple View Geometry, ch. 4),
+    then Gauss–Newton in 1/η, δ/η and a small rotation of the lens frame, which stay regular where Euler
+    angles do not.
     """
     a, b = usable_rays(d_in, d_out, 4 if axes is None else 2)
     found, free = (_free_fit(a, b), NAMES) if axes is None else (held_fit(a, b, axes), NAMES[:4])
@@ -84,7 +88,7 @@ def usable_rays(d_in: ArrayLike, d_out: ArrayLike, least: int) -> tuple[Floats, 
 
 
 def held_fit(a: Floats, b: Floats, axes: LawParameters) -> LawParameters:
-    """η and δ with the orientation held: linear in 1/η and δ/η, then polished in angle."""
+    """η and δ for a fixed orientation: linear in 1/η and δ/η, then refined in angle."""
     r = axes.rotation
     m, w = a @ r, b @ r
     power, offset = np.empty(2), np.empty(2)
@@ -99,7 +103,7 @@ def held_fit(a: Floats, b: Floats, axes: LawParameters) -> LawParameters:
 
 
 def _free_fit(a: Floats, b: Floats) -> LawParameters:
-    """All seven parameters: the best of several starts, polished on all rays."""
+    """All seven parameters: the best of several starts, refined on all rays."""
     some = slice(None, None, max(1, len(a) // _START_RAYS))
     best, least = None, np.inf
     for start in _starts(a[some], b[some]):
@@ -120,7 +124,7 @@ def _free_fit(a: Floats, b: Floats) -> LawParameters:
 
 
 def _starts(a: Floats, b: Floats) -> list[LawParameters]:
-    """Laws read from the homography that fits best: the most promising of several supposed optical axes."""
+    """Laws read from the best-fitting homography: the most promising of several assumed optical axes."""
     matrix = _homography(a, b)
     axes = [np.array([0.0, 0.0, 1.0]), *candidate_axes(matrix)]
     laws = [found.law for n in axes if (found := decompose(matrix, n)) is not None]
@@ -128,7 +132,7 @@ def _starts(a: Floats, b: Floats) -> list[LawParameters]:
 
 
 def _homography(a: Floats, b: Floats) -> Floats:
-    """Direct linear transform b × (A a) = 0 on rows turned and scaled to unit spread."""
+    """Direct linear transform b × (A a) = 0 on rows rotated and scaled to unit spread."""
     to_a, to_b = _normaliser(a), _normaliser(b)
     p, q = a @ to_a.T, b @ to_b.T
     rows = []
@@ -144,7 +148,7 @@ def _homography(a: Floats, b: Floats) -> Floats:
 
 
 def _normaliser(d: Floats) -> Floats:
-    """Turn the mean direction to z and scale slopes to unit rms (Hartley's normalisation)."""
+    """Rotate the mean direction to z and scale slopes to unit rms (Hartley's normalisation)."""
     z = d.mean(axis=0)
     z /= np.linalg.norm(z)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
@@ -175,7 +179,7 @@ def _gauss_newton(
         system = _linearised(state, a, b, turn)
         while (new := _cost(trial := _moved(state, _step(*system, damping)), a, b)) >= cost:
             damping = max(100.0 * damping, _LEAST_DAMPING)
-            if damping > 1.0:  # not even downhill helps: this is the floor
+            if damping > 1.0:  # even the steepest descent does not improve: this is the minimum
                 return state
         gain, state, cost = cost - new, trial, new
         if gain <= 1e-13 * cost:
@@ -189,12 +193,12 @@ def _cost(state: State, a: Floats, b: Floats) -> float:
 
 
 def _in_lens(state: State, d: Floats) -> Floats:
-    """Directions (n, 3) in the lens frame; themselves where that is the frame they are in."""
+    """Directions (n, 3) in the lens frame; unchanged if the frame is the identity."""
     return d if np.array_equal(state[2], np.eye(3)) else d @ state[2]
 
 
 def _moved(state: State, step: Floats) -> State:
-    """State after a step (Δ1/η, Δδ/η, turn about the lens axes), the turn as an exact rotation."""
+    """State after a step (Δ1/η, Δδ/η, rotation about the lens axes), with an exact rotation."""
     power, offset, r = state
     omega = step[4:]
     angle = float(np.linalg.norm(omega))
@@ -247,7 +251,7 @@ def _linearised(state: State, a: Floats, b: Floats, turn: bool) -> tuple[Floats,
 
 
 def _step(residual: Floats, values: Floats, modes: Floats, scale: Floats, damping: float) -> Floats:
-    """Step of length 7 (zeros for what is held); modes the rays do not see are left alone."""
+    """Step of length 7 (zeros for held parameters); modes that the rays do not determine stay 0."""
     seen = values > 1e-13 * values[0]
     weight = np.where(seen, values / np.where(seen, values**2 + damping * values[0] ** 2, 1.0), 0.0)
     step = np.zeros(7)
@@ -269,7 +273,8 @@ def _covariance(law: LawParameters, a: Floats, b: Floats, count: int) -> tuple[F
     state = _state(law)
     jacobian, unit = _jacobian(state, a, turn=True)
     design = (jacobian @ _chain(law))[:, :, :count].reshape(-1, count)
-    # η and δ by what the rays see of them, angles per radian: a lens almost round then leaves φ unseen.
+    # η and δ scaled by their effect on the rays, angles per radian: φ of an almost round lens is then
+    # undetermined.
     scale = np.full(count, np.sqrt(len(a)))
     scale[:4] = np.linalg.norm(design[:, :4], axis=0)
     scale[scale == 0.0] = 1.0
@@ -295,7 +300,7 @@ def _chain(law: LawParameters) -> Floats:
         chain[2 + i, i] = -delta / eta**2
         chain[2 + i, 2 + i] = 1.0 / eta
     r = law.rotation
-    chain[4:, 4] = (0.0, 0.0, 1.0)  # φ turns about the lens's own axis,
+    chain[4:, 4] = (0.0, 0.0, 1.0)  # φ rotates about the lens's own axis,
     chain[4:, 5] = (np.cos(law.phi), -np.sin(law.phi), 0.0)  # θ about Rz(φ)ᵀ e_x,
     chain[4:, 6] = r[2]  # ψ about the sheet's z
     return chain

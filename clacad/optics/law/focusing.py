@@ -1,12 +1,13 @@
-"""What a sheet whose cells differ images, per axis and in closed form.
+"""Images formed by a non-uniform sheet, per axis and in closed form.
 
-Chief rays run through the centres X of the lenses of array 1 and leave array 2 at X + s t with the slope
-t' = (t − δ₀ − κX)/η. Every point then goes to a point. Heights z count from array 1, image distances ζ from array 2,
-both towards +z, so what light comes from has z < 0. With η < 0 both foci lie on one side, unlike those of any lens:
-C. Hembd-Sölner, R. F. Stevens and M. C. Hutley, J. Opt. A 1, 94 (1999); D. Gabor, UK patent 541 753 (1940).
+Chief rays run through the centres X of the lenses of array 1 and leave array 2 at X + s t with the slope t' =
+(t − δ₀ − κX)/η. Every point is therefore imaged to a point. Heights z count from array 1, image distances ζ
+from array 2, both towards +z, so a light source has z < 0. With η < 0 both foci lie on one side, unlike those
+of any lens: C. Hembd-Sölner, R. F. Stevens and M. C. Hutley, J. Opt. A 1, 94 (1999); D. Gabor, UK patent 541
+753 (1940).
 
-All numbers of a sheet are few and are worked out as fractions, rounded once: κ = 1e-12, pitches that agree to
-1e-12 and objects beside a focus lose nothing. A quotient without end is infinite.
+All numbers of a sheet are computed as fractions and rounded once. No accuracy is lost for κ = 1e-12, for
+pitches that agree to 1e-12 or for objects close to a focus. A quotient that overflows is infinite.
 """
 
 from __future__ import annotations
@@ -43,47 +44,50 @@ class Glens:
 
     @property
     def f_image(self) -> float:
-        """Where parallel light meets, from array 2 (length): η/κ."""
+        """Distance from array 2 (length) at which parallel light meets: η/κ."""
         return _ratio(Exact(self.eta), Exact(self.kappa))
 
     @property
     def f_object(self) -> float:
-        """Height (length) whose light leaves parallel, from array 1: −1/κ."""
+        """Height from array 1 (length) of a point whose light leaves parallel: −1/κ."""
         return _ratio(Exact(-1), Exact(self.kappa))
 
     @property
     def nodal_z(self) -> float:
-        """Height (length) of the point whose light is not turned: (η − 1)/κ."""
+        """Height (length) of the point whose light is not deviated: (η − 1)/κ."""
         return _ratio(Exact(self.eta) - 1, Exact(self.kappa))
 
     def image_distance(self, z: float) -> float:
-        """ζ, length: where light from height z (length, −inf: parallel light) meets, from array 2; negative: virtual."""
+        """Image distance ζ (length) from array 2 for height z (length; −inf: parallel light).
+
+        A negative distance: a virtual image.
+        """
         if isinf(z):
             return self.f_image
         return _ratio(*self._distance(Exact(z)))
 
     def image_x(self, x: float, z: float) -> float:
-        """Where light from the point (x, z), lengths, meets across; z finite, infinite beside the focus."""
+        """Lateral position of the image of the point (x, z), lengths; z finite. Infinite at the focus."""
         high, low = self._distance(Exact(z))
         chief = Exact(x) / Exact(z)  # slope through the middle of lens 1
         return _ratio((chief - Exact(self.delta)) * high + Exact(self.eta) * low * Exact(self.separation) * chief,
                       Exact(self.eta) * low)  # fmt: skip
 
     def image_x_of_parallel(self, slope: float) -> float:
-        """Where parallel light of a slope t meets across, length: s t + (t − δ₀)/κ."""
+        """Lateral position (length) at which parallel light of slope t meets: s t + (t − δ₀)/κ."""
         t, kappa = Exact(slope), Exact(self.kappa)
         return _ratio(Exact(self.separation) * t * kappa + t - Exact(self.delta), kappa)
 
     def magnification(self, z: float) -> float:
-        """Of an object at height z (length): dx_i/dx_o."""
+        """Lateral magnification dx_i/dx_o of an object at height z (length)."""
         high, low = self._distance(Exact(z))
         place, eta = Exact(z), Exact(self.eta)
         return _ratio(high + Exact(self.separation) * eta * low, eta * place * low)
 
     def width(self, z: float, pitch: float) -> float:
-        """Full width (length) of the image of a point at height z where cells of a pitch fill lens 1.
+        """Full width (length) of the image of a point at height z when cells of a pitch fill lens 1.
 
-        A cell does not focus: this is the limit of its pixels. Parallel light (z = −inf): |η| p.
+        A cell does not focus, so this width is the limit of its pixels. Parallel light (z = −inf): |η| p.
         """
         if isinf(z):
             return float(abs(Exact(self.eta) - (self.kappa == 0.0)) * Exact(pitch))
@@ -98,7 +102,9 @@ class Glens:
 
 
 def along_axes(law: VaryingLaw, separation: float) -> tuple[Glens, Glens]:
-    """What a law that varies does along each lens axis of an upright sheet; what mixes the axes is left out.
+    """Images along each lens axis of an upright sheet with a varying law.
+
+    Terms that mix the axes are left out.
 
     separation : length, of the arrays
     """
@@ -138,14 +144,14 @@ class Superlens:
     Parameters
     ----------
     pitches, focal_lengths : (2,) lengths
-        p1, p2 and f1, f2; the arrays stand f1 + f2 apart.
+        p1, p2 and f1, f2; the arrays are mounted f1 + f2 apart.
     turn : float, radians
-        Of the second array against the first. κ, foci and nodal point are those without.
+        Rotation of the second array against the first. κ, foci and nodal point are given without it.
 
     Notes
     -----
-    Each cell of array 2 looks at the nodal point: light along the normal stays with its partner over one `zone_period`,
-    so a single superlens is a lattice of lenses of that period and of `f_number`.
+    Each cell of array 2 is aimed at the nodal point: light along the normal stays with its partner over one
+    `zone_period`, so a single superlens is a lattice of lenses of that period and of `f_number`.
     """
 
     pitches: Pair2
@@ -166,22 +172,25 @@ class Superlens:
 
     @property
     def f_image(self) -> float:
-        """Where parallel light meets behind array 2, length: f2 p1/(p1 − p2)."""
+        """Distance behind array 2 (length) at which parallel light meets: f2 p1/(p1 − p2)."""
         return self._over_difference(Exact(self.focal_lengths[1]))
 
     @property
     def f_object(self) -> float:
-        """Height whose light leaves parallel, length: f1 p1/(p1 − p2)."""
+        """Height (length) of a point whose light leaves parallel: f1 p1/(p1 − p2)."""
         return self._over_difference(Exact(self.focal_lengths[0]))
 
     @property
     def nodal_z(self) -> float:
-        """Height (length) of the point that all pairs look at: (f1 + f2) p1/(p1 − p2)."""
+        """Height (length) of the point at which all pairs are aimed: (f1 + f2) p1/(p1 − p2)."""
         return self._over_difference(sum(map(Exact, self.focal_lengths), Exact(0)))
 
     @property
     def moire_period(self) -> float:
-        """p1 p2/|p1 − p2|, length; with a turn α the root of (p1 − p2)² + 4 p1 p2 sin²(α/2) instead of the difference."""
+        """Moiré period (length): p1 p2/|p1 − p2|.
+
+        With a rotation α, √((p1 − p2)² + 4 p1 p2 sin²(α/2)) replaces the difference.
+        """
         return self._over_distance(self.pitches[1])
 
     @property
@@ -191,7 +200,7 @@ class Superlens:
 
     @property
     def f_number(self) -> float:
-        """|f_image| over the zone: |f2|/p1."""
+        """|f_image| over the zone period: |f2|/p1."""
         return abs(_ratio(Exact(self.focal_lengths[1]), Exact(self.pitches[0])))
 
     def _over_distance(self, length: float) -> float:
@@ -207,7 +216,7 @@ class Superlens:
 
 
 def moire_magnification(pitch: float, pitch_2: float, turn: float) -> float:
-    """Magnification p/√(Δp² + (pα)²) of a moiré magnifier: pitches in lengths, small turn α in radians.
+    """Magnification p/√(Δp² + (pα)²) of a moiré magnifier: pitches in lengths, small rotation α in radians.
 
     M. C. Hutley et al., Pure Appl. Opt. 3, 133 (1994); H. Kamal, R. Völkel and J. Alda, Opt. Eng. 37(11) (1998).
     """
@@ -217,7 +226,7 @@ def moire_magnification(pitch: float, pitch_2: float, turn: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class SharpPair:
-    """Thin lenses that image one plane to another sharply, pair by pair and all pairs alike: not afocal.
+    """Thin lenses that image one plane to another sharply, all pairs alike; the pairs are not afocal.
 
     Parameters
     ----------
@@ -238,10 +247,11 @@ class SharpPair:
 
     @staticmethod
     def of(eta: float, separation: float, object_z: float, image_distance: float) -> SharpPair:
-        """The pair `separation` apart whose chief rays, those through the middle of lens 1, have η.
+        """The pair with lenses `separation` apart whose chief rays (through the middle of lens 1) have η.
 
-        Behind lens 2 their slope is t (1 − s/f2) + …, so that f2 = −η s/(1 − η) whatever the planes; lens 1 then images the
-        object to where lens 2 needs it. f1 is 0 where lens 2 would need it in lens 1, infinite where it needs no lens 1.
+        Behind lens 2 their slope is t (1 − s/f2) + …, so that f2 = −η s/(1 − η) for any planes. Lens 1 then
+        images the object to where lens 2 needs it. f1 is 0 where lens 2 needs the image in lens 1, infinite
+        where it needs no lens 1.
         """
         s, f2 = Exact(separation), -Exact(eta) * Exact(separation) / (1 - Exact(eta))
         near, far = _reciprocal(object_z), _reciprocal(image_distance)
@@ -252,7 +262,7 @@ class SharpPair:
 
     @property
     def separation(self) -> float:
-        """Of the arrays, length: v + u."""
+        """Separation of the arrays, length: v + u."""
         (a, b), (c, d) = self._between()
         return _ratio(a * d + c * b, b * d)
 
@@ -269,16 +279,17 @@ class SharpPair:
         return _ratio(-a * d * _reciprocal(self.object_z), b * c * _reciprocal(self.image_distance))
 
     def _between(self) -> tuple[tuple[Exact, Exact], tuple[Exact, Exact]]:
-        """Give v and u, each as numerator and denominator: f1/(1 + f1/z) and f2/(1 − f2/ζ)."""
+        """Return v and u, each as numerator and denominator: f1/(1 + f1/z) and f2/(1 − f2/ζ)."""
         f1, f2 = map(Exact, self.focal_lengths)
         return (f1, 1 + f1 * _reciprocal(self.object_z)), (f2, 1 - f2 * _reciprocal(self.image_distance))
 
 
 def cell_width(focal_lengths: Pair2, separation: float, planes: Pair2, pitch: float) -> float:
-    """Full width (length) that the light of a point has on a plane behind array 2 where one cell of a pitch fills lens 1.
+    """Full width (length) of a point's light on a plane behind array 2 when one cell of a pitch fills lens 1.
 
     planes : (z, ζ), lengths
-        Heights of the point, of array 1 on, and of the plane, of array 2 on; either may be infinite (then: 0, or an angle).
+        Height of the point from array 1, and of the plane from array 2. Either may be infinite (then: 0, or
+        an angle).
     """
     f1, f2 = map(Exact, focal_lengths)
     slope = -_reciprocal(planes[0]) - 1 / f1
@@ -294,7 +305,7 @@ def _reciprocal(length: float) -> Exact:
 
 
 def _ratio(numerator: Exact, denominator: Exact) -> float:
-    """A quotient rounded once; what no double holds is infinite, and so is a quotient by 0."""
+    """A quotient rounded once; overflow and division by 0 give infinity."""
     try:
         return float(numerator / denominator)
     except (OverflowError, ZeroDivisionError):

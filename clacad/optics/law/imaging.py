@@ -1,6 +1,6 @@
-"""Where objects seen through an ideal sheet appear, in closed form.
+"""Apparent positions of objects seen through an ideal sheet, in closed form.
 
-The camera stands at a distance D before the sheet (z < 0) and looks towards +z. Light is followed from
+The camera is at a distance D before the sheet (z < 0) and looks towards +z. Light is followed from
 the camera, so the law's incoming side is the camera's. Imaging by generalized sheets: Oxburgh &
 Courtial, J. Opt. Soc. Am. A 30, 2334 (2013).
 """
@@ -27,7 +27,7 @@ def slope_map(law: Law) -> tuple[Floats, Floats]:
     offset : (2,) array
         τ'₀, slopes (d'_x/d'_z, d'_y/d'_z) of the exit ray for normal incidence.
     jacobian : (2, 2) array
-        J = dτ'/dτ. Exact for every τ where the optical axis stands on the sheet, J = R₂ diag(1/η) R₂ᵀ.
+        J = dτ'/dτ. Exact for every τ where the optical axis is normal to the sheet, J = R₂ diag(1/η) R₂ᵀ.
     """
     a = law.matrix()
     offset = a[:2, 2] / a[2, 2]
@@ -35,17 +35,17 @@ def slope_map(law: Law) -> tuple[Floats, Floats]:
 
 
 def apparent_map(law: Law, z: float, camera_distance: float, turned_at: float = 0.0) -> tuple[Floats, Floats]:
-    """Which object point is seen at a point of the sheet: X = a + M x₀.
+    """Map from a point of the sheet to the object point seen there: X = a + M x₀.
 
     Parameters
     ----------
     law : Law
     z : float, length
-        Plane of the object. Before the sheet (z < turned_at) nothing is turned.
+        Plane of the object. Before the sheet (z < turned_at) directions are unchanged.
     camera_distance : float, length
         D > 0, camera at (0, 0, −D).
     turned_at : float, length
-        Plane where directions turn: 0 for an ideal thin sheet; the separation s gives the average over a
+        Plane where directions change: 0 for an ideal thin sheet; the separation s gives the average over a
         real lenslet.
 
     Returns
@@ -57,7 +57,7 @@ def apparent_map(law: Law, z: float, camera_distance: float, turned_at: float = 
 
     Notes
     -----
-    To first order in x₀/D about the sheet's centre; exact where the optical axis stands on the sheet.
+    To first order in x₀/D about the sheet's centre; exact where the optical axis is normal to the sheet.
     """
     if z < turned_at:
         return np.zeros(2), (1.0 + z / camera_distance) * np.eye(2)
@@ -68,7 +68,7 @@ def apparent_map(law: Law, z: float, camera_distance: float, turned_at: float = 
 
 
 def image_planes(law: Law, z: float) -> Floats:
-    """Heights of the two line images of an object, seen from the other side of the sheet.
+    """Heights of the two line images of an object, viewed through the sheet.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def image_planes(law: Law, z: float) -> Floats:
     Returns
     -------
     (2,) array, length
-        Ascending; both NaN where J has complex eigenvalues, for then no line images exist.
+        Ascending; both NaN where J has complex eigenvalues: line images then do not exist.
     """
     values = np.linalg.eigvals(slope_map(law)[1])
     if np.iscomplex(values).any():
@@ -90,7 +90,7 @@ def image_planes(law: Law, z: float) -> Floats:
 
 
 def image_point(law: Law, point: ArrayLike) -> tuple[Floats, Floats]:
-    """Image of an object point along each lens axis, optical axis standing on the sheet.
+    """Image of an object point along each lens axis, for an optical axis normal to the sheet.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def image_point(law: Law, point: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def stretch(law: Law, z: ArrayLike, camera_distance: float) -> Floats:
-    """Stretch of an object behind the sheet against the view without it, along each lens axis.
+    """Magnification of an object behind the sheet, relative to the view without it, along each lens axis.
 
     m_i = (D + z)/(D + z/η_i), for an untilted sheet. It diverges and changes sign at z = −η_i D, tends
     to 1 for z → 0 and to η_i at infinity.
@@ -157,9 +157,9 @@ def stretch_on_sheet(law: Law, z: ArrayLike, camera_distance: float) -> Floats:
 
 
 def _over(numerator: Floats, camera_distance: float, z: Floats, law: Law) -> Floats:
-    """numerator/(D + z/η), with η multiplied through and Dη + z rounded once: near the pole it is all there is."""
+    """numerator/(D + z/η), with η multiplied through and Dη + z rounded once: accurate near the pole."""
     eta = np.array([law.eta_x, law.eta_y])
     product, low = two_product(camera_distance, eta)
     total, rest = two_sum(product, z)
-    with np.errstate(divide="ignore"):  # the pole itself is a value here: infinity
+    with np.errstate(divide="ignore"):  # the pole itself has a value: infinity
         return np.asarray(numerator * eta / (total + (rest + low)))

@@ -1,4 +1,4 @@
-"""`Law`: the seven parameters of an ideal sheet, and what it does to directions."""
+"""`Law`: the seven parameters of an ideal sheet, and how it changes directions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Law:
     phi, theta, psi : float, radians
         Euler angles of the lenses, see `clacad.optics.law.rotation`.
     axes : "fixed" or "moving"
-        Whether the Euler angles turn about the sheet's axes or the lens's own.
+        Whether the Euler angles rotate about the sheet's axes or the lens's own.
 
     Raises
     ------
@@ -40,8 +40,8 @@ class Law:
 
     Notes
     -----
-    Many parameter sets mean one law (turning the lenses by 90° exchanges x and y, for one): two Laws are
-    `==` when their parameters are; use `same_as` to ask whether they do the same to light.
+    Many parameter sets mean one law (rotating the lenses by 90° exchanges x and y, for example): two Laws are
+    `==` when their parameters are; use `same_as` to compare their effect on light.
     """
 
     eta_x: float
@@ -54,7 +54,7 @@ class Law:
     axes: Axes = "fixed"
 
     def __post_init__(self) -> None:
-        """Refuse what is no law, with a sentence."""
+        """Refuse invalid parameters with a message that names them."""
         for name in NAMES:
             value = float(getattr(self, name))
             if not isfinite(value):
@@ -113,25 +113,25 @@ class Law:
         Notes
         -----
         Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed,
-        so nothing is divided by m_z; the differences are compensated, so light that leaves along the axis
-        because t ≈ δ keeps its relative accuracy; powers of two are carried apart, so neither 1e±200 in d
+        so nothing is divided by m_z. The differences are compensated: light that leaves along the axis
+        because t ≈ δ keeps its relative accuracy. Powers of two are carried apart, so neither 1e±200 in d
         nor |δ| = 1e200 nor η = 1e±200 overflows.
         """
         return refracted((self.eta_x, self.eta_y), (self.delta_x, self.delta_y), self.rotation, d)
 
     def undeviated(self) -> Floats:
-        """Direction through both lens centres, which the sheet does not turn: slopes δ/(1 − η).
+        """Direction through both lens centres, which the sheet does not change: slopes δ/(1 − η).
 
         Returns
         -------
         (3,) array
-            Unit vector in the sheet frame. Along an axis with η = 1 and δ = 0 nothing is turned; slope 0
+            Unit vector in the sheet frame. Along an axis with η = 1 and δ = 0 no direction changes; slope 0
             is returned there.
 
         Raises
         ------
         ValueError
-            If η = 1 and δ ≠ 0 along an axis: then every direction is turned.
+            If η = 1 and δ ≠ 0 along an axis: then every direction changes.
         """
         slope = [0.0, 0.0, 1.0]
         for i, (eta, delta) in enumerate(((self.eta_x, self.delta_x), (self.eta_y, self.delta_y))):
@@ -145,7 +145,7 @@ class Law:
         return np.asarray(along / np.linalg.norm(along))
 
     def inverse(self) -> Law:
-        """The sheet that undoes this one, set behind it: η → 1/η, δ → −δ/η, same orientation.
+        """Law of the sheet that, mounted behind this one, undoes it: η → 1/η, δ → −δ/η, same orientation.
 
         Returns
         -------
@@ -164,7 +164,7 @@ class Law:
         )
 
     def reversed(self) -> Law:
-        """What this same sheet does to light that runs through it backwards: η → 1/η, δ → +δ/η, θ → −θ.
+        """Law of the sheet for light that runs through it backwards: η → 1/η, δ → +δ/η, θ → −θ.
 
         Returns
         -------
@@ -184,12 +184,12 @@ class Law:
         )
 
     def then(self, other: Law) -> Law:
-        """The one sheet that does what this sheet and then `other` do, where there is one.
+        """Law of one sheet equivalent to this sheet followed by `other`, where such a law exists.
 
         Parameters
         ----------
         other : Law
-            The sheet light meets second.
+            The sheet that light passes second.
 
         Returns
         -------
@@ -200,12 +200,12 @@ class Law:
         ------
         ValueError
             Where the product is no Law, naming the condition that failed: no common optical axis, or
-            principal axes that do not agree (light is turned about the axis).
+            principal axes that do not agree (light is rotated about the axis).
 
         Notes
         -----
-        A Law judges only what enters and what leaves: a ray turned back between two sheets is refused by
-        the pair and may be answered by their composition.
+        A Law depends only on what enters and what leaves: a ray turned back between two sheets is refused by
+        the pair but may be answered by their composition.
         """
         return Law(*compose(self.parameters, other.parameters))
 
@@ -220,7 +220,7 @@ class Law:
         return Law(*canonical(self.parameters))
 
     def same_as(self, other: Law, tol: float = 1e-12) -> bool:
-        """Whether both laws do the same to every direction, whatever their parameters say.
+        """Whether both laws change every direction alike, also if their parameters differ.
 
         Parameters
         ----------
@@ -249,7 +249,7 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A Law measured on a bundle of rays. It belongs to that bundle: η over ±0.06 is not η over ±0.0006.
+    """A Law measured on a bundle of rays. It holds for that bundle: η over ±0.06 is not η over ±0.0006.
 
     Parameters
     ----------
@@ -290,12 +290,12 @@ class Fit:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Names of the free parameters that the rays do not determine one by one."""
+        """Names of the free parameters that the rays do not determine individually."""
         return tuple(name for name, deviation in self.sigma.items() if np.isinf(deviation))
 
 
 def law_in_axes(d_in: ArrayLike, d_out: ArrayLike, axes: Law) -> Law:
-    """Fit η and δ with the axes of another law held, without the certainty that `Law.fit` reports.
+    """Fit η and δ with the axes of another law held, without the uncertainties that `Law.fit` reports.
 
     Raises
     ------
@@ -306,18 +306,18 @@ def law_in_axes(d_in: ArrayLike, d_out: ArrayLike, axes: Law) -> Law:
 
 
 def law_numbers(law: Law) -> Floats:
-    """(13,) numbers that `Law.refract` works with: η_x, η_y, δ_x, δ_y, then the rotation row by row."""
+    """Numbers (13,) used by `Law.refract`: η_x, η_y, δ_x, δ_y, then the rotation row by row."""
     return np.array([law.eta_x, law.eta_y, law.delta_x, law.delta_y, *law.rotation.ravel()])
 
 
 def linear_numbers(law: Law) -> Floats:
-    """(4,) numbers in which a law is linear before its directions are normalised: 1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y."""
+    """Numbers (4,) in which a law is linear before normalising directions: 1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y."""
     eta_x, eta_y = law.eta_x, law.eta_y
     return np.array([1.0 / eta_x, 1.0 / eta_y, law.delta_x / eta_x, law.delta_y / eta_y])
 
 
 def with_linear_numbers(law: Law, numbers: Floats) -> Law:
-    """The law of those four numbers, turned as another.
+    """The law given by four `linear_numbers`, with the orientation of another law.
 
     Raises
     ------

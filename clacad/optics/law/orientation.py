@@ -1,6 +1,6 @@
 """Orientation of the lenses in the sheet: Euler angles φ, θ, ψ and the matrix lens frame → sheet frame.
 
-Fixed axes (default): turn by φ about the sheet's z axis, then by θ about its x axis, then by ψ about its
+Fixed axes (default): rotation by φ about the sheet's z axis, then by θ about its x axis, then by ψ about its
 z axis, R = Rz(ψ) Rx(θ) Rz(φ), the literal text of Hamilton & Courtial 2009. Moving axes, the reading of
 the source they cite: R = Rz(φ) Rx(θ) Rz(ψ). So fixed(φ, θ, ψ) = moving(ψ, θ, φ).
 """
@@ -109,7 +109,7 @@ def _cos_sin_degrees(angle: float) -> tuple[float, float]:
 def _z_x_z(phi: float, theta: float, psi: float, cos_sin: CosSin) -> Floats:
     """Rz(ψ) Rx(θ) Rz(φ)."""
     ct, st = cos_sin(theta)
-    if st == 0.0:  # the axis stands on the sheet: one turn by φ ± ψ, rounded once
+    if st == 0.0:  # the axis is normal to the sheet: one rotation by φ ± ψ, rounded once
         c, s = cos_sin(phi + ct * psi)
         return np.array([[c, -s, 0.0], [ct * s, ct * c, 0.0], [0.0, 0.0, ct]]) + 0.0
     (cf, sf), (cp, sp) = cos_sin(phi), cos_sin(psi)

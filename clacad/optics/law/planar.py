@@ -38,7 +38,7 @@ def refract_2d(alpha_1: ArrayLike, eta: float, delta: float = 0.0, theta: float 
     alpha = np.asarray(alpha_1, np.float64)
     forward = (np.abs(alpha) < np.pi / 2) & (np.abs(alpha - theta) < np.pi / 2)
     slope = np.tan(np.where(forward, alpha - theta, 0.0))
-    with np.errstate(over="ignore"):  # an infinite slope is 90° to the axis, which the next lines judge
+    with np.errstate(over="ignore"):  # an infinite slope is 90° to the axis, which the next lines reject
         out = theta + np.arctan((slope - delta) / eta)
     return np.where(forward & (np.abs(out) < np.pi / 2), out, np.nan)
 

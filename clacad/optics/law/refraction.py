@@ -1,8 +1,9 @@
-"""What the law does to directions, with one offset δ and one η for all of them or one for each.
+"""Directions behind a sheet by the law, with δ and η common to all directions or one value for each.
 
-Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed, so nothing is
-divided by m_z; the differences are compensated, so light that leaves along the axis because t ≈ δ keeps its
-relative accuracy; powers of two are carried apart, so neither 1e±200 in d nor |δ| = 1e200 nor η = 1e±200 overflows.
+Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed, so nothing
+is divided by m_z. The differences are compensated: light that leaves along the axis because t ≈ δ keeps its
+relative accuracy. Powers of two are carried apart, so neither 1e±200 in d nor |δ| = 1e200 nor η = 1e±200
+overflows.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _BLOCK = 8192  # rows at a time: the temporaries stay in the cache
 
 
 def refracted(eta: Pair2 | Floats, delta: Pair2 | Floats, turn: Floats, d: ArrayLike) -> Floats:
-    """Directions behind a sheet; `Law.refract` says when there is none.
+    """Directions behind a sheet; `Law.refract` lists the cases without an answer.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def refracted(eta: Pair2 | Floats, delta: Pair2 | Floats, turn: Floats, d: Array
 
 def _refract_rows(eta: Floats, delta: Floats, r: Floats, directions: Floats) -> Floats:
     """`refracted` for (n, 3) directions; η and δ are (2,) or (2, n)."""
-    # Scale rows by powers of two; rows without an answer travel along as the sheet's normal.
+    # Scale rows by powers of two; rows without an answer are replaced by the sheet's normal.
     largest = np.maximum(
         np.maximum(np.abs(directions[:, 0]), np.abs(directions[:, 1])), np.abs(directions[:, 2])
     )
@@ -65,7 +66,7 @@ def _refract_rows(eta: Floats, delta: Floats, r: Floats, directions: Floats) -> 
     shift = _HEADROOM - np.frexp(np.where(answered, largest, 1.0))[1]
     x, y, z = np.ldexp(rows.T, shift)
 
-    # Turn into the lens frame; untilted sheets skip it, which keeps tiny components relative.
+    # Rotate into the lens frame; untilted sheets skip it, which keeps tiny components relative.
     turned = not np.array_equal(r, np.eye(3))
     if turned:
         x, y, z = _times(r.T, x, y, z)
@@ -76,7 +77,7 @@ def _refract_rows(eta: Floats, delta: Floats, r: Floats, directions: Floats) -> 
     y, e_y = _offset_and_divide(y, z, delta[1], eta[1])
     x, y, z = _common_scale(x, e_x, y, e_y, z)
 
-    # Turn back and judge the exit.
+    # Rotate back and reject invalid exits.
     if turned:
         x, y, z = _times(r, x, y, z)
     answered &= z > 0.0
@@ -103,7 +104,7 @@ def _offset_and_divide(m: Floats, m_z: Floats, delta: Floats, eta: Floats) -> tu
 
 
 def _common_scale(x: Floats, e_x: Cells, y: Floats, e_y: Cells, z: Floats) -> tuple[Floats, Floats, Floats]:
-    """Bring x · 2**e_x, y · 2**e_y and z over one power of two per row: the largest is about 1."""
+    """Bring x · 2**e_x, y · 2**e_y and z to one common power of two per row: the largest is about 1."""
     top: Cells = np.frexp(z)[1]
     for q, e in ((x, e_x), (y, e_y)):
         top = np.maximum(top, np.where(q != 0.0, np.frexp(q)[1] + e, top))

@@ -1,8 +1,8 @@
 """A law whose offset differs over the sheet: δ(r) = δ₀ + K r.
 
-Of a sheet of cells two laws can be spoken of: that of the cell hit, with δ at the cell's centre, which is what is
-built; and the smooth one, with δ at the very point. What lies between them is sampling. K need not be symmetric: with
-an antisymmetric part the picture turns, which no smooth phase element can do but separate cells can.
+A sheet of cells has two laws. The built one belongs to the cell hit, with δ at the cell's centre. The smooth
+one has δ at the exact point. Their difference is the sampling error. K need not be symmetric: with an
+antisymmetric part the picture rotates, which separate cells can do but no smooth phase element.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from clacad.optics.law.law import Law
 from clacad.optics.law.refraction import refracted
 
 Gradient = tuple[Pair2, Pair2]
-"""K, 1/length: row i is the change of δ_i (lens axes) with the place on the sheet (sheet axes)."""
+"""K, 1/length: row i is the change of δ_i (lens axes) with the position on the sheet (sheet axes)."""
 
 
 @dataclass(frozen=True, slots=True)
 class VaryingLaw:
-    """A law of refraction whose offset δ is linear in the place on the sheet.
+    """A law of refraction whose offset δ is linear in the position on the sheet.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class VaryingLaw:
     gradient: Gradient
 
     def deltas(self, places: ArrayLike) -> Floats:
-        """δ at places of the sheet, rounded once however its parts cancel.
+        """δ at points of the sheet, rounded once even under cancellation.
 
         Parameters
         ----------
@@ -58,7 +58,7 @@ class VaryingLaw:
         return np.stack([high + low for high, low in summed], axis=-1)
 
     def law_at(self, place: ArrayLike) -> Law:
-        """The homogeneous law (`Law`) that holds at one place (2,), lengths, of the sheet."""
+        """The homogeneous law (`Law`) at one point (2,), lengths, of the sheet."""
         delta_x, delta_y = self.deltas(place).tolist()
         return replace(self.law, delta_x=delta_x, delta_y=delta_y)
 
@@ -70,7 +70,7 @@ class VaryingLaw:
         d : (n, 3) array
             Directions before the sheet, any length > 0.
         places : (n, 2) array, lengths
-            Where they meet it.
+            Points at which they cross it.
 
         Returns
         -------
@@ -92,7 +92,8 @@ def with_ratios(law: Law, ratios: Floats) -> Law:
 
 
 def refract_each(law: Law, deltas: Floats, d: ArrayLike, ratios: Floats | None = None) -> Floats:
-    """Directions (n, 3) behind a sheet that turns each of (n, 3) with an offset (n, 2), and perhaps an η (n, 2), of its own;
-    else `Law.refract`.
+    """Directions (n, 3) behind a sheet with an offset (n, 2), and optionally an η (n, 2), for each of them.
+
+    See `Law.refract` for all else.
     """
     return refracted(ratios_of(law) if ratios is None else ratios, deltas, law.rotation, d)

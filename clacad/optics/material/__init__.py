@@ -1,4 +1,4 @@
 """Optical materials: index against wavelength, the bundled catalogue, the refractiveindex.info database.
 
-What a body is made of is the sheet's; absorption along a path is an effect.
+The choice of a body's material belongs to `sheet`; absorption along a path is an effect.
 """

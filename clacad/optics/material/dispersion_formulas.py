@@ -1,6 +1,6 @@
-"""Dispersion formulas: the one evaluator of every refractive index that is not a plain number.
+"""Dispersion formulas: the only evaluator of refractive indices that are not plain numbers.
 
-λ in micrometres throughout. The last five are those of refractiveindex.info that are not one of the others
+λ in micrometres throughout. The last five are the further formulas of refractiveindex.info
 (M. N. Polyanskiy, Scientific Data 11, 94 (2024)).
 """
 
@@ -23,12 +23,12 @@ NAMES: tuple[str, ...] = get_args(Formula)
 
 
 def index(formula: Formula, coefficients: Coefficients, micrometres: Floats) -> Floats:
-    """Refractive index (n,) at wavelengths (n,); see `Material` for what the coefficients of each formula are."""
+    """Refractive index (n,) at wavelengths (n,); `Material` describes the coefficients of each formula."""
     return _FORMULAS[formula](coefficients, micrometres)
 
 
 def fits(formula: Formula, count: int) -> bool:
-    """Whether a formula takes so many coefficients."""
+    """Whether a formula accepts this number of coefficients."""
     return _COUNTS[formula](count)
 
 

@@ -1,7 +1,7 @@
-"""Optical materials: refractive index against wavelength, and what is known of their absorption.
+"""Optical materials: refractive index against wavelength, and known absorption.
 
 Nothing is extrapolated: a wavelength outside the measured range is an error. Catalogue indices are relative to air,
-which the sheet stands in. `clacad.optics.material.catalogue` finds a material by its name.
+the medium around the sheet. `clacad.optics.material.catalogue` finds a material by its name.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from clacad.optics.material import dispersion_formulas
 from clacad.optics.material.dispersion_formulas import Formula
 
 MICROMETRES = 1e6
-"""In a metre: the coefficients of published formulas take micrometres."""
+"""Micrometres per metre: the coefficients of published formulas take micrometres."""
 
 F_LINE, D_LINE, C_LINE = 486.1327e-9, 587.5618e-9, 656.2725e-9
-"""Metres; the blue and red lines of hydrogen and the yellow one of helium, between which Abbe numbers are taken."""
+"""Wavelengths in metres of the Abbe number: blue and red lines of hydrogen, yellow line of helium."""
 
 _EDGE = 1e-12  # relative; a wavelength converted from nm may miss the end of the range by rounding
 
 
 class WavelengthNotKnown(ValueError):
-    """A wavelength at which nothing is known of a material; exit status 2."""
+    """A wavelength at which a property of a material is not known; exit status 2."""
 
     exit_status = 2
 
 
 @dataclass(frozen=True, slots=True)
 class ThermalNumbers:
-    """What is published of a material near room temperature; None where nothing is.
+    """Published properties of a material near room temperature; None where none is published.
 
     Parameters
     ----------
@@ -140,14 +140,17 @@ class Material:
 
     @property
     def abbe_number(self) -> float | None:
-        """V_d = (n_d - 1)/(n_F - n_C); None where the index is not known at one of these lines, or does not change."""
+        """V_d = (n_d - 1)/(n_F - n_C).
+
+        None where the index is not known at one of these lines, or is constant.
+        """
         low, high = self.range_m or (D_LINE, D_LINE)
         if low > F_LINE or high < C_LINE:
             return None
         return (self.index(D_LINE) - 1.0) / (self.index(F_LINE) - self.index(C_LINE))
 
     def extinction_coefficient(self, wavelength_m: float) -> float | None:
-        """Imaginary part k of the index, interpolated in log k; None where nothing is known of it.
+        """Imaginary part k of the index, interpolated in log k; None where no k is known.
 
         Parameters
         ----------
@@ -165,7 +168,7 @@ class Material:
         return float(np.exp(np.interp(wavelength_m, known, np.log(k))))
 
     def attenuation(self, wavelength_m: float) -> float | None:
-        """Attenuation α = 4πk/λ in 1/m (Beer–Lambert); None where nothing is known of it.
+        """Attenuation α = 4πk/λ in 1/m (Beer–Lambert); None where no k is known.
 
         Parameters
         ----------

@@ -1,4 +1,7 @@
-"""Optical surfaces: their shape, where a ray meets them, Snell's law. See `clacad.optics.surface.sag_and_normal` for notation."""
+"""Optical surfaces: shape, intersection with rays, Snell's law.
+
+Notation: `clacad.optics.surface.sag_and_normal`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Where a ray meets a biconic: Newton on quadrics, a quartic for the rest. Notation as in `clacad.optics.surface.sag_and_normal`."""
+"""Intersection of a ray with a biconic: Newton on quadrics, else a quartic.
+
+Notation as in `clacad.optics.surface.sag_and_normal`.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,11 @@ from clacad.optics.surface.sag_and_normal import (
 )
 
 NEWTON_STEPS = 24
-"""Two to four do for lens-like hits; the rest is for rays that pass near the equator."""
+"""Two to four steps suffice for lens-like hits; the rest is for rays that pass near the equator."""
 
 
 FLAT = 0.1
-"""1 − dT/dt below which Newton's step would be more than ten times the plain one, which is taken instead."""
+"""1 − dT/dt below which Newton's step would exceed ten plain steps; the plain step is then taken."""
 
 
 POLISHES = 8
@@ -39,7 +42,7 @@ SETTLED = 2.0**-34
 def biconic_root(surface: Biconic, start: Columns, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
     """Distance (length) from the base point and r, (n,) each, of a biconic: Newton from the quadric of its curvatures.
 
-    The few rays that do not settle, all misses or near the equator, are looked up among the roots of a quartic.
+    The few rays that do not converge (misses, or hits near the equator) are solved by the roots of a quartic.
     """
     of_x = (1.0 + surface.conic_x) * surface.curvature_x
     of_y = (1.0 + surface.conic_y) * surface.curvature_y
@@ -59,7 +62,7 @@ def _newton(
 
     At azimuth (x : y) the biconic agrees with the quadric of κ = (a x² + b y²)/(cx x² + cy y²). Newton takes
     dT/dt = side sign(N) E x y (y L − x M)/((1 + w)² r). A κ that is 1e-8 off moves t by far less, so the last
-    step has the quadric's own accuracy. NaN where it does not settle on the apex half.
+    step has the quadric's own accuracy. NaN where it does not converge on the apex half.
     """
     skew = np.where(ray[2] < 0, -surface.side, surface.side) * skewness(surface)
     settled = np.zeros(t.shape, dtype=np.bool_)
@@ -67,7 +70,7 @@ def _newton(
     for _ in range(NEWTON_STEPS):
         x, y = base[0] + t * ray[0], base[1] + t * ray[1]
         target, root = quadric_root(surface, _azimuth_kappa(surface, x, y), start, base, ray)
-        w = np.nan_to_num(slope_root(surface, x, y), nan=0.0)  # beyond the equator only on the way
+        w = np.nan_to_num(slope_root(surface, x, y), nan=0.0)  # beyond the equator only at intermediate steps
         slope = skew * x * y * (y * ray[0] - x * ray[1]) / ((1.0 + w) ** 2 * root)
         change = (target - t) / np.where(np.abs(1.0 - slope) > FLAT, 1.0 - slope, 1.0)
         t = t + change
@@ -89,8 +92,8 @@ def _azimuth_kappa(surface: Biconic, x: Floats, y: Floats) -> Floats:
 def _near_half(surface: Biconic, x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
     """Whether points of the full biconic lie on the half side Q/(1 + w), not on side Q/(1 − w).
 
-    The half that belongs is at most Q high and on Q's side. The other is higher than Q where w < 1, and on the
-    wrong side where w > 1 (a hyperbolic azimuth, where it may well be lower than Q).
+    The apex half is at most Q high and on Q's side. The other half is higher than Q where w < 1, and on the
+    wrong side where w > 1 (a hyperbolic azimuth, where it may be lower than Q).
     """
     q = lateral_square(surface, x, y)
     rounding = 8 * ULP * (np.abs(surface.curvature_x) * x * x + np.abs(surface.curvature_y) * y * y)
@@ -101,7 +104,7 @@ def _near_half(surface: Biconic, x: Floats, y: Floats, z: Floats) -> NDArray[np.
 def _quartic_root(surface: Biconic, base: Columns, ray: Columns) -> Floats:
     """Distance to a biconic from the real roots of z² (a x² + b y²) − 2 side z Q + Q² = 0, polished.
 
-    Both halves satisfy it, and crossings in either sense; of those that qualify the lowest is taken.
+    Both halves satisfy it, and crossings in either sense; the lowest valid one is taken.
     """
     (x, y, z), (L, M, N) = base, ray
     (a, _), (b, _) = slope_terms(surface)

@@ -1,14 +1,18 @@
-"""Where a ray meets an even polynomial: safeguarded Newton. Notation as in `clacad.optics.surface.sag_and_normal`.
+"""Intersection of a ray with an even polynomial: safeguarded Newton.
 
-Along the ray, taken upwards, F = z − sag has to pass from − to +. The search stays on the stretch of the ray over
-which the base is real (that with the base point, else the one nearest to it), keeps what it has found as a bracket,
-and takes Newton's step wherever that step is usable; else it halves the bracket, or doubles its stride until it has
-one. Where a ray steeper than the surface meets it there is one such crossing; of a ray that grazes it and crosses it
-upwards more than once, the one the search comes to first is taken. What does not settle is a miss: NaN.
+Notation as in `clacad.optics.surface.sag_and_normal`.
 
-Error of the point along z: at most 8 ulp of |Q|/(1 + w) and the sizes of all terms over |H|/(w |N|), the factor by
-which the ray grazes (1 at right angles); seen 3.3, tests/optics/test_even_polynomial.py. Of the normal of a hit w is taken
-from the height where the base stands steep: there 1 − w² of the place has lost what z still has.
+Along the ray, taken upwards, F = z − sag must change from − to +. The search stays on the stretch of the ray
+over which the base is real: the one with the base point, else the nearest. It keeps the signs it has found as
+a bracket and takes Newton's step wherever that step is usable. Otherwise it halves the bracket, or doubles
+its stride until it has one. A ray steeper than the surface has one such crossing. A grazing ray may cross
+upwards more than once; the crossing found first is then taken. A search that does not converge is a miss:
+NaN.
+
+Error of the point along z: at most 8 ulp of |Q|/(1 + w) and the sizes of all terms over |H|/(w |N|), the
+factor by which the ray grazes (1 at right angles); largest seen 3.3, tests/optics/test_even_polynomial.py.
+Where the base is steep, the w of a hit's normal is computed from the height: 1 − w² from (x, y) has lost
+accuracy that z still has.
 """
 
 from __future__ import annotations
@@ -27,25 +31,29 @@ from clacad.optics.surface.sag_and_normal import (
 )
 
 POLYNOMIAL_STEPS = 120
-"""Four do for lens-like hits; the rest is for rays that graze, and for halvings down to the last bit."""
+"""Four steps suffice for lens-like hits; the rest is for grazing rays, and for halvings down to the last
+bit.
+"""
 
 SETTLED = 2.0**-34
 """Relative step after which Newton's next error, its square, is below rounding."""
 
 CLOSE = 2.0**-24
-"""Height over the surface, part of the sizes of its terms, above which a small step is no sign of a root: near the equator
-of the base, where the surface stands upright, every step is small.
+"""Height over the surface, relative to the sizes of its terms, above which a small step does not count as a
+root.
+
+Near the equator of the base the surface is vertical, and every step is small.
 """
 
 UPRIGHT = 0.7
-"""w below which a hit's own height says it better than its place."""
+"""w below which the height of a hit determines w more accurately than its x and y."""
 
 TIGHT = 4 * ULP
 """Relative width of a bracket that cannot be halved any more."""
 
 
 def polynomial_root(surface: EvenPolynomial, base: Columns, ray: Columns) -> Floats:
-    """Distance (n,), length, from the base points to where rays cross the surface towards the side they go to; NaN: none.
+    """Distance (n,), length, from base points to the crossing towards the side the rays go to; NaN: none.
 
     base, ray : three columns (n,): base point, direction
     """
@@ -83,7 +91,10 @@ def polynomial_root(surface: EvenPolynomial, base: Columns, ray: Columns) -> Flo
 
 
 def slope_root_of_hit(surface: EvenPolynomial, x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
-    """The normal's w (n,) at points met (n,), lengths, from Q/(1 + w) = side z − P where w (n,) of the place is small."""
+    """Third component w (n,) of the normal G at points hit (n,), lengths.
+
+    It follows from Q/(1 + w) = side z − P where the w (n,) computed from x and y is small.
+    """
     q = lateral_square(surface, x, y)
     base, terms = q / (1.0 + w), even_terms(surface.a4, surface.a6, surface.a8, x, y)[0]
     better = q / (base + surface.side * (z - surface.side * (base + terms))) - 1.0
@@ -98,13 +109,14 @@ class _Search:
         (self.a, _), (self.b, _) = slope_terms(surface)
 
     def of(self, rows: Bools) -> _Search:
-        """The same for some of the rays."""
+        """The search restricted to some of the rays."""
         return _Search(self.surface, self.first[rows], self.last[rows])
 
     def gap(self, base: list[Floats], ray: list[Floats], t: Floats
             ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
-        """At distances t (m,): height over the surface, G·D, w (0 where rounding passes the equator), and the size of
-        what is subtracted.
+        """Height over the surface, G·D, w (0 where rounding passes the equator), size of subtracted terms.
+
+        All at distances t (m,).
         """
         x, y, z = (p + t * d for p, d in zip(base, ray, strict=True))
         surface = self.surface
@@ -117,13 +129,16 @@ class _Search:
 
 
 def _real_stretch(surface: EvenPolynomial, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
-    """Ends (n,), distances from the base point, of the stretch where 1 − a x² − b y² ≥ 0; first > last: there is none.
+    """Ends (n,), distances from the base point, of the stretch where 1 − a x² − b y² ≥ 0.
 
-    Outside the roots of a quadratic that opens upwards there are two stretches: that with 0 in it, or the nearer one.
+    There is no such stretch if first > last.
+
+    Outside the roots of a quadratic that opens upwards there are two stretches. The one with 0 in it is
+    taken, else the nearer.
     """
     (a, _), (b, _) = slope_terms(surface)
     (x, y, _), (L, M, _) = base, ray
-    square = -(a * L * L + b * M * M) + 0.0  # never −0.0, by which a root at infinity would change its sign
+    square = -(a * L * L + b * M * M) + 0.0  # never −0.0, which would change the sign of a root at infinity
     half, constant = -(a * x * L + b * y * M), 1.0 - (a * x * x + b * y * y)
     root = np.sqrt(half * half - square * constant)
     q = -(half + np.copysign(root, half))

@@ -1,11 +1,11 @@
-"""Terms of fourth, sixth and eighth order that an even polynomial has on top of its conic, and their slopes.
+"""Terms of fourth, sixth and eighth order that an even polynomial adds to its conic, and their slopes.
 
     a4: a x⁴ + b x² y² + c y⁴
     a6: a x⁶ + b x⁴ y² + c x² y⁴ + d y⁶
     a8: a x⁸ + b x⁶ y² + c x⁴ y⁴ + d x² y⁶ + e y⁸
 
-Nested in x² and y², the coefficient innermost: one that is 0 stays 0 however far out, and the rounding of the height is
-at most 6 ulp of the sum of the sizes of all terms.
+Nested in x² and y², the coefficient innermost: a zero term stays 0 for any x and y. The rounding error of the
+height is at most 6 ulp of the sum of the sizes of all terms.
 """
 
 from __future__ import annotations

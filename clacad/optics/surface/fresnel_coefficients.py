@@ -1,4 +1,4 @@
-"""Fresnel's coefficients from the two directions alone.
+"""Fresnel's coefficients from the directions before and after an interface alone.
 
 A ray keeps, at an interface, the unit direction D before and D' after it. Snell's law makes n2 D' − n1 D the
 normal's direction, so cosines of incidence and refraction, and with them Fresnel's coefficients, follow from
@@ -7,8 +7,8 @@ c = D·D', the cosine of the deviation (Born and Wolf, Principles of Optics, 1.5
     r_s = −((n2 − n1)² + 2 n1 n2 (1 − c)) / (n2² − n1²)
     r_p = ((n2 − n1)² − (n1² + n2²) (1 − c)) / ((n2² − n1²) c)
 
-No normal, no square root, no angle is formed, so every rung and every kernel that can say where a ray went can
-be given its losses afterwards. The share of the light that passes is 1 − r² of each polarisation.
+No normal, no square root, no angle is formed, so losses can be added afterwards to the result of every rung
+and kernel that records ray directions. The share of the light that passes is 1 − r² of each polarisation.
 """
 
 from __future__ import annotations

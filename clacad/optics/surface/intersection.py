@@ -1,4 +1,7 @@
-"""Where rays meet a surface, and Snell's law there. Notation as in `clacad.optics.surface.sag_and_normal`."""
+"""Intersection of rays with a surface, and Snell's law there.
+
+Notation as in `clacad.optics.surface.sag_and_normal`.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +24,14 @@ from clacad.optics.surface.sag_and_normal import (
 
 
 class Meeting(NamedTuple):
-    """Where n rays meet a surface; rows are NaN where they do not.
+    """Intersections of n rays with a surface; rows are NaN where there is none.
 
     Attributes
     ----------
     distance : (n,) array
         Along the direction as given (length for a unit direction); negative if the surface lies behind.
     gradient : (n, 3) array
-        Unnormalised normal G, turned to the side the ray goes to.
+        Unnormalised normal G, on the side that the ray goes to.
     root : (n,) array
         r = D·G >= 0, which is |D| |G| cos(incidence).
     """
@@ -39,12 +42,15 @@ class Meeting(NamedTuple):
 
 
 def meet(surface: Surface, position: Floats, direction: Floats) -> Meeting:
-    """Where rays, (n, 3) points (lengths) and unit directions, meet the apex half of a surface; see `meet_at`."""
+    """Intersect rays, (n, 3) points (lengths) and unit directions, with a surface's apex half.
+
+    See `meet_at`.
+    """
     return meet_at(surface, position, direction)[0]
 
 
 def meet_at(surface: Surface, position: Floats, direction: Floats) -> tuple[Meeting, Floats]:
-    """Where rays cross the apex half of a surface, in the surface's own frame.
+    """Intersect rays with the apex half of a surface, in the surface's own frame.
 
     Parameters
     ----------
@@ -57,18 +63,18 @@ def meet_at(surface: Surface, position: Floats, direction: Floats) -> tuple[Meet
     -------
     meeting : Meeting
     point : (n, 3) array
-        The point met, NaN on a miss; its z keeps relative accuracy however small the sag.
+        The point hit, NaN on a miss; its z keeps relative accuracy however small the sag.
 
     Notes
     -----
-    Of the two crossings of a quadric the one from the −z side of the surface to its +z side is meant
-    (for N < 0 from the +z side). The distance may be negative: the caller decides what that means.
+    Of the two crossings of a quadric the one from the −z side of the surface to its +z side is taken
+    (for N < 0 from the +z side). The distance may be negative; the caller interprets that.
     The ray is carried to the vertex plane first and the root written C/(side r − B), whose terms add for
-    lens-like hits; where they would cancel the other form of the same root is taken.
+    lens-like hits; where they would cancel, the other form of the root is taken.
     """
     ray = _columns(direction)
     start = _columns(position)
-    with np.errstate(all="ignore"):  # a miss is a NaN, on purpose
+    with np.errstate(all="ignore"):  # a miss is NaN, on purpose
         carried, base = carry(start, ray)
         if isinstance(surface, Quadric):
             t, root = quadric_root(surface, surface.kappa, start, base, ray)
@@ -91,7 +97,7 @@ def refract(
     direction : (n, 3) array
         Unit directions.
     gradient : (n, 3) array, root : (n,) array
-        From `meet`: G turned along the ray, r = D·G.
+        From `meet`: G oriented along the ray, r = D·G.
     n1, n2 : float or (n,) array
         Index before and after.
 

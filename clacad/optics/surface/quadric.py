@@ -1,4 +1,7 @@
-"""Where a ray meets a quadric: the cancellation-free root. Notation as in `clacad.optics.surface.sag_and_normal`."""
+"""Intersection of a ray with a quadric: the cancellation-free root.
+
+Notation as in `clacad.optics.surface.sag_and_normal`.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,19 @@ Columns = tuple[Floats, Floats, Floats]
 
 
 CANCELS = 1e3
-"""B²/|B² − AC| above which the discriminant is formed in pairs: plain arithmetic loses about this factor."""
+"""B²/|B² − AC| above which the discriminant is formed in pairs: plain arithmetic loses about that factor."""
 
 
 STEEPEST = 0.25
-"""Rays with |N| below this are not carried to the vertex plane, which may lie far off, but to the apex's level."""
+"""|N| below which rays are not carried to the vertex plane, which may lie far off, but to the apex's
+level.
+"""
 
 
 def carry(start: Columns, ray: Columns) -> tuple[Floats, Columns]:
     """Distance (n,) to a base point near the apex, and that point, three columns (n,); lengths.
 
-    It lies in the vertex plane, for steep rays where they are nearest to the apex.
+    It lies in the vertex plane; for steep rays it is the point nearest to the apex.
     """
     (x, y, z), (L, M, N) = start, ray
     square = L * L + M * M + N * N
@@ -58,7 +63,7 @@ def quadric_root(
 
 
 def upright_sag(surface: Quadric, x: Floats, y: Floats) -> Floats | None:
-    """Sag (n,) over points x, y (n,), lengths: what a ray along +z meets, bit by bit, without the ray; NaN past the equator.
+    """Sag (n,) over points x, y (n,), lengths; bit for bit the hit of a ray along +z. NaN past the equator.
 
     None where a point is so near the equator that the root needs the ray's compensated discriminant.
     """
@@ -79,7 +84,7 @@ def _discriminant(
     start: tuple[Floats, ...],
     ray: tuple[Floats, ...],
 ) -> Floats:
-    """B² − AC in pairs. It is the same at every point of the ray, so the start serves, unrounded by a carry."""
+    """B² − AC in pairs. It is constant along the ray, so the unrounded start is used."""
     cx, cy = pair(shape[0]), pair(shape[1])
     side, k = float(shape[2]), pair(kappa)
     (x, y, z), (L, M, N) = start, ray
@@ -100,5 +105,5 @@ def _discriminant(
 
 
 def pick(columns: Columns, rows: NDArray[np.intp]) -> Columns:
-    """Some rows of three columns."""
+    """Select rows of three columns."""
     return columns[0][rows], columns[1][rows], columns[2][rows]

@@ -3,7 +3,8 @@
 `Quadric`:  cx x² + cy y² + κ z² − 2 side z = 0,  apex at the origin. Sphere cx = cy = κ, paraboloid κ = 0,
 hyperboloid κ < 0, cylinder cy = 0, plane 0, 0, 0: none is a special case, for nothing is divided by a curvature.
 `Biconic`:  z = side Q/(1 + w),  Q = cx x² + cy y²,  w² = 1 − (1 + K_x) cx² x² − (1 + K_y) cy² y².
-`EvenPolynomial`:  z = side (Q/(1 + w) + P),  P of `clacad.optics.surface.even_terms`: a biconic and terms of order 4 to 8.
+`EvenPolynomial`:  z = side (Q/(1 + w) + P): a biconic plus terms P of order 4 to 8,
+`clacad.optics.surface.even_terms`.
 
 side = +1: positive curvature bends towards +z (front of a biconvex lens); side = −1: towards −z (its back).
 (cx, cy, κ, side) and (−cx, −cy, −κ, −side) are the same points; `side` is kept as the face was built and the
@@ -33,7 +34,7 @@ ULP = 2.0**-52
 
 
 class _OverXY:
-    """What every surface given as a height over (x, y) has."""
+    """Methods common to all surfaces given as a height over (x, y)."""
 
     __slots__ = ()
 
@@ -109,7 +110,7 @@ class Biconic(_OverXY):
 
 @dataclass(frozen=True, slots=True)
 class EvenPolynomial(_OverXY):
-    """A biconic and terms of fourth, sixth and eighth order on top of it.
+    """A biconic plus terms of fourth, sixth and eighth order.
 
     Parameters
     ----------
@@ -119,9 +120,9 @@ class EvenPolynomial(_OverXY):
     a4 : (3,) tuple of float, 1/length³
         Coefficients of x⁴, x² y² and y⁴; positive adds height on the side the material bulges to.
     side : +1 or −1
-        As of a biconic; a number that is not finite is refused as there, too (ValueError).
+        As for a biconic; a number that is not finite raises ValueError there, too.
     a6, a8 : (4,) and (5,) tuple of float, 1/length⁵ and 1/length⁷
-        Coefficients of the next orders as `clacad.optics.surface.even_terms` has them.
+        Coefficients of the next orders as in `clacad.optics.surface.even_terms`.
 
     Notes
     -----
@@ -161,7 +162,7 @@ def principal_radii(surface: Surface) -> tuple[float, float]:
 
 
 def resized(surface: Surface, size: float) -> Surface:
-    """The same shape with all lengths times `size`."""
+    """The shape with all lengths times `size`."""
     cx, cy = surface.curvature_x / size, surface.curvature_y / size
     if isinstance(surface, Quadric):
         return Quadric(cx, cy, surface.kappa / size, surface.side)
@@ -174,7 +175,7 @@ def resized(surface: Surface, size: float) -> Surface:
 
 
 def sharpest_bend(surface: Surface, reach: float) -> float:
-    """Bound (1/length) of how a face bends: its apex curvatures, and what its even terms add within `reach`."""
+    """Bound (1/length) of a face's second derivatives: apex curvatures plus even terms within `reach`."""
     bend = abs(surface.curvature_x) + abs(surface.curvature_y)
     if isinstance(surface, EvenPolynomial):
         bend += sharpest_of_terms(surface.a4, surface.a6, surface.a8, reach)
@@ -182,7 +183,7 @@ def sharpest_bend(surface: Surface, reach: float) -> float:
 
 
 def conic_constants(surface: Surface) -> tuple[float | None, float | None]:
-    """Conic constants (K_x, K_y), pure numbers: κ/c − 1 of a quadric; None in a flat meridian, which has none."""
+    """Conic constants (K_x, K_y), pure numbers: κ/c − 1 of a quadric; None in a flat meridian."""
     if not isinstance(surface, Quadric):
         return surface.conic_x, surface.conic_y
     curvatures = (surface.curvature_x, surface.curvature_y)
@@ -191,7 +192,7 @@ def conic_constants(surface: Surface) -> tuple[float | None, float | None]:
 
 
 def as_quadric(biconic: Biconic) -> Quadric:
-    """The quadric with the same points, where there is one.
+    """The quadric with the same points, where one exists.
 
     Raises
     ------
@@ -314,7 +315,7 @@ def _radicand(a: Pair, b: Pair, x: Floats, y: Floats) -> Floats:
 
 
 def _check(kind: str, side: int, *numbers: float) -> None:
-    """Refuse what is no surface."""
+    """Refuse invalid numbers and sides."""
     if side not in (1, -1):
         raise ValueError(f"{kind}: side is {side!r}, not +1 or -1")
     if not all(isfinite(number) for number in numbers):
