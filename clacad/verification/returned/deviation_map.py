@@ -279,6 +279,16 @@ def deviation_map(
     return mapper.result()
 
 
+TITLE_LETTERS = 48
+"""Letters of a title over the width of one face's maps."""
+
+
+def shorten(text: str, most: int) -> str:
+    """Return a text of at most `most` letters: its middle is left out where it is longer."""
+    half = (most - 1) // 2
+    return text if len(text) <= most else f"{text[:half]}…{text[-half:]}"
+
+
 def plot_deviation(found: DeviationMap, title: str) -> bytes:
     """Both maps of every lens face as PNG, the same for the same numbers."""
     style = {"font.size": 8.0}
@@ -286,8 +296,10 @@ def plot_deviation(found: DeviationMap, title: str) -> bytes:
 
 
 def _draw(figure: Figure, found: DeviationMap, title: str) -> None:
-    said = f"{no_formula(printable(title))}: deviation along the normal; positive is too much material"
-    figure.suptitle(said, fontsize=9)
+    name = no_formula(shorten(printable(title), TITLE_LETTERS * len(found.faces)))
+    figure.suptitle(
+        f"{name}\nmeasured part less design, along the normal\n(positive: too much material)", fontsize=9
+    )
     axes = figure.subplots(2, len(found.faces), squeeze=False)
     for column, face in enumerate(found.faces):
         _draw_cell(figure, axes[0, column], found, face)
