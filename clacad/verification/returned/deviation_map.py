@@ -279,8 +279,8 @@ def deviation_map(
     return mapper.result()
 
 
-TITLE_LETTERS = 48
-"""Letters of a title over the width of one face's maps."""
+TITLE_LETTERS = 28
+"""Letters of the name over the width of the maps of one face: as many of the widest fit."""
 
 
 def shorten(text: str, most: int) -> str:
