@@ -327,22 +327,6 @@ def test_the_deviation_map_is_a_picture_and_a_table(soup):
     assert first == plot_deviation(mapped, "part.stl")
 
 
-def test_the_title_of_a_deviation_plot_says_what_is_drawn_and_lies_within_the_page(soup):
-    from dataclasses import replace
-
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    mapped = deviation_map(prescribe(DESIGN), "mm", [soup], ("array1", "array2"), len(soup))
-    for faces in (mapped.faces, mapped.faces[:1]):
-        figure = Figure((3.6 * len(faces), 6.8))
-        canvas = FigureCanvasAgg(figure)
-        _draw(figure, replace(mapped, faces=faces), "W" * 30 + "i" * 200 + ".stl")
-        assert "measured part less design, along the normal" in figure.get_suptitle()
-        box = figure._suptitle.get_window_extent(canvas.get_renderer())
-        assert 0.0 <= box.x0 < box.x1 <= figure.bbox.width
-
-
 @pytest.mark.long
 def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
     from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import nan, sqrt
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -279,16 +280,6 @@ def deviation_map(
     return mapper.result()
 
 
-TITLE_LETTERS = 28
-"""Letters of the name over the width of the maps of one face: as many of the widest fit."""
-
-
-def shorten(text: str, most: int) -> str:
-    """Return a text of at most `most` letters: its middle is left out where it is longer."""
-    half = (most - 1) // 2
-    return text if len(text) <= most else f"{text[:half]}…{text[-half:]}"
-
-
 def plot_deviation(found: DeviationMap, title: str) -> bytes:
     """Both maps of every lens face as PNG, the same for the same numbers."""
     style = {"font.size": 8.0}
@@ -296,14 +287,24 @@ def plot_deviation(found: DeviationMap, title: str) -> bytes:
 
 
 def _draw(figure: Figure, found: DeviationMap, title: str) -> None:
-    name = no_formula(shorten(printable(title), TITLE_LETTERS * len(found.faces)))
-    figure.suptitle(
-        f"{name}\nmeasured part less design, along the normal\n(positive: too much material)", fontsize=9
-    )
+    figure.suptitle(_title(title, len(found.faces)), fontsize=9)
     axes = figure.subplots(2, len(found.faces), squeeze=False)
     for column, face in enumerate(found.faces):
         _draw_cell(figure, axes[0, column], found, face)
         _draw_sheet(figure, axes[1, column], found, face)
+
+
+TITLE_CHARACTERS = 44
+"""Characters of the title on the width of one face."""
+
+
+def _title(name: str, faces: int) -> str:
+    """Quantity, unit and sign of a plot, in lines that fit on the width of all faces."""
+    words = (
+        f"{printable(name)}: deviation of the part from the design",
+        "along the surface normal, in µm; positive: too much material, negative: too little",
+    )
+    return no_formula("\n".join(line for text in words for line in wrap(text, TITLE_CHARACTERS * faces)))
 
 
 def _draw_cell(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) -> None:
