@@ -17,8 +17,9 @@ import pytest
 import clacad
 from clacad.exporting.export_design import export
 from clacad.formats.drawing import views
-from clacad.formats.drawing.canvas import DimensionMark
-from clacad.formats.drawing.sheet_layout import MARGIN, PAPERS, sheets
+from clacad.formats.drawing.canvas import CHARACTER, CircleMark, DimensionMark, LineMark, Words
+from clacad.formats.drawing.sheet_frame import PAPERS, frame_box
+from clacad.formats.drawing.sheet_layout import sheets
 from clacad.sheet.feasibility import feasibility
 from clacad.storage.errors import FileDisagrees, NotPossible
 
@@ -163,11 +164,12 @@ def test_nothing_on_a_sheet_overlaps_or_leaves_the_frame(paper, name):
             (one.x, one.y, one.x + one.canvas.width * sheet.unit, one.y + one.canvas.height * sheet.unit)
             for one in sheet.placed
         ]
-        wide, tall = PAPERS[paper]
+        left, top, right, bottom = frame_box(PAPERS[paper])
         for k, (x0, y0, x1, y1) in enumerate(boxes):
-            assert min(x0, y0) >= MARGIN - 1e-9
-            assert x1 <= wide - MARGIN + 1e-9
-            assert y1 <= tall - MARGIN + 1e-9
+            assert x0 >= left - 1e-9
+            assert y0 >= top - 1e-9
+            assert x1 <= right + 1e-9
+            assert y1 <= bottom + 1e-9
             for u0, v0, u1, v1 in boxes[:k]:
                 assert x1 <= u0 or u1 <= x0 or y1 <= v0 or v1 <= y0
 
@@ -273,3 +275,156 @@ def test_a_drawing_dimensions_the_clear_aperture_and_the_places_of_the_holes(tmp
     }  # fmt: skip
     assert said.keys() == lengths.keys()
     assert all(abs(said[key] - wanted) < 1e-9 for key, wanted in lengths.items())
+
+
+FLANGE = {
+    "format": 1, "name": "flange", "unit": "mm", "law": {"eta": [-0.5, -1.0]},
+    "pair": {"form": "slab", "separation": 12, "index": 1.5}, "lattice": {"pitch": 2.0, "outline": {"circle": 60}},
+    "body": {"border": 6, "holes": [{"diameter": 3.2, "circle": 66, "count": 4}]},
+}  # fmt: skip
+POLYGON = {
+    "format": 1, "name": "plate", "unit": "mm", "law": {"eta": [-1, -1]},
+    "pair": {"form": "plano", "separation": 14, "thickness": 1.5, "material": "PMMA"},
+    "lattice": {"pitch": 1.0, "outline": {"polygon": [[-6, -5], [6, -5, 0.4142], [7, -4], [7, 4], [2, 4], [2, 5], [-6, 5], [-7, 4], [-7, -4]]}},
+    "body": {"holes": [{"diameter": 0.8, "circle": 8, "count": 4}]},
+}  # fmt: skip
+
+
+def shown(name):
+    if isinstance(name, dict):
+        return clacad.Design.from_dict(name)
+    return clacad.load(DESIGNS / f"{name}.toml")
+
+
+def ink(marks):
+    """Boxes of what is drawn, px: outlines and circles with what they enclose, lines, words."""
+    for mark in marks:
+        if isinstance(mark, LineMark):
+            yield *mark.points.min(axis=0), *mark.points.max(axis=0)
+        elif isinstance(mark, CircleMark):
+            (x, y), r = mark.at, mark.radius
+            yield x - r, y - r, x + r, y + r
+        elif isinstance(mark, DimensionMark):
+            yield from ink(mark.drawn)
+        elif isinstance(mark, Words):
+            wide = CHARACTER * len(mark.words)
+            left = mark.at[0] - {"start": 0.0, "middle": 0.5 * wide, "end": wide}[mark.anchor]
+            yield left, mark.at[1] - 9.0, left + wide, mark.at[1] + 2.0
+
+
+def emptiest_share(sheet):
+    """Largest empty upright rectangle as a part of the frame, counted on a millimetre grid, row by row."""
+    left, top, right, bottom = frame_box(sheet.paper)
+    taken = np.zeros((round(bottom - top), round(right - left)), dtype=bool)
+    for block in sheet.placed:
+        for box in ink(block.canvas.marks):
+            x0, y0, x1, y1 = np.asarray(box) * sheet.unit + (block.x - left, block.y - top) * 2
+            taken[max(0, int(y0)) : int(np.ceil(y1)) + 1, max(0, int(x0)) : int(np.ceil(x1)) + 1] = True
+    free, largest = np.zeros(taken.shape[1], dtype=int), 0
+    for row in taken:
+        free = np.where(row, 0, free + 1)
+        for height in np.unique(free[free > 0]):
+            ends = np.flatnonzero(np.diff(np.concatenate([[0], free >= height, [0]]).astype(int)))
+            largest = max(largest, int(height * (ends[1::2] - ends[::2]).max()))
+    return largest / taken.size
+
+
+@pytest.mark.parametrize("paper", ["a4", "a3"])
+@pytest.mark.parametrize(
+    "name", ["slab", FLANGE, "hexagonal", "tilted-biconvex", POLYGON], ids=lambda name: name if isinstance(name, str) else name["name"]
+)  # fmt: skip
+def test_no_quarter_of_a_sheet_is_empty_and_views_have_scales_of_iso_5455(paper, name):
+    design = shown(name)
+    window = clacad.prescribe(design)
+    made = sheets(design, window, feasibility(window), paper, None)
+    assert max(emptiest_share(sheet) for sheet in made) < 0.25
+    for sheet in made:
+        for block in sheet.placed:
+            if block.canvas.scale is not None:
+                on_paper = block.canvas.scale * sheet.unit
+                steps = [step * 10.0**power for power in range(-4, 5) for step in (1, 2, 5)]
+                assert min(abs(on_paper / step - 1.0) for step in steps) < 1e-9
+
+
+def test_the_frame_has_zones_centring_marks_and_a_title_block(tmp_path):
+    design = part("slab", (4, 4))
+    export(design, tmp_path / "x", ("drawing",), paper="a4")
+    (path,) = (tmp_path / "x").glob("*.dxf")
+    document = ezdxf.readfile(path)
+    count = sum(words.startswith("1 of ") or words.startswith("2 of ") for words in texts(path))
+    strip = {}
+    for one in document.modelspace().query("TEXT"):
+        x, y = (one.dxf.align_point.x) % (297.0 + 20.0), one.dxf.align_point.y
+        if not (20.0 < x < 287.0 and 10.0 < y < 200.0):
+            strip[one.dxf.text] = strip.get(one.dxf.text, 0) + 1
+    assert strip == dict.fromkeys("ABCD123456", 2 * count)  # on both sides of every sheet
+    lines = [np.array(line.get_points("xy")) for line in document.modelspace().query("LWPOLYLINE")]
+    marks = [line for line in lines if len(line) == 2 and np.ptp(line, axis=0).max() == pytest.approx(7.0)]
+    first = [line for line in marks if line[:, 0].max() < 297.0]
+    assert len(first) == 4
+    assert all(abs(line[0, 0] - 148.5) < 1e-6 or abs(line[0, 1] - 105.0) < 1e-6 for line in first)
+    said = texts(path)
+    for words in ("title", "part", "material", "unit", "paper", "sheet", design.sha256[:12]):
+        assert words in said
+
+
+def test_the_drawing_says_the_finish_that_the_design_states_and_leaves_the_rest_to_be_agreed(tmp_path):
+    for number, (overrides, lens) in enumerate(
+        [(["tolerances.roughness='5 nm'"], "Rq 5 nm"), ([], "to be agreed")]
+    ):
+        design = clacad.load(DESIGNS / "slab.toml", overrides=overrides).with_cells((4, 4))
+        export(design, tmp_path / str(number), ("drawing",))
+        said = texts(next((tmp_path / str(number)).glob("*.dxf")))
+        for name in ("lens 1", "lens 2"):
+            row = said.index(name)
+            assert said[row - 1 : row + 5] == [
+                "z",
+                name,
+                lens,
+                "3/ to be agreed",
+                "4/ to be agreed",
+                "5/ to be agreed",
+            ]
+        row = said.index("all others: sides, land, holes")
+        assert said[row - 1 : row + 2] == ["y", "all others: sides, land, holes", "Ra to be agreed"]
+        assert said.count("z") >= 4  # in the table, and at each lens
+        assert said.count("y") >= 2
+
+
+def boxes_of_datums(view):
+    """Box of every datum letter of a view, px."""
+    letters = [mark.at for mark in view.marks if isinstance(mark, Words) and mark.words in ("B", "C")]
+    return [(x - 6.0, y - 10.0, x + 6.0, y + 2.0) for x, y in letters]
+
+
+@pytest.mark.parametrize("made", [FLANGE, POLYGON], ids=["round", "polygon"])
+@pytest.mark.parametrize("share", [1.0, 4.0])
+def test_no_extension_line_runs_through_a_datum_letter(made, share):
+    view = views.plan(clacad.prescribe(shown(made)), views.OnPaper(0.25, share))
+    boxes = boxes_of_datums(view)
+    assert len(boxes) == 2
+    for mark in view.marks:
+        for line in mark.drawn if isinstance(mark, DimensionMark) else ():
+            if isinstance(line, LineMark) and line.kind == "ext":
+                (x0, y0), (x1, y1) = line.points.min(axis=0), line.points.max(axis=0)
+                assert not any(
+                    x0 < right and left < x1 + 1e-9 and y0 < bottom and top < y1 + 1e-9
+                    for left, top, right, bottom in boxes
+                )
+
+
+def test_a_rectangular_border_has_its_clear_aperture_dimensioned():
+    design = clacad.load(DESIGNS / "slab.toml", overrides=["body.border=2"]).with_cells((6, 4))
+    view = views.plan(clacad.prescribe(design))
+    said = {(mark.words, mark.upright) for mark in view.marks if isinstance(mark, DimensionMark)}
+    assert said == {("7", False), ("6", True), ("clear 3", False), ("clear 2", True)}
+
+
+def test_a_view_refers_to_the_table_for_places_of_holes_that_it_does_not_dimension():
+    def foot(count):
+        holes = [{"diameter": 3.2, "circle": 66, "count": count}]
+        view = views.plan(clacad.prescribe(shown(FLANGE | {"body": {"border": 6, "holes": holes}})))
+        return [m.words for m in view.marks if isinstance(m, Words) and "see table" in m.words]
+
+    assert foot(4) == []
+    assert foot(12) == ["holes along x and y: see table"]

@@ -22,7 +22,7 @@ STYLE = (
     ".body{fill:#cfe3f1;stroke:#1b6ca8;stroke-width:1}.cut{fill:#e3eff7;stroke:#1b6ca8;stroke-width:1}"
     ".dim{stroke:#1c2733;stroke-width:.8;fill:none}.ext{stroke:#8b98a5;stroke-width:.6;fill:none}"
     ".axis{stroke:#8b98a5;stroke-width:.8;stroke-dasharray:9 3 2 3;fill:none}.ray{stroke:#c2571a;stroke-width:.9;fill:none}"
-    ".focus{stroke:#2b7a4b;stroke-width:1;stroke-dasharray:4 3;fill:none}.head{fill:#1c2733}.mark{fill:#c2571a}"
+    ".focus{stroke:#2b7a4b;stroke-width:1;stroke-dasharray:4 3;fill:none}.head{fill:#1c2733}.mark{fill:#c2571a}.frame{stroke:#1c2733;stroke-width:2.4;fill:none}"
 )
 
 
@@ -127,14 +127,14 @@ class Canvas:
         self.marks.append(DimensionMark(ends, (x0, y), False, words, tuple(drawn)))
 
     def upright(self, y0: float, y1: float, x: float, words: str, start: tuple[float, float]) -> None:
-        """Dimension between two y at place x; extension lines come from `start` (x at y0, x at y1)."""
+        """Dimension between two y at place x, its words outside; extension lines come from `start` (x at y0, x at y1)."""
         drawn: list[LineMark | Words] = [
             _line([(from_x, y), (x + (4 if x > from_x else -4), y)], "ext")
             for y, from_x in zip((y0, y1), start, strict=True)
         ]
         room = abs(y1 - y0)
         drawn += _measure((x, y0), (x, y1), inside=room > 26)
-        right = x >= 0.5 * self.width
+        right = x >= max(start)
         middle = 0.5 * (y0 + y1) if room > 14 else min(y0, y1) - 16
         drawn.append(_backed((x + (5 if right else -5), middle + 4), words, "start" if right else "end"))
         ends = ((start[0], y0), (start[1], y1))
@@ -159,6 +159,12 @@ class Canvas:
         corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
         self.polygon(np.asarray(corners) + middle, "dim")
         self.text((middle[0], middle[1] + 4.0), letter)
+
+    def finish(self, tip: Point, letter: str) -> None:
+        """Draw the symbol of surface texture (ISO 21920-1) on a face, with the letter that a table explains."""
+        legs = [(-4.6, -8.0), (0.0, 0.0), (9.2, -16.0), (9.2 + 4.0 + CHARACTER * len(letter), -16.0)]
+        self.line(np.asarray(legs) + tip, "dim")
+        self.text((tip[0] + 10.0, tip[1] - 5.0), letter, "start")
 
     def body(self, zoom: float = 1.0) -> str:
         """The marks as SVG; `zoom`: enlargement of what is drawn at 96 px an inch."""

@@ -1,9 +1,8 @@
-"""Tables of a drawing: faces, sags, errors and their effects, notes, the title block."""
+"""Tables of a drawing: faces, sags, surfaces, errors and their effects, notes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,7 @@ from clacad.design.sections import TolerancesSpec
 from clacad.formats.drawing.allowances import Allowances
 from clacad.formats.drawing.canvas import CHARACTER, Canvas
 from clacad.formats.drawing.orientation_notes import orientation
-from clacad.formats.drawing.views import mm_text
+from clacad.formats.drawing.views import LENS_FINISH, OTHER_FINISH, mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.formats.maps.sag import structured_faces
 from clacad.optics.surface import EvenPolynomial, conic_constants, principal_radii, sag
@@ -251,60 +250,25 @@ def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
     return table(title, ["error", "allowed", *COSTS.values()], rows)
 
 
-@dataclass(frozen=True, slots=True)
-class Heading:
-    """Text of a title block in addition to the part's own numbers.
+def surfaces_table(window: Window, allowed: Allowances, slope_rms: float) -> Canvas:
+    """Texture of every kind of face (ISO 21920), with form, centring and imperfections of lens faces (ISO 10110).
 
-    number : str
-        Of the drawing.
-    version : str
-        Of the program that drew it.
-    paper : str
+    What the design does not state is to be agreed: no value is assumed.
     """
-
-    number: str
-    version: str
-    paper: str
-
-
-def title_block(window: Window, heading: Heading, sheet: int, sheets: int) -> Canvas:
-    """Name, form, material, sizes, number, sheet."""
-    n1, n2 = window.lattice.count
-    materials = ", ".join(dict.fromkeys(_material(body.material, body.index) for body in window.bodies))
+    texture = f"Rq {1e6 * allowed.roughness:.3g} nm" if allowed.roughness > 0.0 else AGREE
+    form = f"slope {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else AGREE
+    centred = [allowed.decentre[0] > 0.0, max(allowed.decentre[1], allowed.tilt, allowed.rotation) > 0.0]
     rows = [
-        ["part", window.name],
-        [
-            "kind",
-            f"confocal lenslet array pair, {window.form}, {n1} x {n2} cells ({window.lattice.cell_count:,} kept)",
-        ],
-        ["bodies", ", ".join(body.name for body in window.bodies)],
-        ["material", materials],
-        ["units, scale", "mm, as each view says; views by their names"],
-        ["drawing", f"{heading.number}, clacad {heading.version}"],
-        ["sheet", f"{sheet} of {sheets}, {heading.paper.upper()}"],
-    ]
-    wide = 24.0 + CHARACTER * max(len(row[1]) for row in rows)
-    canvas = Canvas(90.0 + wide, LINE * len(rows) + 4.0, "title block")
-    for number, (name, value) in enumerate(rows):
-        y = 2.0 + LINE * (number + 1)
-        canvas.text((6.0, y - 4.0), name, "start", "note")
-        canvas.text((92.0, y - 4.0), value, "start", "title" if number == 0 else "")
-        if number + 1 < len(rows):
-            canvas.line([(0.0, y), (canvas.width, y)], "ext")
-    corners = [
-        (0.0, 2.0),
-        (canvas.width, 2.0),
-        (canvas.width, canvas.height),
-        (0.0, canvas.height),
-        (0.0, 2.0),
-    ]
-    canvas.line(corners, "dim")
-    canvas.line([(86.0, 2.0), (86.0, canvas.height)], "ext")
-    return canvas
+        [LENS_FINISH, f"lens {array + 1}", texture, f"3/ {form}", f"4/ {'see errors allowed' if known else AGREE}", f"5/ {AGREE}"]
+        for array, known in enumerate(centred)
+    ]  # fmt: skip
+    rows.append([OTHER_FINISH, "all others: sides, land, holes", f"Ra {AGREE}", "-", "-", "-"])
+    head = ["symbol", "faces", "texture, at most", "form", "centring", "imperfections"]
+    return table("surfaces (texture: ISO 21920; 3/, 4/, 5/: ISO 10110)", head, rows)
 
 
-def _material(material: Any, index: float) -> str:
-    return f"n = {index:.6g}" if material is None else f"{material.name}, n = {index:.6g}"
+AGREE = "to be agreed"
+"""Of what the design does not state."""
 
 
 def notes(
@@ -315,7 +279,7 @@ def notes(
     rough = (
         f"Rq at most {1e6 * allowed.roughness:.3g} nm"
         if allowed.roughness > 0.0
-        else "roughness not stated by the design"
+        else "to be agreed, the design states no roughness"
     )
     slope = f", slope error at most {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else ""
     sides = (
@@ -325,7 +289,7 @@ def notes(
     )  # fmt: skip
     said = [
         f"Datum A: the plane z = {mm_text(window.z_range[0] * mm)} through the lowest points of the side of lens 1; {sides}.",
-        f"Surface finish of lens faces: {rough}{slope}. Sides and land: as cut, opaque where the design says so.",
+        f"Surface finish of lens faces: {rough}{slope}. Land and sides are opaque where the design says so. All faces: see the table of surfaces.",
         "± is an error that the design allows. Dimensions without ± are theoretically exact; agree on the workshop's own class.",
         *orientation(window),
         *more,

@@ -24,7 +24,7 @@ from clacad.formats.drawing.canvas import (
     Words,
     said_scale,
 )
-from clacad.formats.drawing.sheet_layout import MARGIN, PlacedBlock, Sheet
+from clacad.formats.drawing.sheet_layout import PlacedBlock, Sheet
 from clacad.storage.errors import FileDisagrees, NotPossible, UnreadableFile
 
 GAP = 20.0
@@ -37,7 +37,7 @@ LAYERS = {
 
 LAYER_OF = {
     "body": "OUTLINE", "cut": "OUTLINE", "axis": "AXES", "ext": "DIMENSIONS", "dim": "DIMENSIONS", "head": "DIMENSIONS",
-    "ray": "LIGHT", "focus": "LIGHT",
+    "ray": "LIGHT", "focus": "LIGHT", "frame": "FRAME",
 }  # fmt: skip
 
 TYPE = 7.6
@@ -104,17 +104,9 @@ class _Pen:
 
     def sheet(self, sheet: Sheet, x: float) -> None:
         wide, tall = sheet.paper
-        for margin in (0.0, MARGIN):
-            corners = [
-                (margin, margin),
-                (wide - margin, margin),
-                (wide - margin, tall - margin),
-                (margin, tall - margin),
-            ]
-            self.space.add_lwpolyline(
-                [(x + u, v) for u, v in corners], close=True, dxfattribs={"layer": "FRAME"}
-            )
-        for placed in sheet.placed:
+        corners = [(x, 0.0), (x + wide, 0.0), (x + wide, tall), (x, tall)]
+        self.space.add_lwpolyline(corners, close=True, dxfattribs={"layer": "FRAME"})
+        for placed in sheet.drawn:
             self._board(sheet, placed, x)
 
     def _board(self, sheet: Sheet, placed: PlacedBlock, x: float) -> None:

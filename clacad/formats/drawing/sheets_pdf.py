@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from clacad.formats.drawing.canvas import STYLE
-from clacad.formats.drawing.sheet_layout import MARGIN, Sheet
+from clacad.formats.drawing.sheet_layout import Sheet
 from clacad.storage.atomic import scratch_folder
 from clacad.storage.errors import FileDisagrees
 
@@ -14,14 +14,13 @@ from clacad.storage.errors import FileDisagrees
 def sheet_svg(sheet: Sheet) -> str:
     """A sheet of paper as SVG, a millimetre a unit."""
     wide, tall = sheet.paper
-    inner = f'x="{MARGIN:g}" y="{MARGIN:g}" width="{wide - 2 * MARGIN:g}" height="{tall - 2 * MARGIN:g}"'
     boards = "\n".join(
         f'<g transform="translate({one.x:.4f} {one.y:.4f}) scale({sheet.unit:.7f})">\n{one.canvas.body(sheet.zoom)}\n</g>'
-        for one in sheet.placed
+        for one in sheet.drawn
     )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide:g} {tall:g}" width="{wide:g}mm" height="{tall:g}mm">'
-        f'<style>{STYLE}</style>\n<rect {inner} fill="none" stroke="#1c2733" stroke-width=".5"/>\n{boards}\n</svg>'
+        f"<style>{STYLE}</style>\n{boards}\n</svg>"
     )
 
 

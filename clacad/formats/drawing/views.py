@@ -7,9 +7,9 @@ specify it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import floor, isfinite, log10
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,16 +19,16 @@ from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.formats.drawing.allowances import NO_ALLOWANCES, Allowances
 from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
-from clacad.formats.drawing.canvas import Canvas
+from clacad.formats.drawing.canvas import CHARACTER, Canvas
 from clacad.sheet.bundle import central_cell
 from clacad.sheet.feasibility import FaceShape, body_range
-from clacad.sheet.lattice import Circle
+from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_extent, whole_extent
 from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
-    from clacad.sheet.feasibility import Feasibility
+    from clacad.sheet.feasibility import Feasibility, LensFacts
 
 WIDTH = 760.0
 MOST_CELLS = 240
@@ -51,24 +51,66 @@ class DrawnLight:
     focus: float
 
 
+@dataclass(frozen=True, slots=True)
+class OnPaper:
+    """How much of a sheet of paper a view may take.
+
+    Parameters
+    ----------
+    unit : float
+        Millimetres on paper a pixel.
+    share : float
+        Of the scale that a view has in a report.
+    """
+
+    unit: float
+    share: float
+
+    def scale(self, largest: float) -> float:
+        """The largest scale of ISO 5455 (1, 2 or 5 times a power of ten) up to a share of `largest`, px per mm."""
+        wanted = largest * self.share * self.unit * (1.0 + 1e-9)
+        power = 10.0 ** floor(log10(wanted))
+        return next(step for step in (5.0, 2.0, 1.0) if step * power <= wanted) * power / self.unit
+
+
+def _scaled(largest: float, paper: OnPaper | None) -> float:
+    return largest if paper is None else paper.scale(largest)
+
+
+def _text_width(*words: str) -> float:
+    """Width of a view that lines of words need, px."""
+    return 12.0 + CHARACTER * max(len(line) for line in words)
+
+
 def mm_text(value: float, half: float = 0.0) -> str:
     """A length in millimetres as a drawing prints it, with its tolerance."""
     return f"{value:.5g} ±{half:.2g}" if half > 0.0 else f"{value:.5g}"
 
 
-def assembly(window: Window) -> Canvas:
-    """The whole sheet from the side, cut through a row of cells, with its outer sizes and those of its
-    bodies.
+Range = tuple[float, float]
+
+
+def assembly(window: Window, paper: OnPaper | None = None, ranges: Sequence[Range] | None = None) -> Canvas:
+    """The whole sheet from the side, cut through a row of cells, with its outer sizes and those of its bodies.
+
+    ranges : lowest and highest point of every body (lengths), where they are known already
     """
+    ranges = ranges or [body_range(window, body) for body in window.bodies]
     mm = millimetres(window.unit)
     x0, x1, _, _ = whole_extent(window)
     low, high = window.z_range
     left, right = 40.0, 130.0
-    scale = min((WIDTH - left - right) / ((x1 - x0) * mm), 260.0 / ((high - low) * mm))
-    tall = (high - low) * mm * scale
-    top = 34.0
-    canvas = Canvas(WIDTH, top + tall + 74.0, "assembly in cross-section with dimensions, to scale", scale)
-    left += 0.5 * ((WIDTH - left - right) - (x1 - x0) * mm * scale)
+    largest = min((WIDTH - left - right) / ((x1 - x0) * mm), 260.0 / ((high - low) * mm))
+    scale = _scaled(largest, paper)
+    wide, tall = (x1 - x0) * mm * scale, (high - low) * mm * scale
+    top = 50.0
+    title, foot = (
+        f"{row_text(window)}, lens 1 below",
+        "Section along x, row nearest the middle; light from below.",
+    )
+    full = max(left + wide + right, _text_width(title, foot)) if paper else WIDTH
+    canvas = Canvas(full, top + tall + 74.0, "assembly in cross-section with dimensions, to scale", scale)
+    left += 0.5 * (full - left - right - wide)
 
     def at(x: Floats | float, z: Floats | float) -> Floats:
         return _points(left + (np.asarray(x) - x0) * mm * scale, top + (high - np.asarray(z)) * mm * scale)
@@ -76,23 +118,38 @@ def assembly(window: Window) -> Canvas:
     _, y = across_cell(window, 0)
     for body in window.bodies:
         _draw_body(canvas, window, body, y, at)
-    end = left + (x1 - x0) * mm * scale
-    bottom = top + tall
+    _assembly_dimensions(canvas, window, at, ranges, (left, left + wide), (top, top + tall))
+    canvas.text((6.0, 14), title, "start", "note")
+    canvas.scale_note((6.0, 29), "start")
+    canvas.text((6.0, top + tall + 62), foot, "start", "note")
+    return canvas
+
+
+def _assembly_dimensions(
+    canvas: Canvas, window: Window, at: Callable[..., Floats], ranges: Sequence[Range],
+    across: tuple[float, float], down: tuple[float, float],
+) -> None:  # fmt: skip
+    """Outer sizes, heights of the bodies, datum A, the finish of the sides, and the direction of the light."""
+    mm = millimetres(window.unit)
+    x0, x1, _, _ = whole_extent(window)
+    low, high = window.z_range
+    (left, end), (top, bottom) = across, down
     canvas.datum((left + 0.2 * (end - left), bottom), (0.0, 17.0), "A")
     canvas.across(left, end, bottom + 30, mm_text((x1 - x0) * mm), (bottom, bottom))
     canvas.upright(top, bottom, end + 62, mm_text((high - low) * mm), (end, end))
-    if len(window.bodies) > 1:
-        for body in window.bodies:
-            a, b = body_range(window, body)
+    edge = top + min(10.0, 0.5 * float(at(x0, ranges[-1][0])[1] - top))
+    canvas.leader((left, edge), (left - 16.0, edge - 4.0), "")
+    canvas.finish((left - 16.0, edge - 4.0), OTHER_FINISH)
+    if len(ranges) > 1:
+        for a, b in ranges:
             ya, yb = float(at(x0, b)[1]), float(at(x0, a)[1])
             canvas.upright(ya, yb, end + 16, mm_text((b - a) * mm), (end, end))
-    canvas.text((left, 14), f"{row_text(window)}, lens 1 below", "start", "note")
-    canvas.scale_note((WIDTH - 6, 14))
-    canvas.leader((left - 22, bottom - min(30.0, tall + 12)), (left - 22, bottom), "")
+    canvas.leader((left - 22, bottom - min(30.0, bottom - top + 12)), (left - 22, bottom), "")
     canvas.text((left - 22, bottom + 14), "+z", "middle", "note")
-    canvas.text((left, bottom + 60), "Light comes from below. Section along x through the row of cells nearest the middle.",
-                "start", "note")  # fmt: skip
-    return canvas
+
+
+LENS_FINISH, OTHER_FINISH = "z", "y"
+"""Letters at the symbols of surface texture, on lens faces and on all others; the table of surfaces explains them."""
 
 
 def row_text(window: Window) -> str:
@@ -127,54 +184,81 @@ def _draw_body(canvas: Canvas, window: Window, body: Body, y: float, at: Callabl
     canvas.polygon(at(corners[:, 0], corners[:, 1]), "cut")
 
 
-def plan(window: Window) -> Canvas:
+def plan(window: Window, paper: OnPaper | None = None) -> Canvas:
     """The sheet seen along the light, with its axes, which show its orientation."""
     mm = millimetres(window.unit)
     x0, x1, y0, y1 = whole_extent(window)
-    scale = 190.0 / (max(x1 - x0, y1 - y0) * mm)
+    scale = _scaled(190.0 / (max(x1 - x0, y1 - y0) * mm), paper)
     wide, tall = (x1 - x0) * mm * scale, (y1 - y0) * mm * scale
     across, upright = _inner_distances(window)
-    drop = (
-        STEP_DOWN if isinstance(window.outline, Plate) else 0.0
-    )  # the datum of a round side is above the words
+    left, top, drop = 70.0, 24.0, STEP_DOWN
+    foot = ["seen along the light (+z away), from the side of lens 1", *_left_out(window)]
+    needed = left + wide + 74.0 + STEP_OUT * len(upright)
+    full = max(needed, _text_width(*foot))
+    left += 0.5 * (full - needed)
     canvas = Canvas(
-        380.0 + STEP_OUT * len(upright),
-        tall + 92.0 + drop + STEP_DOWN * len(across),
-        "the sheet seen along the light, with axes, sizes and places of holes, to scale",
-        scale,
-    )
-    left, top = 105.0, 24.0
-    if isinstance(window.outline, Plate):
-        _plate_plan(canvas, window.outline, (x1, y1), (left, top), mm * scale)
-        lowest, outermost = _extreme_places(window.outline)
-        canvas.datum((left + (x1 - lowest) * mm * scale, top + tall), (0.0, 14.0), "B")
-        canvas.datum((left + wide, top + (y1 - outermost) * mm * scale), (13.0, 0.0), "C")
-    elif isinstance(window.outline, Circle):
-        canvas.circle((left + 0.5 * wide, top + 0.5 * tall), 0.5 * wide, "body")
-        canvas.datum((left + wide, top + 0.5 * tall), (13.0, 0.0), "B")
-    else:
-        canvas.polygon(
-            np.array([[left, top], [left + wide, top], [left + wide, top + tall], [left, top + tall]]), "body"
-        )
-        canvas.polygon(np.array([[left, top], [left + 12.0, top], [left, top + 12.0]]), "mark")
-        canvas.text((left - 6.0, top + 10.0), "mark", "end", "note")
-        canvas.datum((left + 0.2 * wide, top + tall), (0.0, 14.0), "B")
-        canvas.datum((left + wide, top + 0.2 * tall), (13.0, 0.0), "C")
-    middle = np.array([left + 0.5 * wide, top + 0.5 * tall])
-    for tip, words in (((-48.0, 0.0), "+x"), ((0.0, -48.0), "+y")):
-        end = middle + np.array(tip)
-        canvas.leader((float(end[0]), float(end[1])), (float(middle[0]), float(middle[1])), "")
-        canvas.text((float(end[0]) - 10 if tip[0] else float(end[0]) + 12, float(end[1]) + 4), words)
-    canvas.circle((float(middle[0]), float(middle[1])), 5.0, "dim")
-    canvas.text((float(middle[0]) + 10, float(middle[1]) + 18), "+z away", "start", "note")
+        full, top + tall + drop + 50.0 + STEP_DOWN * len(across) + 15.0 * len(foot),
+        "the sheet seen along the light, with axes, sizes and places of holes, to scale", scale,
+    )  # fmt: skip
+    _outline(canvas, window, (left, top), (wide, tall))
+    _axes(canvas, (left + 0.5 * wide, top + 0.5 * tall), min(48.0, 0.3 * wide, 0.3 * tall))
     bottom = top + tall
     canvas.across(left, left + wide, bottom + 26 + drop, mm_text((x1 - x0) * mm), (bottom, bottom))
     canvas.upright(top, bottom, left + wide + 22, mm_text((y1 - y0) * mm), (left + wide, left + wide))
     _inner_dimensions(canvas, window, (x1, y1), (left, top), (left + wide + 22, bottom + 26 + drop))
-    foot = bottom + 54 + drop + STEP_DOWN * len(across)
-    canvas.text((6, foot), "seen along the light, from the side of lens 1", "start", "note")
-    canvas.scale_note((canvas.width - 6.0, foot))
+    below = bottom + 44 + drop + STEP_DOWN * len(across)
+    canvas.scale_note((6, below), "start")
+    for number, words in enumerate(foot, 1):
+        canvas.text((6, below + 15.0 * number), words, "start", "note")
     return canvas
+
+
+def _outline(canvas: Canvas, window: Window, at: tuple[float, float], size: tuple[float, float]) -> None:
+    """The outline of the sheet, its mark and its datums; `at`: upper left corner, `size`: width and height, px."""
+    (left, top), (wide, tall) = at, size
+    x0, x1, y0, y1 = whole_extent(window)
+    scale = wide / (x1 - x0)
+    place_b, place_c = left + 0.2 * wide, top + 0.2 * tall
+    if isinstance(window.outline, Plate):
+        _plate_plan(canvas, window.outline, (x1, y1), at, scale)
+        lowest, outermost = _extreme_places(window.outline)
+        place_b, place_c = left + (x1 - lowest) * scale, top + (y1 - outermost) * scale
+    elif isinstance(window.outline, Circle):
+        canvas.circle((left + 0.5 * wide, top + 0.5 * tall), 0.5 * wide, "body")
+        canvas.datum((left + wide * (0.5 + 0.5**1.5), top + tall * (0.5 - 0.5**1.5)), (13.0, -13.0), "B")
+        return
+    else:
+        canvas.polygon(
+            np.array([at, [left + wide, top], [left + wide, top + tall], [left, top + tall]]), "body"
+        )
+        canvas.polygon(np.array([at, [left + 12.0, top], [left, top + 12.0]]), "mark")
+        canvas.text((left - 6.0, top + 10.0), "mark", "end", "note")
+    across, upright = _inner_distances(window)
+    down = [left + (x1 - v) * scale for low, high, _ in across for v in (low, high)]
+    right = [top + (y1 - v) * scale for low, high, _ in upright for v in (low, high)]
+    canvas.datum((place_b, top + tall), (_free_way(place_b, [*down, left, left + wide]), 16.0), "B")
+    canvas.datum((left + wide, place_c), (13.0, _free_way(place_c, [*right, top, top + tall])), "C")
+
+
+def _free_way(place: float, taken: Sequence[float]) -> float:
+    """Least offset (px) of a datum letter from its place, so that no extension line (at `taken`) crosses it."""
+    ways = sorted((4.0 * k for k in range(-40, 41)), key=lambda way: (abs(way), way))
+    return next((way for way in ways if all(abs(place + way - line) > 9.0 for line in taken)), 0.0)
+
+
+def _axes(canvas: Canvas, middle: tuple[float, float], length: float) -> None:
+    """The axes of the sheet at its middle, seen along the light."""
+    for (dx, dy), words in (((-length, 0.0), "+x"), ((0.0, -length), "+y")):
+        end = (middle[0] + dx, middle[1] + dy)
+        canvas.leader(end, middle, "")
+        canvas.text((end[0] - 10 if dx else end[0] + 12, end[1] + 4), words)
+    canvas.circle(middle, 5.0, "dim")
+
+
+def _left_out(window: Window) -> list[str]:
+    """Reference to the table of holes for places that the view does not dimension."""
+    many = [axis for axis, found in zip("xy", _hole_places(window), strict=True) if len(found) > MOST_PLACES]
+    return [f"holes along {' and '.join(many)}: see table"] if many else []
 
 
 def _inner_dimensions(
@@ -192,8 +276,13 @@ def _inner_dimensions(
     assert canvas.scale is not None
     scale, kept = mm * canvas.scale, window.lattice.outline
     origin = (at[0] + corner[0] * scale, at[1] + corner[1] * scale)
-    if isinstance(kept, Circle) and window.outline != kept:
+    clear = _clear_aperture(window)
+    if isinstance(kept, Circle) and clear[0]:
         canvas.circle(origin, 0.5 * kept.diameter * scale, "axis")
+    elif clear[0]:
+        (x0, x1, _), (y0, y1, _) = clear[0][0], clear[1][0]
+        box = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
+        canvas.line(np.asarray(origin) - box * scale, "axis")
     across, upright = _inner_distances(window)
     for row, (low, high, words) in enumerate(across, 1):
         ends, said = (origin[0] - high * scale, origin[0] - low * scale), words + mm_text((high - low) * mm)
@@ -214,23 +303,36 @@ Distance = tuple[float, float, str]
 
 
 def _inner_distances(window: Window) -> tuple[list[Distance], list[Distance]]:
-    """Stretches (low, high, words) along x and along y, lengths, to be dimensioned: clear aperture, positions
-    of holes.
-    """
-    clear: list[Distance] = []
-    if isinstance(window.lattice.outline, Circle) and window.outline != window.lattice.outline:
-        half = 0.5 * window.lattice.outline.diameter
-        clear = [(-half, half, "clear ")]
+    """Stretches (low, high, words) along x and along y, lengths, to be dimensioned: clear aperture, places of holes."""
+    clear = _clear_aperture(window)
+    found = [places if len(places) <= MOST_PLACES else [] for places in _hole_places(window)]
+    return clear[0] + found[0], clear[1] + found[1]
+
+
+def _clear_aperture(window: Window) -> tuple[list[Distance], list[Distance]]:
+    """Along x and along y, where the plate is larger than its cells; a round one has one diameter."""
+    kept = window.lattice.outline
+    if isinstance(kept, Circle):
+        half = 0.5 * kept.diameter
+        return ([(-half, half, "clear ")] if window.outline != kept else []), []
+    if not isinstance(window.outline, Rectangle) or window.land.border == 0.0:
+        return [], []
+    x0, x1, y0, y1 = window.placements[0].extent(window.lattice)
+    return [(x0, x1, "clear ")], [(y0, y1, "clear ")]
+
+
+def _hole_places(window: Window) -> tuple[list[Distance], list[Distance]]:
+    """Each different distance of holes from the middle, along x and along y."""
     if not isinstance(window.outline, Plate):
-        return clear, []
+        return [], []
     plate = window.outline
-    found: list[list[Distance]] = []
-    for places in ([hole.x for hole in plate.holes], [hole.y for hole in plate.holes]):
-        least = 1e-12 * max(plate.reach)
+    least = 1e-12 * max(plate.reach)
+
+    def stretches(places: list[float]) -> list[Distance]:
         apart = sorted({float(f"{value:.12g}") for value in places if abs(value) > least}, key=abs)
-        stretches = [(min(0.0, value), max(0.0, value), "") for value in apart]
-        found.append(stretches if len(stretches) <= MOST_PLACES else [])
-    return clear + found[0], found[1]
+        return [(min(0.0, value), max(0.0, value), "") for value in apart]
+
+    return stretches([hole.x for hole in plate.holes]), stretches([hole.y for hole in plate.holes])
 
 
 def _extreme_places(plate: Plate) -> tuple[float, float]:
@@ -270,20 +372,25 @@ def _plate_plan(
 
 
 def telescopelet(
-    window: Window, facts: Feasibility, light: DrawnLight | None = None, allowed: Allowances = NO_ALLOWANCES
-) -> Canvas:
+    window: Window, facts: Feasibility, light: DrawnLight | None = None, allowed: Allowances = NO_ALLOWANCES,
+    paper: OnPaper | None = None,
+) -> Canvas:  # fmt: skip
     """One telescopelet cut along x, light from the left, with separation, thicknesses, pitch and focal plane."""
     mm = millimetres(window.unit)
     pitch = window.lattice.pitch[0] * mm
     low, high = window.z_range
     shift = abs(window.shifts[1][0]) * mm
-    scale = min(600.0 / ((high - low) * mm), 190.0 / (pitch + shift))
-    left, top = 74.0, 40.0
-    tall = (pitch + shift) * scale
-    canvas = Canvas(
-        WIDTH, top + tall + 96.0, "one telescopelet in cross-section with dimensions, to scale", scale
+    scale = _scaled(min(600.0 / ((high - low) * mm), 190.0 / (pitch + shift)), paper)
+    left, top = 74.0, 60.0
+    wide, tall = (high - low) * mm * scale, (pitch + shift) * scale
+    title = (
+        f"f in air, lens 1: {_pair(facts.lenses[0].built_focal_length, mm)}; lens 2: "
+        f"{_pair(facts.lenses[1].built_focal_length, mm)} (x, y)"
     )
-    left += 0.5 * (600.0 - (high - low) * mm * scale)
+    full = max(left + wide + 86.0, _text_width(title)) if paper else WIDTH
+    label = "one telescopelet in cross-section with dimensions, to scale"
+    canvas = Canvas(full, top + tall + 70.0, label, scale)
+    left += 0.5 * (full - 160.0 - wide)
     x, y = across_cell(window, 0)
     above = 0.5 * pitch + max(0.0, window.shifts[1][0] * mm)
     middle = 0.5 * (x[0] + x[-1])
@@ -310,9 +417,8 @@ def telescopelet(
     canvas.upright(ya, yb, edge - 44, mm_text(pitch), (edge, edge))
     if light is not None:
         _focal_plane(canvas, window, light, at, middle)
-    canvas.text((6, 14), f"f in air, lens 1: {_pair(facts.lenses[0].built_focal_length, mm)}; lens 2: "
-                f"{_pair(facts.lenses[1].built_focal_length, mm)} (x, y)", "start", "note")  # fmt: skip
-    canvas.scale_note((WIDTH - 6, 14))
+    canvas.text((6, 14), title, "start", "note")
+    canvas.scale_note((6, 29), "start")
     return canvas
 
 
@@ -375,8 +481,9 @@ def _focal_plane(canvas: Canvas, window: Window, light: DrawnLight, at: Callable
 
 
 def lens_detail(
-    window: Window, facts: Feasibility, number: int, allowed: Allowances = NO_ALLOWANCES
-) -> Canvas:
+    window: Window, facts: Feasibility, number: int, allowed: Allowances = NO_ALLOWANCES,
+    paper: OnPaper | None = None,
+) -> Canvas:  # fmt: skip
     """Lens `number` of the facts over its cell, enlarged, with pitch, sag, thickness and apex radii; light from below."""
     lens = facts.lenses[number]
     array = lens.array
@@ -390,8 +497,10 @@ def lens_detail(
     curved = _curved_side(body, array)
     deep = front if curved is None else (front if curved == 0 else back)
     depth = (_depth(front, back) if curved is None else _depth(deep, deep)) * mm
-    scale = min(200.0 / pitch, 120.0 / depth) if depth > 0 else 200.0 / pitch
-    left += 0.5 * (200.0 - pitch * scale)
+    scale = _scaled(min(200.0 / pitch, 120.0 / depth) if depth > 0 else 200.0 / pitch, paper)
+    radius, conic = _shape_words(lens, mm)
+    full = max(left + pitch * scale + 96.0, _text_width(radius, conic)) if paper else 380.0
+    left += 0.5 * (full - 180.0 - pitch * scale)
     bottom = _low(front)
     if curved == 1:  # the flat side of a thick body is far below: only its top is drawn
         bottom = max(bottom, _low(back) - 40.0 / scale / mm)
@@ -401,7 +510,7 @@ def lens_detail(
     tall = (float(np.nanmax(drawn_top)) - bottom) * mm * scale if np.isfinite(drawn_top).any() else 40.0
     base = 54.0 + max(tall, 30.0)
     label = f"{lens.name} over its cell with dimensions, to scale"
-    canvas = Canvas(380.0, base + 80.0, label, scale)
+    canvas = Canvas(full, base + 80.0, label, scale)
 
     def at(x_: Floats | float, z: Floats | float) -> Floats:
         down = base - (np.asarray(z) - bottom) * mm * scale
@@ -409,10 +518,18 @@ def lens_detail(
 
     for piece in outlines(x, np.maximum(front, bottom), drawn_top):
         canvas.polygon(at(piece[:, 0], piece[:, 1]), "body" if curved is None else "cut")
+    _lens_finish(canvas, x, deep if curved == 0 else drawn_top, at, curved == 0)
     half = allowed.of_body(place, len(window.bodies))
     _detail_dimensions(canvas, x, front, back, at, mm, curved, base, half)
     canvas.text((6, 14), f"{lens.name}, on {body.name}" if array < 2 else lens.name, "start", "title")
-    canvas.scale_note((374, 14))
+    canvas.scale_note((6, 29), "start")
+    canvas.text((6, base + 56.0), radius, "start")
+    canvas.text((6, base + 72.0), conic, "start")
+    return canvas
+
+
+def _shape_words(lens: LensFacts, mm: float) -> tuple[str, str]:
+    """The apex radii of a lens, and its conic constants with its sag."""
     shapes = lens.shapes or (FaceShape("", lens.radius, lens.conic, None),)
     radius = "; ".join(
         ", ".join(mm_text(r * mm) if isfinite(r) else "flat" for r in shape.radius) for shape in shapes
@@ -420,9 +537,22 @@ def lens_detail(
     conic = "; ".join(
         ", ".join("–" if k is None else digits(k, count=4) for k in shape.conic) for shape in shapes
     )
-    canvas.text((6, base + 56.0), f"apex radius x, y: {radius}", "start")
-    canvas.text((6, base + 72.0), f"conic constant x, y: {conic}; sag {mm_text(lens.sag * mm)}", "start")
-    return canvas
+    return f"apex radius x, y: {radius}", f"conic constant x, y: {conic}; sag {mm_text(lens.sag * mm)}"
+
+
+def _lens_finish(canvas: Canvas, x: Floats, face: Floats, at: Callable[..., Floats], below: bool) -> None:
+    """The symbol of surface texture on a lens face, next to its apex; of a face seen from below at the end of a leader."""
+    known = np.flatnonzero(np.isfinite(face))
+    if not len(known):
+        return
+    number = known[len(known) // 8]
+    tip = (float(at(x[number], 0.0)[0]), float(at(0.0, face[number])[1]))
+    if not below:
+        canvas.finish(tip, LENS_FINISH)
+        return
+    elbow = (float(at(x[0], 0.0)[0]) - 34.0, tip[1] + 16.0)
+    canvas.leader(tip, elbow, "")
+    canvas.finish(elbow, LENS_FINISH)
 
 
 def _curved_side(body: Body, array: int) -> int | None:
