@@ -54,6 +54,12 @@ STRICT: tuple[str, ...] = (
     "solid",
     "topology",
     "tracing",
+    "verification/light",
+    "verification/files",
+    "verification/design",
+    "verification/returned",
+    "verification/tolerance",
+    "verification/stability",
     "waves",
 )
 """Folders and files of the package whose comments and docstrings are free of them."""

@@ -105,7 +105,7 @@ def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float
 def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
     """Largest distance (mm) of facets from a part's faces: a small part of the flatter lens's sag.
 
-    A lower limit follows from the part's size: facets of a different part (in another unit, say) could fill the memory.
+    A lower limit follows from the part's size: facets of a part in another unit could fill the memory.
     """
     low, high = facts.get("box", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     sag = min(lens.sag for lens in feasibility(window).lenses) * millimetres(window.unit)
