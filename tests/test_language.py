@@ -60,6 +60,7 @@ STRICT: tuple[str, ...] = (
     "verification/returned",
     "verification/tolerance",
     "verification/stability",
+    "verification/accuracy",
     "waves",
 )
 """Folders and files of the package whose comments and docstrings are free of them."""
