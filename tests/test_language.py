@@ -54,13 +54,7 @@ STRICT: tuple[str, ...] = (
     "solid",
     "topology",
     "tracing",
-    "verification/light",
-    "verification/files",
-    "verification/design",
-    "verification/returned",
-    "verification/tolerance",
-    "verification/stability",
-    "verification/accuracy",
+    "verification",
     "waves",
 )
 """Folders and files of the package whose comments and docstrings are free of them."""
