@@ -24,7 +24,7 @@ TASK = "compiling what traces"
 def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
     """Processor seconds to compile those of some kernels that are not cached on this machine; 0 where all are.
 
-    window : a uniform sheet; the kind of its layout determines the code
+    window : the kind of its layout determines the code; 0 for a non-uniform sheet
     """
     if not window.uniform:
         return 0.0

@@ -265,7 +265,7 @@ def _thickness(window: Window, body: Body, points: Floats) -> float:
 
 
 def _circle(corners: Floats) -> tuple[float, float, float] | None:
-    """Centre and radius of an upright round wall whose outside faces inwards (a hole), or None."""
+    """Centre and radius of an upright round wall whose normals point to its axis (a hole), or None."""
     points = corners[..., :2].reshape(-1, 2)
     about = points.mean(axis=0)
     x, y = (points - about).T
