@@ -54,6 +54,7 @@ STRICT: tuple[str, ...] = (
     "solid",
     "topology",
     "tracing",
+    "verification",
     "waves",
 )
 """Folders and files of the package whose comments and docstrings are free of them."""

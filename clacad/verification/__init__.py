@@ -1,6 +1,6 @@
-"""Verification: what was written is traced, and every number is held against what was asked.
+"""Verification: written files are traced, and every number is compared with the requested one.
 
-`verify` gives a `Report`; its `passed`, its JSON and the page made from it are one object. Names resolve
+`verify` returns a `Report`; its `passed`, its JSON and its page come from one object. Names resolve
 when first used, so that judging a design's geometry does not load the tracer.
 """
 

@@ -1,4 +1,4 @@
-"""What a check is, and what a set of checks says: one object gives the page, the JSON and the exit status.
+"""Checks and the result of a set of checks: one object gives the page, the JSON and the exit status.
 
 A check that did not run is "not run" and never green: a required one fails the report as a failed one does.
 """
@@ -45,7 +45,7 @@ FORMER: Mapping[str, str] = {
     "faithful_eta": "file_eta",
     "faithful_delta": "file_delta",
 }
-"""Names that checks had; kept in JSON as "alias", and known to `explain`."""
+"""Former names of checks; kept in JSON as "alias", and known to `explain`."""
 
 
 @dataclass(frozen=True)
@@ -57,23 +57,23 @@ class Check:
     id : str
         Stable name; files add the file's name in `subject`.
     value, limit : float, str or None
-        None where nothing was measured, or nothing is asked.
+        None where nothing was measured, or no limit applies.
     unit : str
     relation : "<=", ">=" or ">"
-        How value and limit must stand.
+        Relation of value to limit that passes.
     where : str
         law, thin, surfaces, geometry, or file.
     bundle : str
         Field, aperture, rays and seed of a traced check; "" otherwise.
     state : "pass", "fail", "warn" or "not run"
     sentence : str
-        What it means, with numbers, and a way out when it failed.
+        Meaning of the result, with numbers, and a remedy for a failure.
     required : bool
         Whether "not run" counts against the report.
     limit_source : LimitSource
-        Where the limit comes from; `source` says it in words.
+        Source of the limit; `source` gives it in words.
     subject : str
-        File or body it is about; "" for the design.
+        File or body of the check; "" for the design.
     detail : mapping
         Further numbers.
     """
@@ -99,7 +99,7 @@ class Check:
 
     @property
     def source(self) -> str:
-        """Where the limit comes from, in words."""
+        """Source of the limit, in words."""
         return str(self.limit_source)
 
     def to_dict(self) -> dict[str, Any]:
@@ -133,16 +133,16 @@ def judge(
 
 
 RAYS_NEEDED = "rays_needed"
-"""Under this name the detail of a check that did not run says how many rays it takes, where fewer of them were the reason."""
+"""Key in the detail of a check that did not run for lack of rays: the number of rays it needs."""
 
 
 def not_run(id: str, why: str, **rest: Any) -> Check:
-    """Give a check whose input is missing."""
+    """Return a check whose input is missing."""
     return Check(id, "not run", why, **rest)
 
 
 def unreadable(error: Exception, **rest: Any) -> Check:
-    """Give the failed check of a file that could not be read; its detail says where a budget was why."""
+    """Return the failed check of a file that could not be read; its detail names an exceeded budget."""
     known = isinstance(error, (ExportError, OSError))
     why = str(error) if known else f"damaged ({type(error).__name__}: {str(error)[:200]})"
     beyond = isinstance(error, (OverBudget, MemoryError))
@@ -152,11 +152,10 @@ def unreadable(error: Exception, **rest: Any) -> Check:
 
 
 def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Mark the warnings that the design accepts, with the reason it gives; say which of its allowances do nothing,
-    and of each limit where it comes from.
+    """Mark the warnings that the design accepts, with its reason; add notices of idle allowances and sources of limits.
 
-    An allowance is idle if its code is nobody's, or if the checks of that code ran and none of them warned. Checks
-    that were marked before stay as they are.
+    An allowance is idle if no check has its code, or if the checks of that code ran and none of them warned. Checks
+    that were marked before are unchanged.
     """
     found = [check for check in _sourced(checks, design) if check.id != "allowance"]
     reasons = {allowed.code: allowed.reason for allowed in design.check.allow}
@@ -170,7 +169,7 @@ def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
 
 
 def _sourced(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """The same checks; their limits know whether the design file gives the key that they come from."""
+    """Checks whose limit sources record whether the design file gives the key of the limit."""
     return tuple(
         replace(c, limit_source=c.limit_source.known_to(design, c.id))
         if c.limit is not None or c.state == "not run"
@@ -180,7 +179,7 @@ def _sourced(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
 
 
 def _idle(code: str, checks: Iterable[Check]) -> Check | None:
-    """Notice that an allowance does nothing; None if it does something, or its check has not been looked at."""
+    """Notice that an allowance is idle; None if it has an effect, or its check has not run."""
     if code not in CODES.values():
         why = f"the design allows {code}, which is the code of no check"
     else:

@@ -1,4 +1,4 @@
-"""An asked direction error in a verification: how many rays it takes, and whether the files are within it."""
+"""A requested direction error in a verification: the rays it needs, and whether the files are within it."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
     from clacad.verification.verification_report import Report
 
 FEWEST, MOST = 1 << 14, 1 << 20
-"""With fewer than the first the fits through a file's triangles have too few rays that get through."""
+"""Fewest and most rays; with fewer, too few rays pass a file's triangles for the fits."""
 SURE = 10.0
-"""Standard errors of a mean that fit into the target."""
+"""Least ratio of the target to the standard error of the mean."""
 
 
 def rays_for(target: float, spread: float) -> int:
-    """Fewest rays, a power of two, whose mean is known to a tenth of a target.
+    """Fewest rays, a power of two, whose mean has a standard error of a tenth of a target.
 
     Parameters
     ----------
     target : float, radians
         Rms direction error that matters.
     spread : float, radians
-        Rms of a single ray's error; the mean of n has spread/√n of it (Sobol points do better).
+        Rms error of a single ray; the mean of n has a standard error of spread/√n (less with Sobol points).
     """
     needed = (SURE * spread / target) ** 2
     if needed >= MOST:
@@ -36,12 +36,12 @@ def rays_for(target: float, spread: float) -> int:
 
 
 def judged_by(report: Report, target: float) -> Report:
-    """Add to a report whether light through each of its files is within a target of the exact surfaces (radians)."""
+    """Add checks to a report: whether light through each file is within a target of the exact surfaces (radians)."""
     return replace(report, checks=(*report.checks, *target_checks(report.checks, target)))
 
 
 def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
-    """One check a file whose light was measured."""
+    """One check for each file whose light was measured."""
     found = []
     for check in checks:
         if check.id != "faithful_rms":

@@ -1,4 +1,4 @@
-"""What a report shows beyond its checks: where errors come from, the foci, what accuracy costs, the effects left out."""
+"""Contents of a report beyond its checks: error attribution, foci, cost of accuracy, omitted effects."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Measurements that judge nothing.
+    """Measurements that are not judged.
 
     Attributes
     ----------
     attributions : tuple of Attribution
-        One for each mesh file; without one, for the triangles an STL would hold.
+        One for each mesh file; without one, for the triangles of an STL.
     foci : (MeridianFocus, MeridianFocus) or None
-        None where the axis ray does not get through.
+        None where the axis ray is lost.
     ghosts : GhostMap
     ladder : Ladder
     plan : Plan or None
         None where the effects cannot be planned (a wavelength outside a material's data).
     waves : WaveReport or None
-        Light along the middle of the field as a wave, where the effect `diffraction` or coherent light calls for it and a
-        grid suffices that is computed.
+        Light along the middle of the field as a wave, where the effect `diffraction` or coherent light requires it and
+        a grid that can be computed suffices.
     """
 
     attributions: tuple[Attribution, ...]
@@ -71,7 +71,7 @@ class Evidence:
 def gather_evidence(
     design: Design, window: Window, files: Sequence[FileReport], progress: Progress
 ) -> Evidence:
-    """Measure what the page of a report shows next to its checks; of a non-uniform sheet, of its worst cell's uniform equivalent."""
+    """Measure what the page of a report shows next to its checks; for a non-uniform sheet, of its worst cell's equivalent."""
     from clacad.effects import plan_effects
 
     if not window.uniform:

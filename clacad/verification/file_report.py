@@ -1,4 +1,4 @@
-"""One file that was judged, and the evidence gathered on it."""
+"""A judged file, and the evidence gathered on it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from clacad.verification.files.mesh_light import MeshEvidence
 
 @dataclass(frozen=True, eq=False)
 class FileReport:
-    """One file that was judged: what it is, and the evidence gathered on it.
+    """A judged file with its identity and the evidence gathered on it.
 
     window : Window or None
-        With the cells of the file; None where they are the design's.
+        Window with the cells of the file; None where they are the design's.
     present : names of the bodies in it, or None for all
     role : Role or None
-        As it was judged, where that is not what it was handed in as.
+        Role as judged, where it differs from the declared one.
     """
 
     subject: Subject
@@ -33,5 +33,5 @@ class FileReport:
 
     @property
     def judged_as(self) -> Role:
-        """What it was judged as."""
+        """Role under which the file was judged."""
         return self.subject.role if self.role is None else self.role

@@ -1,4 +1,4 @@
-"""Files against a design: each is judged as what it is, by its bytes, its shape and the light through it."""
+"""Judgement of files against a design: each file by its kind, its bytes, its shape and the light through it."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def judge_files(
     design : Design
     delivery : Delivery
     cells : (a, b) or None
-        Cells the files hold, where no manifest says.
+        Cells the files hold, where no manifest gives them.
     rays : int
-        Of the main bundle.
+        Ray count of the main bundle.
     progress : callable
         (stage, done 0 … 1).
     """
@@ -69,7 +69,7 @@ Judged = tuple[list[Check], FileReport]
 
 
 def _judge_hashed(asked: Inspection, subject: Subject, window: Window | None) -> Judged:
-    """Judge one file and take its hash; of triangles from the bytes that are judged, as they are read."""
+    """Judge one file and hash it; a mesh is hashed while it is read, from the bytes that are judged."""
     if not subject.is_mesh:
         return _judge_one(asked, subject.hashed(), window)
     heard = Overheard(subject.path)
@@ -80,10 +80,10 @@ def _judge_hashed(asked: Inspection, subject: Subject, window: Window | None) ->
 def _judge_one(
     asked: Inspection, subject: Subject, window: Window | None, heard: Overheard | None = None
 ) -> Judged:
-    """Judge one file as what it is.
+    """Judge one file by its kind.
 
-    window : with the cells that somebody says it holds; None where nobody does
-    heard : told of the bytes of a mesh as they are read
+    window : with the cells of the file according to the caller; None where they are unknown
+    heard : hash that is updated with the bytes of a mesh as they are read
     """
     whole = prescribe(asked.design) if window is None else window
     if subject.format == TABLE:
@@ -108,7 +108,7 @@ def _judge_one(
 
 
 def _judge_solids(asked: Inspection, subject: Subject, window: Window | None, whole: Window) -> Judged:
-    """Judge a STEP or BREP file, wherever its solids lie."""
+    """Judge a STEP or BREP file, in any pose of its solids."""
     found, facts = judge_solid(asked, whole, subject.path)
     stands = facts.get("placement", {"lenses": None})
     if not subject.entry and (lies_elsewhere(found) or stands["lenses"] == 0):
@@ -124,7 +124,7 @@ def _judge_solids(asked: Inspection, subject: Subject, window: Window | None, wh
 def _judge_triangles(
     asked: Inspection, subject: Subject, window: Window | None, heard: Overheard | None
 ) -> Judged:
-    """Judge a mesh file: where its manifest says that it lies, or wherever it is found to lie."""
+    """Judge a mesh file in the pose of its manifest, or in the registered pose."""
     from clacad.formats.mesh.readers import read_mesh
 
     note = ""
@@ -146,7 +146,7 @@ def _judge_triangles(
     if missing:
         held = f"it holds {', '.join(present)}; {', '.join(missing)} taken from the design"
         note = f"{note}; {held}" if note else held
-    odd = "mm / 25.4" in note  # nobody's unit: millimetres that were taken for inches on the way
+    odd = "mm / 25.4" in note  # not a real unit: millimetres that were interpreted as inches
     note += ": it is 25.4 times as large as the design" if odd else ""
     sentence = f"{mesh.format}, {mesh.facet_count} facets" + (f"; {note}" if note else "")
     readable = Check("readable", "warn" if odd else "pass", sentence, **asked.common)

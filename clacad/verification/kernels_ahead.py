@@ -1,4 +1,4 @@
-"""What is compiled on the way where no kernels are kept: it takes longer than the work itself, so it is said before it."""
+"""Forecast of kernel compilation before a task: without cached kernels it takes longer than the task itself."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from clacad.sheet.window import Window
 Kernel = Literal["surfaces", "mesh", "float32", "law", "thin"]
 
 SECONDS: dict[Kernel, float] = {"surfaces": 40.0, "mesh": 41.0, "float32": 20.0, "law": 7.0, "thin": 9.0}
-"""Processor seconds of compiling each (`tests/benchmarks/kernel_compile.py`)."""
+"""Processor seconds to compile each kernel (`tests/benchmarks/kernel_compile.py`)."""
 
 OF_TABLE: tuple[Kernel, ...] = ("surfaces", "mesh", "float32", "law", "thin")
-"""Kernels of a table of accuracy."""
+"""Kernels of an accuracy table."""
 
 TASK = "compiling what traces"
 """Name under which a machine's rate is looked up."""
 
 
 def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
-    """Processor seconds that those of some kernels take to compile which are not kept on this machine; 0 where all are.
+    """Processor seconds to compile those of some kernels that are not cached on this machine; 0 where all are.
 
-    window : whose kind of layout decides which code there is; one of equal cells
+    window : the kind of its layout determines the code; 0 for a non-uniform sheet
     """
     if not window.uniform:
         return 0.0
@@ -32,7 +32,7 @@ def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
 
 
 def _kept(window: Window, kernel: Kernel) -> bool:
-    """Whether the code of one kernel is on disk; types of arguments alone decide."""
+    """Whether the code of one kernel is on disk; it depends on the argument types alone."""
     from clacad.base.kernel_cache import is_kept
     from clacad.optics.rays import Rays
     from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk
@@ -44,7 +44,7 @@ def _kept(window: Window, kernel: Kernel) -> bool:
     from clacad.tracing.triangles.ready_facets import facets_of
 
     layout = lay_out(window)
-    if kernel == "thin" and window.thin.field:  # these are numpy's
+    if kernel == "thin" and window.thin.field:  # computed by numpy
         return True
     if kernel == "surfaces" or kernel == "law" or kernel == "thin":
         return rung_is_kept(kernel, layout)

@@ -1,4 +1,4 @@
-"""Where a limit comes from, as data: the design file, a default, a process profile, or another limit; and its words."""
+"""Sources of limits as data, with their text: the design file, a default, a process profile, or another limit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Origin(Enum):
-    """Kinds of place a limit comes from."""
+    """Kinds of sources of a limit."""
 
     OWN_KEY = "the key of [check] that has the check's name, or its default"
     OTHER_KEY = "made from another key of [check], or from its default"
@@ -25,15 +25,15 @@ class Origin(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LimitSource:
-    """Where a limit comes from.
+    """Source of a limit.
 
     origin : Origin
     what : str
-        Key, name of the profile, or what the limit is made from, in words.
+        Key, name of the profile, or text of what the limit is derived from.
     basis : str
-        What a process profile is founded on.
+        Basis of a process profile.
     given : bool
-        Whether the design file gives the key; only known once `known_to` was asked.
+        Whether the design file gives the key; only known after `known_to`.
     """
 
     origin: Origin = Origin.OWN_KEY
@@ -42,7 +42,7 @@ class LimitSource:
     given: bool = False
 
     def known_to(self, design: Design, check_id: str) -> LimitSource:
-        """The same, knowing whether the design file gives the key that the limit is, or is made from."""
+        """Copy that records whether the design file gives the key of the limit, or the key it derives from."""
         if self.origin not in (Origin.OWN_KEY, Origin.OTHER_KEY):
             return self
         key = check_id if self.origin is Origin.OWN_KEY else self.what
@@ -50,7 +50,7 @@ class LimitSource:
 
     @property
     def heading(self) -> str:
-        """The words without what a process profile is founded on."""
+        """Text without the basis of a process profile."""
         file_or_default = "design file" if self.given else "default"
         return {
             Origin.OWN_KEY: file_or_default,
@@ -63,7 +63,7 @@ class LimitSource:
         }[self.origin]
 
     def __str__(self) -> str:
-        """The words for the page and JSON."""
+        """Text for the page and JSON."""
         return f"{self.heading}: {self.basis}" if self.basis else self.heading
 
 
@@ -73,25 +73,25 @@ DEFAULT = LimitSource(Origin.DEFAULT)
 
 
 def from_key(name: str) -> LimitSource:
-    """Source of a limit that is made from another key of [check]."""
+    """Source of a limit derived from another key of [check]."""
     return LimitSource(Origin.OTHER_KEY, name)
 
 
 def from_profile(rules: ProcessProfile) -> LimitSource:
-    """Source of a limit of a process profile."""
+    """Source of a limit from a process profile."""
     return LimitSource(Origin.PROFILE, rules.name, rules.source)
 
 
 def default(words: str) -> LimitSource:
-    """Source of a limit that is this program's own."""
+    """Source of a default limit of this program."""
     return LimitSource(Origin.DEFAULT, words)
 
 
 def derived(words: str) -> LimitSource:
-    """Source of a limit that is made from what was forecast or stated."""
+    """Source of a limit derived from a forecast or a statement."""
     return LimitSource(Origin.DERIVED, words)
 
 
 def other(words: str) -> LimitSource:
-    """Source of a limit that is none of these."""
+    """Source of a limit of any other kind."""
     return LimitSource(Origin.OTHER, words)

@@ -1,4 +1,4 @@
-"""The whole verification of a design, and of the files made from it."""
+"""The whole verification of a design and of the files made from it."""
 
 from __future__ import annotations
 
@@ -42,26 +42,26 @@ def verify(
     Parameters
     ----------
     design : Design
-        What is asked, and the limits.
+        Gives the requested law and the limits.
     files : path or None
-        A folder with a manifest, or one file: a mesh, a solid, or a map, points, a table, a mask or layers as an export
-        names them; None judges the design alone.
+        A folder with a manifest, or one file: a mesh, a solid, or a map, points, a table, a mask or layers with an
+        export's file name; None judges the design alone.
     cells : (a, b) or None
-        Cells the files hold, where no manifest says.
+        Cells the files hold, where no manifest gives them.
     rays : int
         Rays of the main bundle.
     progress : callable or None
-        Called with a stage's name and the part done, 0 … 1.
+        Called with a stage's name and the fraction done, 0 … 1.
     role : "master", "preview", "scan", a mapping or None
-        What the files are for: one word for all, or a mapping from formats ("stl") or file names to words. None: as the
-        manifest says; a file without one is judged as a master.
+        Purpose of the files: one word for all, or a mapping from formats ("stl") or file names to words. None: as in
+        the manifest; a file without one is judged as a master.
 
     Raises
     ------
     DesignError
         The design cannot be built.
     FileNotFoundError, CannotRegister, UnknownRole
-        `files` names nothing that can be judged; unit or cells cannot be told; a role is none, or of no file.
+        `files` contains no file to judge; unit or cells cannot be determined; a role is unknown, or of no file.
     """
     delivery = None if files is None else list_files(Path(files), declared_roles(role))
     *_, found = verified(design, delivery, cells, rays, progress or silent)
@@ -71,14 +71,14 @@ def verify(
 def verified(
     design: Design, delivery: Delivery | None, cells: tuple[int, int] | None, rays: int, progress: Progress
 ) -> Iterator[Report]:
-    """The report of the design alone, as soon as it is there; then, where there are files, that of them too.
+    """Yield the report of the design alone as soon as it is ready; then, if there are files, that with the files.
 
     Parameters
     ----------
     design, cells, rays, progress
-        As `verify` has them.
+        As in `verify`.
     delivery : Delivery or None
-        As `list_files` gives it.
+        From `list_files`.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def verified(
 
 
 def _judge_design(design: Design, rays: int, progress: Progress) -> Report:
-    """The report of a design without files, its warnings not yet accepted."""
+    """Report of a design without files, before its warnings are accepted."""
     progress("building the window", 0.0)
     window = prescribe(design)
     facts = feasibility(window, *design.viewing_places)
@@ -110,7 +110,7 @@ def _judge_design(design: Design, rays: int, progress: Progress) -> Report:
 def _with_files(
     report: Report, delivery: Delivery, cells: tuple[int, int] | None, rays: int, progress: Progress
 ) -> Report:
-    """The same report with what is found of the files."""
+    """Report with the results of the files added."""
     checks, judged = judge_files(report.design, delivery, cells, rays, progress)
     convergence = None
     if any(f.subject.is_mesh for f in judged):
@@ -122,9 +122,9 @@ def _with_files(
 
 
 def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) -> tuple[list[Check], Optics]:
-    """Judge a window by what its design asks: light through the exact surfaces, and the design rules.
+    """Judge a window by the requirements of its design: light through the exact surfaces, and the design rules.
 
-    The window need not come from that design; what it does is measured, not believed.
+    The window need not be built from that design; its law is measured, not assumed.
     """
     found, optics = judge_light(design, window, rays, remedies=True)
     return [*found, *design_checks(design, window, facts)], optics
@@ -142,6 +142,6 @@ def versions() -> dict[str, str]:
 def _convergence(design: Design, window: Window, progress: Progress) -> tuple[Convergence | None, Check]:
     try:
         found = converge(design, window, progress)
-    except ValueError as error:  # too little light gets through one telescopelet to fit a law
+    except ValueError as error:  # too little light passes one telescopelet to fit a law
         return None, convergence_check(None, str(error))
     return found, convergence_check(found)

@@ -1,7 +1,7 @@
-"""What may be said of a delivery, in few words: a master passes by light alone; a preview is never more than a shape.
+"""The verdict on a delivery in a few words: a master passes by light alone; a preview is at most a shape.
 
-`passed as optical master` means that light through that file obeys the law. A coarse mesh that is the design, faithfully
-cut, is *shape only*: no defect, but no part should be made from it. What was not judged by light cannot pass.
+`passed as optical master` means that light through that file obeys the law. A coarse mesh that approximates the design
+faithfully is *shape only*: no defect, but no part should be made from it. A file not judged by light cannot pass.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from clacad.verification.checks import RAYS_NEEDED, Check, wrong
 from clacad.verification.files.law_through_file import IDS
 
 Word = Literal["passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged"]
-"""The first is of a design without files."""
+"""Verdicts; the first is for a design without files."""
 
 GOOD: tuple[Word, ...] = ("passed", "passed as optical master", "passed as scan")
 
 
 @dataclass(frozen=True, slots=True)
 class FileVerdict:
-    """What is said of one file.
+    """Verdict on one file.
 
     Parameters
     ----------
     name : str
     role : Role
-        As it was judged.
+        Role under which it was judged.
     declared : bool
-        Whether somebody declared the role.
+        Whether the role was declared by a person.
     word : Word
-        "not judged" for a file that carries no light of the law, or where fewer rays were asked for than a verdict takes.
+        "not judged" for a file without optics, or where fewer rays were requested than a verdict needs.
     rms, limit : float or None, radians
-        Direction error to the law of light through the file, and what the design allows; None where no light was sent.
+        Direction error to the law of light through the file, and its limit; None where no light was traced.
     sentence : str
-        What it is, or why it failed.
+        Description of the file, or the reason why it failed.
     """
 
     name: str
@@ -51,20 +51,20 @@ class FileVerdict:
 def file_verdict(
     name: str, role: Role, declared: bool, mesh: bool, checks: Sequence[Check], cut: str
 ) -> FileVerdict:
-    """Say of one file what its checks say.
+    """Derive the verdict on one file from its checks.
 
     Parameters
     ----------
     name, role, declared
     mesh : bool
-        Whether it holds triangles: only those can be faithful and yet too coarse.
+        Whether it holds triangles: only those can be faithful and too coarse.
     checks : sequence of Check
-        Of this file alone.
+        Checks of this file alone.
     cut : str
-        How finely a mesh is cut ("in 4 quads a cell"), "" where that is not known.
+        Fineness of a mesh ("in 4 quads a cell"), "" where unknown.
     """
     rms = next((c for c in checks if c.id == "file_law_rms"), None)
-    # of a scan the check judges what its noise leaves; the light misses the law by all of it
+    # for a scan the check judges the error without noise; the total error of the light includes it
     whole = None if rms is None else rms.detail.get("with_noise", rms.value)
     value = whole if isinstance(whole, float) else None
     limit = rms.limit if rms is not None and isinstance(rms.limit, float) else None
@@ -81,7 +81,7 @@ def file_verdict(
     elif role is Role.SCAN:
         word = "failed" if bad else "passed as scan"
     elif bad or (role is Role.PREVIEW and (declared or light)):
-        word = "shape only"  # a preview that nobody declared is a forecast: light itself may say more
+        word = "shape only"  # an undeclared preview is a forecast: light may decide otherwise
     else:
         word = "passed as optical master"
     return FileVerdict(
@@ -92,7 +92,7 @@ def file_verdict(
 def _sentence(
     word: Word, bad: Sequence[Check], light: Sequence[Check], rms: float | None, limit: float | None, cut: str
 ) -> str:
-    """What is said beside the word."""
+    """Sentence that accompanies the word."""
     through = ""
     if rms is not None and limit is not None:
         through = f"light through it is {1e3 * rms:.3g} mrad rms from the law (limit {1e3 * limit:.3g})"
@@ -119,20 +119,20 @@ def _sentence(
 
 
 def _worst_eta(eta: Check) -> str:
-    """The component of η that is farthest off, and what it is through the exact surfaces."""
+    """Text of the component of η with the largest error, with its value through the exact surfaces."""
     found, exact = eta.detail["measured"], eta.detail["exact"]
     k = max((0, 1), key=lambda axis: abs(found[axis] / exact[axis] - 1.0))
     return f", η_{'xy'[k]} {found[k]:.3g} for {exact[k]:.3g}"
 
 
 def word_of(judged: Sequence[FileVerdict], checks: Sequence[Check]) -> Word:
-    """Word for a whole delivery: the worst of its masters; previews count only where nobody declared them.
+    """Word for a whole delivery: that of its worst master; previews count only where nobody declared them.
 
     Parameters
     ----------
     judged : sequence of FileVerdict
     checks : sequence of Check
-        All of the report, those of no file among them.
+        All checks of the report, including those of no file.
     """
     names = {one.name for one in judged}
     if wrong(c for c in checks if c.subject not in names and c.id != "delivery"):
@@ -155,5 +155,5 @@ def word_of(judged: Sequence[FileVerdict], checks: Sequence[Check]) -> Word:
 
 
 def settled(one: FileVerdict) -> bool:
-    """Whether a file that is a shape only was declared to be no more."""
+    """Whether a file with the verdict shape only was declared as a preview."""
     return one.role is Role.PREVIEW and one.declared

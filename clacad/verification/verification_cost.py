@@ -1,4 +1,4 @@
-"""What a verification costs in processor seconds, by a model of one reference machine; see `clacad.base.machine_rates`."""
+"""Cost of a verification in processor seconds, by a model of one reference machine; see `clacad.base.machine_rates`."""
 
 from __future__ import annotations
 
@@ -18,31 +18,29 @@ BYTES_A_FACET = {
 
 
 DESIGN, CONVERGENCE, MESH, SOLID, REPORT = 0.5, 2.0, 0.8, 3.0, 4.0
-"""Seconds of a design apart from its rays, of how facets converge, of a mesh and of a solid apart from their size, and of
-a report.
-"""
+"""Seconds, each without the part that depends on size: a design, the convergence study, a mesh, a solid, a report."""
 
 PER_RAY, PER_FACET, PER_LIT, PER_BYTE = 4.8e-6, 1.1e-6, 8e-6, 1e-6
-"""Seconds of a ray of the main bundle, a facet in a file, a facet of the cells that are lit, a byte of a solid's text."""
+"""Seconds per ray of the main bundle, facet in a file, facet of the lit cells, and byte of a solid's text."""
 
 FOUND, PER_FOUND = 0.2, 1.5e-6
-"""Seconds of finding how a part lies that no manifest lists, and of a facet of it: of 2,500 and of 334,000 facets."""
+"""Seconds to register a part without a manifest, and per facet of it; measured with 2,500 and 334,000 facets."""
 
 MOST_LIT = 500_000
-"""Facets of one cell up to which finer ones take longer to light."""
+"""Facets of one cell up to which the time to light it increases."""
 
 
 def seconds(rays: int, files: Sequence[Subject], report: bool = False) -> float:
-    """Processor seconds of verifying a design with so many rays, and some files.
+    """Processor seconds of verifying a design with `rays` rays, and some files.
 
     Parameters
     ----------
     rays : int
     files : sequence of Subject
-        Meshes cost their triangles, and once the study of how facets converge; returned ones are found besides; solids
-        cost their text.
+        Meshes cost their triangles, and one convergence study together; those without a manifest entry also cost
+        registration; solids cost their text.
     report : bool
-        Whether a report is written of it.
+        Whether a report is written.
     """
     meshes = [subject for subject in files if subject.is_mesh]
     solids = [subject for subject in files if subject.is_solid]
@@ -54,7 +52,7 @@ def seconds(rays: int, files: Sequence[Subject], report: bool = False) -> float:
 
 
 def task(files: Sequence[Subject], report: bool = False) -> str:
-    """Name under which such a verification is noted."""
+    """Name under which the time of such a verification is recorded."""
     kinds = [
         name
         for name, is_one in (("mesh", "is_mesh"), ("step", "is_solid"))
@@ -65,18 +63,18 @@ def task(files: Sequence[Subject], report: bool = False) -> str:
 
 
 def _returned(subject: Subject) -> bool:
-    """Whether no manifest lists a file: how it lies is not known."""
+    """Whether no manifest lists a file, so that its pose is unknown."""
     return not subject.entry
 
 
 def _lit(subject: Subject) -> float:
-    """Facets of one cell, about, where its manifest says how many quads a side it has."""
+    """Approximate facets of one cell, where its manifest gives the quads per side."""
     quads = subject.entry.get("quads")
     return min(8.0 * quads * quads, MOST_LIT) if isinstance(quads, int) else 0.0
 
 
 def _facets(subject: Subject) -> float:
-    """Facets that are looked at: those in the file, however often they stand."""
+    """Facets that are examined: those stored in the file, each once regardless of its instances."""
     for key in ("triangles_stored", "triangles"):
         stated = subject.entry.get(key)
         if isinstance(stated, (int, float)) and stated > 0:

@@ -1,4 +1,4 @@
-"""What a verification found: one object gives the page, the JSON and the exit status."""
+"""The result of a verification: one object gives the page, the JSON and the exit status."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 NAMED = 4
-"""Files that a verdict names; of more it gives the number."""
+"""Files that a verdict names; for more it gives the number."""
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What a verification found.
+    """Result of a verification.
 
     Attributes
     ----------
@@ -53,9 +53,9 @@ class Report:
     files : tuple of FileReport
     versions : mapping
     evidence : Evidence or None
-        What the page shows beside its checks; None until `with_evidence`.
+        Contents of the page in addition to its checks; None until `with_evidence`.
     delivered : bool
-        Whether files were to be judged; a delivery without any passes nothing.
+        Whether files were delivered for judgement; a delivery without any file does not pass.
     """
 
     design: Design
@@ -74,7 +74,7 @@ class Report:
         return f"Report({self.design.name!r}, {self.verdict()})"
 
     def _repr_html_(self) -> str:
-        from clacad import as_html  # the package's own door: pictures are made in a room below this one
+        from clacad import as_html  # through the top-level package: the renderer's room lies below this one
 
         return str(as_html(self))
 
@@ -86,7 +86,7 @@ class Report:
         return drawn
 
     def with_evidence(self, progress: Progress | None = None) -> Report:
-        """The same report with what its page shows beside the checks; itself where it has that."""
+        """Report with the additional contents of its page; itself if it has them."""
         if self.evidence is not None:
             return self
         from clacad.verification.evidence import gather_evidence
@@ -96,7 +96,7 @@ class Report:
 
     @cached_property
     def verdicts(self) -> tuple[FileVerdict, ...]:
-        """What is said of each file, in the order they were judged."""
+        """Verdict on each file, in the order of judgement."""
         return tuple(_verdict_of(one, self.checks) for one in self.files)
 
     @cached_property
@@ -108,9 +108,9 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """Whether the exit status is 0: nothing failed, everything required ran, and every file is what it is said to be.
+        """Whether the exit status is 0: nothing failed, everything required ran, every file has its declared purpose.
 
-        A delivery of declared previews alone passes so too, and its word is still *shape only*.
+        A delivery of declared previews alone also passes, and its word is still *shape only*.
         """
         if self.word == "shape only":
             return all(settled(one) for one in self.verdicts if one.word == "shape only")
@@ -118,7 +118,7 @@ class Report:
 
     @property
     def exit_status(self) -> int:
-        """0 if passed; 3 if nothing else is wrong than that a file takes more than its reader does; else 1."""
+        """0 if passed; 3 if the only failure is a file that exceeds its reader's limits; else 1."""
         if self.passed:
             return 0
         refused = {c.subject for c in self.checks if c.detail.get("over_budget")}
@@ -163,7 +163,7 @@ class Report:
         return "; ".join(parts)
 
     def _remedy(self, one: FileVerdict) -> str:
-        """What would be a master: so many quads, or the STEP."""
+        """Text of the change that gives a master: a number of quads, or the STEP."""
         if settled(one):
             return "; declared as a preview"
         masters = next((c.detail.get("masters") for c in self.checks if c.id == "convergence"), None)
@@ -203,7 +203,7 @@ class Report:
 
 
 def of_worst_cell(report: Report) -> tuple[Report, str]:
-    """The report of a non-uniform sheet as that of its worst cell's uniform equivalent, and a sentence that says so, else ""."""
+    """Report of a non-uniform sheet as that of its worst cell's uniform equivalent, with a note; else the note is ""."""
     if report.window.uniform:
         return report, ""
     seen = worst_cell(report.window, report.design.check.field)
@@ -217,7 +217,7 @@ def of_worst_cell(report: Report) -> tuple[Report, str]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Some names, and how many more there are."""
+    """Text of some names, and the number of the others."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED + 1 else ""
     return ", ".join(names[:NAMED] if more else names) + more
 

@@ -15,7 +15,7 @@ from clacad.verification.accuracy.error_and_seconds import AccuracyTable
 
 SIZE = (10.4, 6.2)
 AXES = (0.07, 0.3, 0.985, 0.9)
-"""Left, bottom, right and top of both panels, in parts of the figure: legends and the conclusion lie below."""
+"""Left, bottom, right and top of both panels, in parts of the figure; legends and the conclusion lie below them."""
 
 LETTERS = 150
 """Letters in a line of the conclusion."""
@@ -37,19 +37,19 @@ DOT, THIN, LETTER, TALL = 4.0, 1.5, 4.4, 8.0
 OFFSETS = tuple(
     (dx, dy) for far in (6.0, 12.0) for dx, dy in ((far, -3.0), (-far, -3.0), (far, far - 2.0), (far, -far - 4.0), (-far, far - 2.0), (-far, -far - 4.0))
 )  # fmt: skip
-"""Where a label may begin (dx > 0) or end (dx < 0) off its point, in points; the first that is free is taken."""
+"""Offsets of a label's start (dx > 0) or end (dx < 0) from its point, in points; the first free one is used."""
 
 Box = tuple[float, float, float, float]
 
 
 def plot_svg(table: AccuracyTable, target: float | None = None) -> str:
-    """Picture of a table as SVG text, the same for the same table.
+    """Picture of a table as SVG text; the same table gives the same text.
 
     Parameters
     ----------
     table : AccuracyTable
     target : float or None, radians
-        Drawn as a line.
+        Error that is drawn as a line.
     """
     style = {"svg.hashsalt": "clacad", "font.size": 9.0, "svg.fonttype": "path"}
     return drawn("svg", SIZE, lambda figure: draw(figure, table, target), style, placed=True).decode()
@@ -81,7 +81,7 @@ def draw(figure: Any, table: AccuracyTable, target: float | None = None) -> None
 
 
 def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
-    """Error against seconds: every row, the front of all rows, and that of the meshes alone."""
+    """Draw error against seconds: every row, the front of all rows, and that of the meshes alone."""
     shown = [r for r in table.rows if isfinite(r.model_rms) and r.model_rms > 0.0 and r.seconds > 0.0]
     count = table.rays or 1
     for row in shown:
@@ -111,8 +111,8 @@ def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
 
 
 def label_points(axes: Any, labels: Sequence[tuple[str, tuple[float, float]]]) -> None:
-    """Write labels next to their points, each where it covers no point, line or label; one without room is left out."""
-    axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # the view is settled before places are read off it
+    """Write labels next to their points where they cover no point, line or label; omit labels without room."""
+    axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # fix the view before positions are read from it
     scale = 72.0 / axes.figure.dpi
     taken = _drawn_boxes(axes, scale)
     low, high = (np.array(corner) * scale for corner in (axes.bbox.min, axes.bbox.max))
@@ -137,7 +137,7 @@ def label_points(axes: Any, labels: Sequence[tuple[str, tuple[float, float]]]) -
 
 
 def _drawn_boxes(axes: Any, scale: float) -> list[Box]:
-    """Boxes about the markers and along the lines of a panel, in points; `scale` is points a pixel."""
+    """Boxes about the markers and along the lines of a panel, in points; `scale` is points per pixel."""
     found: list[Box] = []
     for line in axes.lines:
         at = line.get_transform().transform(line.get_xydata()) * scale
@@ -155,7 +155,7 @@ def _overlap(one: Box, other: Box) -> bool:
 
 
 def _draw_floors(axes: Any, table: AccuracyTable) -> None:
-    """Error against quads a cell side, as forecast for each way of holding a vertex, and as traced."""
+    """Draw error against quads per cell side, forecast and traced, for each way of storing a vertex."""
     found = [f for f in table.floors if f.floor is not None]
     colours = ("#1f4e79", "#b07aa1", "#3a7d44", "#e07b39", "#7a7a7a", "#b00020", "#8c6d31", "#17becf")
     grids = [2.0 ** (k / 4.0) for k in range(8, 57)]

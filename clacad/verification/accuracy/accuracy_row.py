@@ -1,4 +1,4 @@
-"""One row of the accuracy table, a rung at a setting with its error and its seconds, and the front of many rows."""
+"""One row of the accuracy table, a rung at a setting with its error and its seconds, and the front of the rows."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class AccuracyRow:
     ----------
     rung : "law", "thin", "surfaces", "mesh" or "step"
     setting : str
-        For a person: "16 quads, facet normals, float32 vertices".
+        Text for a person: "16 quads, facet normals, float32 vertices".
     model_rms, model_p95, model_max : float, radians
-        Angle to the truth: what this rung leaves out. The truth is rung surfaces in float64; that rung's own row
-        holds its angle to a 50-digit trace of `checked` rays.
+        Angle to the truth, caused by what the rung leaves out. The truth is rung surfaces in float64; the row of that
+        rung holds its angle to a 50-digit trace of `checked` rays.
     law_rms, law_max : float, radians
-        Angle to the asked law.
+        Angle to the requested law.
     disagree : float
         Share of rays whose fate or order differs from the truth.
     seconds : float
@@ -33,21 +33,21 @@ class AccuracyRow:
     rays : int
         Rays traced.
     checked : int
-        Rays the two model errors are taken over.
+        Number of rays in the two model errors.
     bytes : int
         Geometry the rung reads.
     file_bytes : int or None
-        Size of the file that carries this geometry for the whole sheet; None where there is no such file.
+        Size of the file that holds this geometry for the whole sheet; None where there is no such file.
     memory : int
         Peak of arrays allocated by the trace, bytes.
     triangles : int
-        Of the whole sheet.
+        Triangles of the whole sheet.
     quads : int or None
         Facets per cell side.
     normals : "facet", "vertex" or ""
     float : "f64" or "f32"
     own_cells : bool
-        Of a sheet whose cells differ: whether the sheet itself was traced, not one of equal cells like its worst cell.
+        For a non-uniform sheet: whether the sheet itself was traced, not its worst cell's uniform equivalent.
     """
 
     rung: str
@@ -78,15 +78,15 @@ class AccuracyRow:
 
     @property
     def seconds_per_ray(self) -> Any:
-        """Processor seconds of one ray: rows of different numbers of rays compare by it."""
+        """Processor seconds of one ray, by which rows with different ray counts are compared."""
         return self.seconds / max(1, self.rays)
 
     def predicted_seconds(self, rays: int) -> Any:
-        """Processor seconds for another number of rays, preparation included."""
+        """Processor seconds for another ray count, preparation included."""
         return self.prepare_s + self.seconds_per_ray * rays
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able form; what was not measured is null."""
+        """JSON-able form; unmeasured values are null."""
         found = {**plain(asdict(self)), "rays_per_s": self.rays_per_s}
         if not self.own_cells:
             del found["own_cells"]
@@ -94,7 +94,7 @@ class AccuracyRow:
 
 
 def pareto(rows: Sequence[AccuracyRow]) -> tuple[AccuracyRow, ...]:
-    """Rows that no other beats in both error and seconds a ray, cheapest first."""
+    """Rows for which no other row is better in both error and seconds per ray, cheapest first."""
     front: list[AccuracyRow] = []
     for row in sorted(rows, key=lambda r: (r.seconds_per_ray, r.model_rms)):
         if isfinite(row.model_rms) and (not front or row.model_rms < front[-1].model_rms):

@@ -1,7 +1,7 @@
-"""What accuracy costs in time: the same rays up every rung, each with its error and its seconds.
+"""The accuracy table: the same rays on every rung, each with its error and its seconds.
 
-The truth is rung surfaces in float64, which is itself held to a trace in 50 digits; so every number in the
-table has a reference, and the reference has an error of its own.
+The truth is rung surfaces in float64, which is itself checked against a trace in 50 digits. Every number in the
+table therefore has a reference, and the error of the reference is known.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ def accuracy(
 ) -> AccuracyTable:
     """Measure error against seconds over the rungs and their settings.
 
-    Of a sheet whose cells differ the rungs that trace it are measured on its worst cell, and beside them everything on a
-    sheet of equal cells like that one.
+    For a non-uniform sheet, the rungs that trace it are measured on its worst cell. All rungs are also measured on the
+    uniform equivalent of that cell.
 
     Parameters
     ----------
     design : Design
     rays : int
-        Rays of the bundle the checks use (Sobol, over one cell and the cone of the field), sent up every rung.
+        Rays of the bundle of the checks (Sobol, over one cell and the cone of the field), traced on every rung.
     quads : sequence of int or None
         Tessellations, quads per cell side; default 4, 8, 16, 32, 64, 128.
     progress : callable or None
@@ -46,7 +46,7 @@ def accuracy(
     DesignError
         The design cannot be built.
     LimitRefused
-        It has more lenslets than any file would hold.
+        The design has more lenslets than a file may hold.
     """
     from clacad.exporting.limits import refuse_early
     from clacad.prescription.prescribe import prescribe
@@ -84,7 +84,7 @@ def accuracy(
 def _of_differing_cells(
     ladder: TracedRays, grids: Sequence[int], progress: Progress
 ) -> tuple[list[AccuracyRow], str]:
-    """Rows of a sheet whose cells differ, and what is left out of them."""
+    """Rows of a non-uniform sheet, and a note on what they omit."""
     from clacad.verification.accuracy.measure_rungs import OWN_FINEST, own_mesh_rows, own_rows
 
     progress("the sheet itself", 0.01)
@@ -98,7 +98,7 @@ def _of_differing_cells(
 def _measured(
     name: str, traced: Callable[[int], TracedRays], rays: int, grids: Sequence[int], progress: Progress
 ) -> AccuracyTable:
-    """The table of a design; `traced` gives so many rays with their truth."""
+    """The table of a design; `traced` returns the requested number of rays with their truth."""
     from clacad.verification.accuracy.file_floors import floors, probe
     from clacad.verification.accuracy.measure_rungs import exact_rows, mesh_rows, reference
     from clacad.verification.accuracy.step_rung import step_row
@@ -120,31 +120,34 @@ def _measured(
 
 
 OWN_SECONDS, OWN_SECONDS_A_CELL, OWN_SECONDS_A_RAY = 2.3, 2.0e-5, 1.5e-5
-"""Of the rows of a sheet whose cells differ: 50 digits, cells built, and each ray on the rungs without facets."""
+"""Seconds of the rows of a non-uniform sheet: 50 digits, each built cell, and each ray on the rungs without facets."""
 
 OWN_SECONDS_A_FACET = 1.2e-3
-"""Of their facets: sorted, by quads squared."""
+"""Seconds to sort its facets, per square of the quads."""
 
 THROUGH_FACETS, A_QUAD_OF_ONE_LATTICE, A_QUAD_OF_TWO = 2.5e-6, 0.36e-6, 1.2e-6
-"""A ray through such facets, and more for each quad of a cell side: where both arrays stand on one lattice, and where array 2 has
-its own, so that cells meet in steps all over and a ray is walked from facet to facet."""
+"""Seconds of a ray through such facets, and the additional seconds per quad of a cell side.
+
+The first additional time is for two arrays on one lattice. The second is for an array 2 with its own lattice: cells
+then meet in steps everywhere, and a ray is followed from facet to facet.
+"""
 
 RIM_OF_TWO_SIDES, RIM_OF_ONE_SIDE = 4.2e-9, 1.4e-9
-"""Of the land about a body whose two arrays stand aside of each other, along both axes or one: by the square of its points."""
+"""Seconds of the land about a body whose arrays are displaced along both axes or one, per square of its points."""
 
 RIMS_OF_FLOORS = 21_000
-"""Squares of the grids that are cut for the floors of formats, added up."""
+"""Sum of the squared grids that are built for the floors of formats."""
 
 TASK = "accuracy"
-"""Name under which the time it takes is noted."""
+"""Name under which the required time is recorded."""
 
 
 def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = None) -> float:
-    """Processor seconds of the table, by a model of one reference machine (see `clacad.base.machine_rates`): the 50-digit
-    trace and the STEP spot once; rays through every row, facets laid out and the floors of each pattern of cells that is
-    meshed. Hexagons have more facets a quad than squares, cells with land are cut along their rims, and turned lenses have no plane of
-    symmetry. A sheet whose cells differ
-    is measured itself besides.
+    """Processor seconds of the table, by a model of one reference machine (see `clacad.base.machine_rates`).
+
+    The 50-digit trace and the STEP spot count once. To them add the rays of every row, the layout of facets, and the
+    floors of each pattern of cells that is meshed. Hexagons have more facets per quad than squares, cells with land are
+    cut along their rims, and turned lenses have no plane of symmetry. A non-uniform sheet is measured itself in addition.
     """
     from clacad.verification.accuracy.measure_rungs import QUADS
 
@@ -172,7 +175,7 @@ def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = No
 
 
 def _own_seconds(rays: int, window: Window, grids: Sequence[int]) -> float:
-    """Of the rows of the sheet itself, where cells differ."""
+    """Processor seconds of the rows of a non-uniform sheet itself."""
     from clacad.verification.accuracy.measure_rungs import OWN_FINEST, REPEATS, SLOW
 
     fit = [q for q in grids if q <= OWN_FINEST]

@@ -1,7 +1,7 @@
-"""Which file carries a design's light within an asked error for the fewest bytes.
+"""The smallest file that carries a design's light within a requested error.
 
-Facets are sized by the measured floors of the formats (`clacad.verification.accuracy.file_floors`), bytes as an export
-forecasts them; STEP holds the faces themselves. Readers are taken to refract at the facets.
+Facet sizes follow from the measured floors of the formats (`clacad.verification.accuracy.file_floors`), bytes from
+the forecast of an export; STEP holds the faces themselves. Readers are assumed to refract at the facets.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ WHOLE = ("stl", "3mf", "ply", "glb")
 """Mesh formats of the whole sheet as one file."""
 
 STEP_ERROR = 1e-11
-"""Error of the faces of a STEP file (radians), and more: its numbers have 16 digits (see `step_rung`)."""
+"""Upper limit of the error of a STEP file's faces (radians): its numbers have 16 digits (see `step_rung`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class FileWithin:
-    """A file that is within a target.
+    """A file within a target error.
 
     Parameters
     ----------
     format : str
-        Word of `--format`.
+        Word for `--format`.
     quads : int or None
-        Facets a cell side; None: the exact faces.
+        Facets per cell side; None: the exact faces.
     error : float, radians
         Forecast rms direction error to the exact surfaces.
     bytes : int
-        About.
+        Approximate size.
     seconds : Span
-        Processor seconds of the export on this machine, a wide range.
+        Processor seconds of the export on this machine, as a wide range.
     """
 
     format: str
@@ -55,7 +55,7 @@ class FileWithin:
     seconds: Span
 
     def __str__(self) -> str:
-        """Say what it is, what it gives and what it costs."""
+        """Text of the file's format, error and cost."""
         how = (
             "exact faces"
             if self.quads is None
@@ -65,7 +65,7 @@ class FileWithin:
 
     @property
     def options(self) -> str:
-        """Options of `clacad export` that write it."""
+        """Options of `clacad export` that write the file."""
         return f"--format {self.format}" + ("" if self.quads is None else f" --quads {self.quads}")
 
     def to_dict(self) -> dict[str, Any]:
@@ -77,12 +77,12 @@ class FileWithin:
 
 
 def files_within(design: Design, window: Window, floors: Sequence[Floor], target: float) -> list[FileWithin]:
-    """Files whose light is within a target, those of the fewest bytes first.
+    """Files whose light is within a target, the smallest first.
 
     Parameters
     ----------
     design, window
-        With the cells that will be written.
+        The window has the cells that will be written.
     floors : sequence of Floor
         Of this design; see `file_floors.floors`.
     target : float, radians
@@ -91,7 +91,7 @@ def files_within(design: Design, window: Window, floors: Sequence[Floor], target
     Raises
     ------
     TargetOutOfReach
-        No file of this design is within it.
+        No file of this design is within the target.
     """
     found = [*_meshes(design, window, floors, target), *_step(design, window, target)]
     if not found:
@@ -103,7 +103,7 @@ def files_within(design: Design, window: Window, floors: Sequence[Floor], target
 
 
 def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: float) -> list[FileWithin]:
-    """Meshes of the coarsest facets within the target that stay within the limits of size."""
+    """Meshes with the coarsest facets within the target that are also within the size limits."""
     from clacad.exporting.quads_and_roles import Sizes
     from clacad.exporting.tessellations import Meshes
 
@@ -126,7 +126,7 @@ def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: flo
 
 
 def _step(design: Design, window: Window, target: float) -> list[FileWithin]:
-    """The STEP file, where the bodies can be solids and a file of that size is written."""
+    """The STEP file, where the bodies can be solids and its size is allowed."""
     from clacad.exporting.file_sizes import step_bytes
     from clacad.formats.step.step_mode import chosen_mode
     from clacad.topology.cannot_build import CannotBuild

@@ -1,7 +1,7 @@
-"""What meets an asked error for the least: the facets of a file, and how to say that nothing does.
+"""The cheapest setting within a requested error: the facets of a file, or a message that none exists.
 
-The error of facets and the rounding of a file's numbers are measured on the design itself, by a few traces, and
-the grid follows from them; see `clacad.verification.accuracy.file_floors`.
+The error of facets and the rounding of a file's numbers are measured on the design itself, by a few traces. The grid
+follows from them; see `clacad.verification.accuracy.file_floors`.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 
 RAYS = 4096
 MOST_QUADS = 1024
-"""Facets a cell side beyond which a cell alone is minutes of meshing."""
+"""Facets per cell side beyond which one cell alone takes minutes to mesh."""
 
 TRACED = 160
-"""Grids up to here are traced before they are chosen; finer ones follow from the finest traced."""
+"""Finest grid that is traced before it is chosen; finer ones are extrapolated from the finest traced."""
 
 SAFE = 0.95
-"""Part of the target that is aimed at: other bundles of rays find a few per cent more."""
+"""Part of the target that is used as the limit: other bundles of rays have errors a few per cent larger."""
 
 FACETED = ("stl", "stl-parts", "3mf", "ply", "glb")
 Normals = Literal["facet", "vertex"]
@@ -48,12 +48,12 @@ class ChosenFacets:
     Parameters
     ----------
     quads : int
-        A cell side.
+        Facets per cell side.
     error : float, radians
         Forecast rms direction error, the worst of the formats.
     normals : "facet" or "vertex"
     formats : tuple of str
-        Those it was chosen for.
+        Formats for which the facets were chosen.
     """
 
     quads: int
@@ -62,7 +62,7 @@ class ChosenFacets:
     formats: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Say what was chosen and what it gives."""
+        """Text of the chosen facets and their error."""
         return (
             f"{', '.join(self.formats)}: {self.quads} quads a cell side, {1e3 * self.error:.3g} mrad rms through "
             f"{self.normals} normals"
@@ -72,7 +72,7 @@ class ChosenFacets:
 def facets_for(
     design: Design, window: Window, target: float, formats: Sequence[str], normals: Normals = "facet"
 ) -> ChosenFacets | None:
-    """Choose the coarsest facets with which every format is within a target; None where no format has facets.
+    """Choose the coarsest facets with which every format is within a target; None if no format has facets.
 
     Parameters
     ----------
@@ -81,14 +81,14 @@ def facets_for(
     target : float, radians
         Rms direction error to the exact surfaces.
     formats : sequence of str
-        Words of `--format`; those with exact surfaces, maps or masks are passed over.
+        Words for `--format`; formats with exact surfaces, maps or masks are ignored.
     normals : "facet" or "vertex"
-        What the reader of the file refracts at.
+        Normals at which the reader of the file refracts.
 
     Raises
     ------
     TargetOutOfReach
-        Below a format's floor, or finer than can be meshed; the message names the floor and the nearest way.
+        The target is below a format's floor, or needs too fine a mesh; the message names the floor and an alternative.
     """
     asked = tuple(name for name in formats if name in FACETED)
     if not asked:
@@ -102,7 +102,7 @@ def facets_for(
 
 
 def mesh_floors(design: Design, window: Window, formats: Sequence[str]) -> list[Floor]:
-    """Measure the least error of some formats of facets, read by their facets."""
+    """Measure the least error of some faceted formats, read by their facets."""
     seen = _probe(design, window)
     smooth = _constants(seen, ("facet",))
     families = {_family(name, "facet"): name for name in formats}
@@ -110,7 +110,7 @@ def mesh_floors(design: Design, window: Window, formats: Sequence[str]) -> list[
 
 
 def floor_of(design: Design, window: Window, format: str, normals: Normals = "facet") -> Floor:
-    """Measure the least error a format with facets can reach."""
+    """Measure the least error that a faceted format can reach."""
     seen = _probe(design, window)
     return _floor(seen, format, normals, _constants(seen, (normals,)))
 
@@ -118,7 +118,7 @@ def floor_of(design: Design, window: Window, format: str, normals: Normals = "fa
 def out_of_reach(
     design: Design, window: Window, target: float, format: str, floor: Floor
 ) -> TargetOutOfReach:
-    """Say that a target lies below a format's floor, and what meets it."""
+    """Error for a target below a format's floor, with alternatives that reach it."""
     seen = _probe(design, window)
     return _below(format, floor, target, seen, _constants(seen, ("vertex",)))
 
@@ -156,10 +156,10 @@ def _family(format: str, normals: str) -> Family:
 def _traced(
     seen: Probe, format: str, floor: Floor, target: float, smooth: dict[str, float]
 ) -> tuple[int, Floor]:
-    """Grid within the target, and the floor's constants corrected by a trace of that very grid.
+    """Grid within the target, and the floor's constants corrected by a trace of that grid.
 
-    The constant of facets depends a little on their size: those of two faces that a ray meets one after the other
-    err alike where the ray does not move by a facet between them.
+    The constant of facets depends slightly on their size. The errors of two successive faces are correlated where the
+    ray shifts by less than a facet between them.
     """
     power = 2 if floor.normals == "vertex" else 1
     quads = _quads(format, floor, target, seen, smooth)

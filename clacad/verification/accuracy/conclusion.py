@@ -1,4 +1,4 @@
-"""One sentence or three on an accuracy table: what exact faces cost, whether a mesh is worth tracing, which file is exact."""
+"""Conclusion of an accuracy table in up to three sentences: cost of exact faces, value of a mesh, the exact file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def conclusion(rows: Sequence[AccuracyRow], floors: Sequence[Floor] = ()) -> str:
-    """What the rows of a table say, in words; of a non-uniform sheet the rows of the sheet itself.
+    """Conclusion of the rows of a table in words; for a non-uniform sheet from the rows of the sheet itself.
 
     Parameters
     ----------

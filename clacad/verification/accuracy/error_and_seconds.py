@@ -1,4 +1,4 @@
-"""The accuracy table: rows of error and time, the cheapest that is good enough, and the conclusion."""
+"""The accuracy table: rows of error and time, the cheapest sufficient row, and the conclusion."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from clacad.verification.accuracy.file_floors import Floor
 
 MOST_DISAGREEMENT = 0.01
-"""Share of rays whose fate or order may differ from the truth for a setting to be chosen."""
+"""Largest share of rays with another fate or order than the truth at which a setting may be chosen."""
 
 
 class TargetOutOfReach(ValueError):
-    """No setting meets the asked error; exit status 3."""
+    """No setting reaches the requested error; exit status 3."""
 
     exit_status = 3
 
 
 @dataclass(frozen=True)
 class AccuracyTable:
-    """What `clacad.accuracy` returns.
+    """Result of `clacad.accuracy`.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class AccuracyTable:
     reference : mapping
         The 50-digit check of the truth: rays, rms, max.
     floors : tuple of Floor
-        Where accuracy stops paying: for each family of file formats the best facet grid and its error.
+        Limit of useful refinement: for each family of file formats the best facet grid and its error.
     notes : tuple of str
     """
 
@@ -52,20 +52,20 @@ class AccuracyTable:
     def cheapest(
         self, target: float, rays: int | None = None, rungs: Sequence[str] | None = None
     ) -> AccuracyRow:
-        """Row with the least predicted seconds whose model_rms is within `target` (radians); where cells differ, of the sheet itself.
+        """Row with the least predicted seconds and `model_rms` within `target`; of the sheet itself if non-uniform.
 
         Parameters
         ----------
         target : float, radians
         rays : int or None
-            How many rays shall be traced; default as in the table.
+            Number of rays to trace; default as in the table.
         rungs : sequence of str or None
             Only these rungs.
 
         Raises
         ------
         TargetOutOfReach
-            With the closest row.
+            The message names the closest row.
         """
         count = rays or max((row.rays for row in self.rows), default=1)
         own = any(row.own_cells for row in self.rows)
@@ -80,12 +80,12 @@ class AccuracyTable:
         )
 
     def pareto(self) -> tuple[AccuracyRow, ...]:
-        """Rows that no other row beats in both error and seconds, cheapest first."""
+        """Rows for which no other row is better in both error and seconds, cheapest first."""
         return pareto(self.rows)
 
     @property
     def conclusion(self) -> str:
-        """What the measured rows say, in words."""
+        """Conclusion of the measured rows in words."""
         return conclusion(self.rows, self.floors)
 
     def to_dict(self) -> dict[str, Any]:

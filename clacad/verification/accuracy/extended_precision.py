@@ -1,8 +1,8 @@
-"""A trace in 50 decimal digits: what the double-precision kernels are held to.
+"""A trace in 50 decimal digits, with which the double-precision kernels are compared.
 
-Written from the textbook equations in the standard library's `decimal`, sharing no formula and no code with
-the tracer. It follows rays whose faces are already known (the cell and order the kernel found), because which
-face a ray meets is a question of geometry, not of rounding.
+It is written from the textbook equations in the standard library's `decimal` and shares no formula and no code with
+the tracer. It follows rays whose faces are already known (the cell and order from the kernel), because the choice of
+the face is a question of geometry, not of rounding.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Compared = TypeVar("Compared")
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """One face of one telescopelet: how to get into its frame, and the indices either side."""
+    """One face of one telescopelet: the transform into its frame, and the indices on either side."""
 
     face: Face
     vertex: Vector
@@ -41,7 +41,7 @@ class _Step:
 def direction_errors(
     window: Window, position: Floats, direction: Floats, found: Floats, cell: Ints, order: Ints
 ) -> Floats:
-    """Angle between directions a kernel found and the same rays in 50 digits.
+    """Angle between the exit directions of a kernel and those of the same rays in 50 digits.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def direction_errors(
     Returns
     -------
     (n,) array, radians
-        NaN for a ray that meets no face in exact arithmetic (the kernel said it did: undecidable within
-        rounding).
+        NaN for a ray that misses a face in exact arithmetic though the kernel found a hit: undecidable within
+        rounding.
     """
     errors = np.full(len(position), np.nan)
     for k, error in _compared(_angle, window, position, direction, found, cell, order):
@@ -68,9 +68,10 @@ def direction_errors(
 def direction_differences(
     window: Window, position: Floats, direction: Floats, found: Floats, cell: Ints, order: Ints
 ) -> Floats:
-    """Directions (n, 3) a kernel found less the same rays in 50 digits; parameters as in `direction_errors`.
+    """Exit directions (n, 3) of a kernel minus those of the same rays in 50 digits; parameters as in `direction_errors`.
 
-    The difference is taken in 50 digits and then rounded, so it is good to 16 digits of itself. NaN as there.
+    The difference is computed in 50 digits and then rounded, so it has 16 significant digits. NaN as in
+    `direction_errors`.
     """
     found_less = np.full((len(position), 3), np.nan)
     for k, less in _compared(_subtracted, window, position, direction, found, cell, order):
@@ -87,7 +88,7 @@ def _compared(
     cell: Ints,
     order: Ints,
 ) -> list[tuple[int, Compared]]:
-    """Rows that meet every face, each with `compare(direction found, exact direction)` taken in DIGITS digits."""
+    """Rows that hit every face, each with `compare(direction found, exact direction)` computed in DIGITS digits."""
     rows = []
     with localcontext() as context:
         context.prec = DIGITS
@@ -109,7 +110,7 @@ def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
             if face.array is not None:
                 index = (
                     cell + order if face.array == 1 else cell
-                )  # light that keeps to its pair meets its own field lens
+                )  # light that keeps to its pair passes its own field lens
                 i, j = int(index[0]), int(index[1])
                 vertex = _added(vertex, _centre(window, i, j, face.array))
                 if face.change is not None:
@@ -142,7 +143,7 @@ def _centre(window: Window, i: int, j: int, array: int) -> Vector:
 
 
 def _moved(window: Window, change: VertexChange, i: int, j: int) -> Vector:
-    """How far the lens of a cell stands from where its face has it; see `VertexChange.at`."""
+    """Displacement of the lens of a cell from its face's nominal position; see `VertexChange.at`."""
     x, y, _ = _centre(window, i, j, 0)
     (xx, xy), (yx, yy) = ((Decimal(a), Decimal(b)) for a, b in change.gradient)
     moved = (xx * x + xy * y, yx * x + yy * y, Decimal(0))
@@ -239,12 +240,12 @@ def _height(
 
 
 def _power(base: Decimal, exponent: int) -> Decimal:
-    """A power, of which 0⁰ is 1."""
+    """A power, with 0⁰ = 1."""
     return base**exponent if exponent else Decimal(1)
 
 
 def _refracted(ray: Vector, gradient: Vector, before: Decimal, after: Decimal) -> Vector | None:
-    """Snell's law: the tangential part of n·direction is kept."""
+    """Refract by Snell's law: the tangential part of n·direction is conserved."""
     length = _dot(gradient, gradient).sqrt()
     normal = (gradient[0] / length, gradient[1] / length, gradient[2] / length)
     along = _dot(ray, normal)

@@ -1,9 +1,9 @@
-"""Where accuracy stops paying: facets too fine for a file's numbers.
+"""Floors of file formats: the facet size below which rounding of a file's numbers dominates.
 
-Facets of a cell side over m err by a/m radians; holding their corners in a file's numbers turns each by about
-b·m. The sum in quadrature is least at m* = sqrt(a/b), and is sqrt(2 a b) there: the floor of the format. Exact
-normals at the corners, interpolated, err by a/m² and hardly feel the corners' rounding. Every constant is
-taken from traces, and the optimum (or the finest grid worth tracing) is traced itself.
+Facets with 1/m of the cell side have an error of a/m radians. Rounding their corners to a file's numbers turns each by
+about b·m. The quadrature sum is least at m* = sqrt(a/b), where it is sqrt(2 a b): the floor of the format. Interpolated
+exact normals at the corners have an error of a/m² and are almost unaffected by rounding of the corners. Every
+constant is measured by traces, and the optimum (or the finest grid worth tracing) is traced itself.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from clacad.verification.accuracy.file_rounding import EXACT, Holding, outermost
 
 RAYS = 4096
 SMALL = 64
-"""Grid on which rounding is measured: fine enough to feel it, coarse enough that few rays change facets by it."""
+"""Grid on which rounding is measured: fine enough for a measurable effect, and few rays change facets by it."""
 CONFIRM = 128
-"""Finest grid traced to confirm a forecast, quads a cell side; finer ones would take minutes."""
+"""Finest grid, in quads per cell side, traced to confirm a forecast; finer ones would take minutes."""
 RAYLEIGH = 1.2011
 """Rms over median of the length of a vector with two normal components."""
 NORMAL_F32 = 3e-8
@@ -34,16 +34,16 @@ NORMAL_F32 = 3e-8
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Formats that hold a part the same way.
+    """Formats that store a part in one way.
 
     Parameters
     ----------
     formats : str
-        Words of `--format`.
+        Words for `--format`.
     holding : Holding or None
         None: the surfaces themselves, or nothing optical.
     normals : "facet", "vertex" or ""
-        What a reader refracts at.
+        Normals at which a reader refracts.
     note : str
     """
 
@@ -75,21 +75,21 @@ FAMILIES = (
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """How far a family of formats can be driven.
+    """Least error of a family of formats.
 
     Parameters
     ----------
     formats, normals, note : str
     float : str
     a, b : float, radians
-        Error of facets a/m (vertex normals: a/m²), and of rounding b·m (vertex normals: b), at m quads a cell side.
+        Error of facets a/m (vertex normals: a/m²), and of rounding b·m (vertex normals: b), at m quads per cell side.
     best_quads : float or None
         Grid of the least error; None: finer is always better.
     best_size : float or None, design lengths
-        Facet side there.
+        Facet side on that grid.
     floor : float, radians
     facets : float or None
-        Optical facets of the whole sheet there.
+        Optical facets of the whole sheet on that grid.
     confirmed : tuple of (quads, forecast, traced), radians
     """
 
@@ -106,13 +106,13 @@ class Floor:
     confirmed: tuple[tuple[int, Any, Any], ...] = field(default=())
 
     def error(self, quads: Any) -> Any:
-        """Rms direction error (radians) forecast at `quads` a cell side."""
+        """Forecast rms direction error (radians) at `quads` per cell side."""
         if self.normals == "vertex":
             return hypot(self.a / quads**2, self.b)
         return hypot(self.a / quads, self.b * quads)
 
     def quads_for(self, target: Any) -> int | None:
-        """Fewest quads a cell side within `target` radians; None below the floor."""
+        """Fewest quads per cell side within `target` radians; None below the floor."""
         if self.floor is None or not target > self.floor:
             return None
         if self.normals == "vertex":
@@ -129,7 +129,7 @@ class Floor:
 
 
 class Probe:
-    """Traces of one bundle through meshes held in several ways, each mesh made once.
+    """Traces of one bundle through meshes stored in several ways, each mesh built once.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class Probe:
         self._meshes: dict[int, Mesh] = {}
 
     def held(self, quads: int, holding: Holding, normals: str) -> TraceResult:
-        """Trace the mesh of `quads` a cell side as a file holds it."""
+        """Trace the mesh with `quads` per cell side as a file stores it."""
         from clacad.mesh import tessellate
         from clacad.tracing.trace import trace
 
@@ -163,13 +163,13 @@ class Probe:
         )
 
     def error(self, found: TraceResult) -> float:
-        """Rms angle (radians) to the exact trace, over the rays that live on both through the same lenslets."""
+        """Rms angle (radians) to the exact trace, over the rays ALIVE in both through the same lenslets."""
         both = self._shared(found, self.truth)
         angle = angle_between(found.direction[both], self.truth.direction[both])
         return float(np.sqrt(np.mean(angle**2))) if both.any() else float("nan")
 
     def moved(self, found: TraceResult, exact: TraceResult) -> float:
-        """Rms angle (radians) between two traces; by the median, so that rays that take another facet do not count."""
+        """Rms angle (radians) between two traces, by the median, which rays that change facets do not affect."""
         both = self._shared(found, exact)
         if not both.any():
             return float("nan")
@@ -182,7 +182,7 @@ class Probe:
 
 
 def probe(window: Window, rays: Rays, truth: TraceResult) -> Probe:
-    """Probe with the first `RAYS` rays of a bundle that was traced."""
+    """Probe with the first `RAYS` rays of a traced bundle."""
     few = Rays(rays.position[:RAYS], rays.direction[:RAYS])
     part = TraceResult(
         truth.position[:RAYS], truth.direction[:RAYS], truth.fate[:RAYS], truth.optical_path[:RAYS], truth.cell[:RAYS],
@@ -198,7 +198,7 @@ def floors(seen: Probe, confirm: bool = True) -> list[Floor]:
     ----------
     seen : Probe
     confirm : bool
-        Trace the forecasts too.
+        Whether the forecasts are traced too.
     """
     finest = CONFIRM if confirm else SMALL
     smooth = {
@@ -237,7 +237,7 @@ def _vertex_floor(plain: Floor, b: float) -> Floor:
 def _with_confirmation(seen: Probe, family: Family, found: Floor, confirm: bool) -> Floor:
     if not confirm or family.holding is None:
         return found
-    if found.best_quads is None:  # vertex normals are traced exact: only where the file holds them so
+    if found.best_quads is None:  # vertex normals are exact in a trace: only for formats that store them so
         grids = [SMALL] if family.holding.kind == "f64" else []
     else:
         best = max(1, round(found.best_quads))

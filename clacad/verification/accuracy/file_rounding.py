@@ -1,9 +1,9 @@
-"""Facets as a file's numbers hold them: what holding a vertex does to a mesh.
+"""Effect of a file's number format on a mesh: rounding of its vertices.
 
-The mesher gives heights as whole steps of the float32 spacing at the sheet's greatest height, so that all formats
-hold one mesh; a file in double precision keeps just those. float32 files round again, in the file's unit: in the
-coordinates of the whole sheet, or of one cell that is repeated. Height maps have an exact grid and hold a height
-above the face's own plane, as float32 or in 16 bits.
+The mesher computes heights as whole steps of the float32 spacing at the sheet's greatest height, so that all formats
+hold one mesh; a file in double precision keeps exactly these. Float32 files round again, in the file's unit: in the
+coordinates of the whole sheet, or of one repeated cell. Height maps have an exact grid and store a height above the
+face's own plane, as float32 or in 16 bits.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from clacad.mesh.prototile import Prototile
 from clacad.sheet.window import Body, Window, lens_height
 
 FINER = 1 << 20
-"""Parts of one of the mesher's steps that held heights are counted in: far below any rounding of a file."""
+"""Subdivisions of the mesher's step in which stored heights are counted: far below any rounding of a file."""
 
 KNOWN = 1 << 59
-"""Levels of at least this magnitude stand for a face that is not there."""
+"""Levels of at least this magnitude represent a missing face."""
 
 
 @dataclass(frozen=True, slots=True)
 class Holding:
-    """How a family of formats holds a vertex.
+    """How a family of formats stores a vertex.
 
     Parameters
     ----------
     origin : "sheet", "cell" or "face"
-        What coordinates count from; "face": heights alone, from the face's reference plane.
+        Origin of coordinates; "face": heights alone, from the face's reference plane.
     kind : "exact", "f64", "f32" or "levels"
-        "exact" undoes the mesher's steps: vertices on the surfaces, to be compared with.
+        "exact" undoes the mesher's steps: vertices on the surfaces, as a reference.
     levels : int
         Steps of a height map over the range of a face's heights.
     """
@@ -51,13 +51,13 @@ EXACT = Holding(kind="exact")
 
 
 def rounded(mesh: Mesh, cell: tuple[int, int], holding: Holding) -> Mesh:
-    """Hold the vertices of a mesh as a file in millimetres does, seen from one cell.
+    """Round the vertices of a mesh as a file in millimetres does, for one cell.
 
     Parameters
     ----------
     mesh : Mesh
     cell : (i, j)
-        Rounding of sheet coordinates depends on where in the sheet a cell lies.
+        Rounding of sheet coordinates depends on the position of a cell in the sheet.
     holding : Holding
     """
     window = mesh.window
@@ -66,7 +66,7 @@ def rounded(mesh: Mesh, cell: tuple[int, int], holding: Holding) -> Mesh:
 
 
 def outermost_cell(window: Window) -> tuple[int, int]:
-    """Kept cell far from the middle of the sheet, where its coordinates are rounded most."""
+    """Kept cell far from the middle of the sheet, where coordinates are rounded most."""
     lattice = window.lattice
     n1, n2 = lattice.count
     if lattice.outline is not None:
@@ -78,7 +78,7 @@ def outermost_cell(window: Window) -> tuple[int, int]:
 
 
 def _held(window: Window, body: Body, part: BodyMesh, cell: tuple[int, int], holding: Holding) -> BodyMesh:
-    """The mesh of one body as held."""
+    """Mesh of one body as stored in a file."""
     tiled = []
     for one in part.tiled:
         tile = one.maker.tile
@@ -90,14 +90,14 @@ def _held(window: Window, body: Body, part: BodyMesh, cell: tuple[int, int], hol
             xy = _single((xy + zero) * scale) / scale - zero
         made = _finer(tile)
         lens = np.column_stack([_levels(made, body, side, scale, holding) for side in (0, 1)])
-        maker = copy(one.maker)  # only its tile is read by a trace; the templates stay those of the mesh
+        maker = copy(one.maker)  # a trace reads its tile only; the templates stay those of the mesh
         maker.tile = replace(made, plan=replace(tile.plan, xy=xy), lens=lens)
         tiled.append(replace(one, maker=maker))
     return replace(part, tiled=tuple(tiled))
 
 
 def _finer(tile: Prototile) -> Prototile:
-    """The same tile with smaller steps."""
+    """Copy of a tile with smaller steps."""
     front, back = (flat * FINER if abs(flat) < KNOWN else flat for flat in tile.land)
     lifted = None if tile.lifted is None else _times(tile.lifted)
     return replace(tile, step=tile.step / FINER, lens=_times(tile.lens), land=(front, back), lifted=lifted)
@@ -109,13 +109,13 @@ def _times(levels: Ints) -> Ints:
 
 
 def _levels(tile: Prototile, body: Body, side: int, scale: float, holding: Holding) -> Ints:
-    """Levels (n,) of one face as held."""
+    """Levels (n,) of one face as stored in a file."""
     levels, face = tile.lens[:, side].copy(), (body.front, body.back)[side]
     known = np.abs(levels) < KNOWN
     height: Floats = np.asarray(levels[known] * tile.step, dtype=np.float64)
     if (
         holding.kind == "exact" or holding.origin == "face"
-    ):  # a map is drawn from the surface, not from a mesh
+    ):  # a map is computed from the surface, not from a mesh
         height = _exact(height, FINER * tile.step, body, side, tile.plan.xy[known])
     if holding.kind in ("f32", "levels"):
         zero = face.vertex[2] if holding.origin == "face" else 0.0
@@ -125,7 +125,7 @@ def _levels(tile: Prototile, body: Body, side: int, scale: float, holding: Holdi
 
 
 def _exact(height: Floats, step: float, body: Body, side: int, xy: Floats) -> Floats:
-    """Heights of the surface where the mesher did no more than round to its step."""
+    """Heights of the surface where the mesher only rounded to its step."""
     face = (body.front, body.back)[side]
     if face.array is None:
         return height

@@ -1,4 +1,4 @@
-"""Sending the same rays up every rung, and taking the time."""
+"""Traces of the same rays on every rung, with their times."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ if TYPE_CHECKING:
 QUADS = (4, 8, 16, 32, 64, 128)
 """Tessellations of the ladder, quads per cell side."""
 OWN_FINEST = 32
-"""Finest of them that a sheet whose cells differ is cut into: its triangles are no copies of one another, and as many are sorted."""
+"""Finest of them for a non-uniform sheet, whose triangles are not copies of one another and must all be sorted."""
 ORACLE_RAYS = 1000
 """Rays traced in 50 digits."""
 REPEATS = 3
 SLOW = 1.0
-"""Seconds from which one warm run is enough."""
+"""Seconds above which one warm run is enough."""
 
 
 @dataclass(frozen=True, eq=False)
 class TracedRays:
-    """The rays and what is known of them.
+    """The rays with their truth and the requested directions.
 
     window : Window
     rays : Rays
     truth : TraceResult
         Rung surfaces, float64.
-    asked : (n, 3)
-        What the law says; NaN where it has no answer.
+    `asked` : (n, 3)
+        Exit directions of the law; NaN where it has no answer.
     """
 
     window: Window
@@ -52,7 +52,7 @@ class TracedRays:
 
     @classmethod
     def raised(cls, window: Window, rays: Rays, cell: tuple[int, int] | None = None) -> TracedRays:
-        """Trace the truth, by the compiled kernel: the one whose speed and error the table tells; `cell`: whose law is asked."""
+        """Trace the truth with the compiled kernel that the table measures; `cell`: the cell whose law applies."""
         from clacad.tracing.trace import trace
 
         law = window.law if cell is None else window.law_at(cell)
@@ -60,7 +60,7 @@ class TracedRays:
 
 
 def timed(run: Callable[[], TraceResult], repeats: int = REPEATS) -> tuple[TraceResult, float, float]:
-    """Result, processor seconds (best of those repeated, warm) and seconds of the first call beyond that (compiling)."""
+    """Result, processor seconds (best of `repeats` warm runs), and additional seconds of the first call (compiling)."""
     began = time.process_time()
     result = run()
     first = time.process_time() - began
@@ -86,7 +86,7 @@ def row(
     ladder: TracedRays, rung: str, setting: str, run: Callable[[], TraceResult], prepare: float = 0.0,
     repeats: int = REPEATS,
 ) -> AccuracyRow:  # fmt: skip
-    """Measure one rung: time, memory, errors against truth and law; with no repeats once, and no memory."""
+    """Measure one rung: time, memory, errors against truth and law; without repeats one run, and no memory."""
     result, seconds, compiling = timed(run, repeats)
     memory = peak_memory(run) if repeats else 0
     disagree = result.fate != ladder.truth.fate
@@ -102,7 +102,7 @@ def row(
 
 
 def statistics(found: Floats, truth: Floats, asked: Floats) -> tuple[float, float, float, float, float]:
-    """Angles (radians) of directions (n, 3) to the truth, rms, 95 % and max, and to the law, rms and max."""
+    """Angles (radians) of directions (n, 3) to the truth (rms, 95 %, max) and to the law (rms, max)."""
     model, law = angle_between(found, truth), angle_between(found, asked)
     law = law[np.isfinite(law)]
     return _rms(model), _part(model, 95.0), _part(model, 100.0), _rms(law), _part(law, 100.0)
@@ -117,7 +117,7 @@ def _part(values: Floats, percent: float) -> float:
 
 
 def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
-    """Hold the truth to a 50-digit trace on its first `count` living rays."""
+    """Compare the truth with a 50-digit trace on its first `count` ALIVE rays."""
     alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)[:count]
     truth = ladder.truth
     error = direction_errors(
@@ -154,7 +154,7 @@ def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRo
 
 
 def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
-    """Rungs law, thin and surfaces of a sheet whose cells differ, on the paths that trace it: law and thin in numpy."""
+    """Rungs law, thin and surfaces of a non-uniform sheet, by the code that traces it: law and thin in numpy."""
     from clacad.tracing.trace import trace
 
     window, rays, checked = ladder.window, ladder.rays, reference(ladder)
@@ -174,7 +174,7 @@ def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
 
 
 def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
-    """Facets of a sheet whose cells differ: those of the cells that its light meets and of their neighbours."""
+    """Facets of a non-uniform sheet: those of the cells that its light enters, and of their neighbours."""
     from clacad.formats.mesh.stl import stl_bytes
     from clacad.mesh import tessellate
     from clacad.tracing.trace import trace
@@ -203,7 +203,7 @@ def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
 
 
 def _cells_about(window: Window, truth: TraceResult) -> Ints:
-    """Kept cells (m, 2) that light met, in array 1 or 2, and those about them."""
+    """Kept cells (m, 2) that light entered, in array 1 or 2, and their neighbours."""
     through = (truth.cell != NO_CELL).all(axis=1)
     both = through & (truth.order != NO_CELL).all(axis=1)
     met = np.concatenate([truth.cell[through], truth.cell[both] + truth.order[both]]).astype(np.int64)
@@ -213,14 +213,14 @@ def _cells_about(window: Window, truth: TraceResult) -> Ints:
 
 
 def _own_bytes(window: Window) -> int:
-    """Numbers that describe a sheet whose cells differ: one telescopelet, and where each lens stands."""
+    """Bytes that describe a non-uniform sheet: one telescopelet, and the position of each lens."""
     changes = [face.change for face in window.faces if face.change is not None]
     tables = sum(one.table.nbytes for one in changes if one.table is not None)
     return _surface_bytes(window) + 8 * 4 * len(changes) + tables
 
 
 def _surface_bytes(window: Window) -> int:
-    """Numbers that describe one telescopelet: surface, vertex and rotation of each face."""
+    """Bytes that describe one telescopelet: surface, vertex and rotation of each face."""
     return len(window.faces) * (4 + 3 + 9) * 8
 
 
@@ -253,6 +253,6 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
 
 
 def _mesh_bytes(mesh: Mesh) -> int:
-    """Numbers of the prototiles a trace reads: points, levels, triangles."""
+    """Bytes of the prototiles that a trace reads: points, levels, triangles."""
     tiles = [one.maker.tile for body in mesh.bodies for one in body.tiled]
     return sum(t.plan.xy.nbytes + t.lens.nbytes + t.plan.triangles.nbytes for t in tiles)

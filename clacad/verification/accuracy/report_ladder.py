@@ -1,8 +1,8 @@
-"""A small ladder of accuracy for the report: the same rays up every rung, each with its error and what it costs.
+"""A small accuracy ladder for the report: the same rays on every rung, each with its error and its cost.
 
-Seconds change from run to run and a report must not, so the page shows a forecast of the time from the rates
-below; what was really measured, once, goes to the run facts, and into the report only when asked for. So few rays are
-numpy's on every rung: to compile the kernels that would trace them takes longer than all the rest of a report.
+Seconds change from run to run and a report must not. The page therefore shows a forecast of the time from the rates
+below. Times measured in one run go to the run facts, and into the report only on request. Every rung traces these few
+rays in numpy: compiling its kernels would take longer than the rest of a report.
 """
 
 from __future__ import annotations
@@ -22,14 +22,17 @@ ORACLE_RAYS = 128
 QUADS = (4, 8, 16, 32)
 
 MICROSECONDS = {"law": 0.05, "thin": 0.25, "surfaces": 0.07, "mesh": 0.16, "mesh, a quad of the side": 0.003}
-"""Forecast of the processor's time for one ray of compiled kernels, by rung: geometric means over traces of 20 000 rays through
-four shipped designs (plano, window-100mm, tilted-biconvex, hexagonal) on one core of an ordinary server. A design may differ
-from it by a factor of 8, because tilted lenses and hexagons cost more; another machine moves all points alike."""
+"""Forecast of the processor time of one ray in compiled kernels, by rung, µs.
+
+The values are geometric means over traces of 20 000 rays through four shipped designs (plano, window-100mm,
+tilted-biconvex, hexagonal) on one core of an ordinary server. A design may differ from it by a factor of 8, because
+tilted lenses and hexagons cost more; another machine scales all points alike.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """Rows of the ladder, their forecast microseconds a ray, and how well the truth itself is known.
+    """Rows of the ladder, their forecast microseconds per ray, and the error of the truth itself.
 
     rows : tuple of clacad.verification.accuracy.error_and_seconds.AccuracyRow
     forecast : tuple of float, microseconds
@@ -43,7 +46,7 @@ class Ladder:
 
     @property
     def conclusion(self) -> str:
-        """What the errors and the forecast of the time say, in words."""
+        """Conclusion from the errors and the forecast of the time, in words."""
         from clacad.verification.accuracy.conclusion import conclusion
 
         rows = [
@@ -60,7 +63,7 @@ class Ladder:
         ]  # fmt: skip
 
     def to_dict(self) -> list[dict[str, Any]]:
-        """Numbers for the report; no measured time among them."""
+        """Numbers for the report, without measured times."""
         return [
             {
                 "rung": r.rung, "setting": r.setting, "model_rms": r.model_rms, "model_max": r.model_max,
@@ -72,7 +75,7 @@ class Ladder:
 
 
 def climb(design: Design, window: Window, progress: Progress) -> Ladder:
-    """Send one bundle up the rungs law, thin, surfaces, and mesh at some refinements."""
+    """Trace one bundle on the rungs law, thin, surfaces, and mesh at some refinements."""
     from functools import partial
 
     from clacad.mesh import tessellate

@@ -25,32 +25,32 @@ if TYPE_CHECKING:
 
 
 SPOT_RAYS = 1100
-"""Rays of the spot check at first."""
+"""Rays of the spot check in the first round."""
 LEAST = 1000
-"""Rays to compare: more are sent until so many went in and out of every body through faces that are no walls."""
+"""Rays to compare: more are traced until this count passed every body through faces that are not walls."""
 SENDINGS = 4
-"""Times that rays are sent at most; each reads the file again."""
+"""Most rounds of tracing; each reads the file again."""
 MOST_SENT = 20_000
-"""Rays sent at most: OCC traces some thousand a second."""
+"""Most rays traced: OCC traces about one thousand per second."""
 REACH = 2
-"""Cells either side of the lit one that are written; a ray that leaves them is not compared."""
+"""Cells written on either side of the lit one; a ray that leaves them is not compared."""
 
 More = Callable[[int], TracedRays]
-"""Gives a ladder of so many rays, the first of them those of a smaller one."""
+"""Returns a ladder with the given number of rays; the first of them are those of a smaller one."""
 
 
 def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow | None, str]:
-    """Write a few cells as STEP, read them back with OCC, trace through its faces.
+    """Write a few cells as STEP, read them back with OCC, and trace through the faces read.
 
     Parameters
     ----------
     ladder : TracedRays
     more : callable or None
-        Where a ladder has fewer rays than the check needs, gives a larger one.
+        Returns a larger ladder, where a ladder has fewer rays than the check needs.
 
     Returns
     -------
-    (AccuracyRow, "") or (None, why it could not be measured)
+    (AccuracyRow, "") or (None, reason why it could not be measured)
     """
     from clacad.formats.step.step_files import write_step
     from clacad.storage.errors import ExportError
@@ -83,7 +83,7 @@ def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow 
 
 @dataclass(frozen=True, eq=False)
 class Spot:
-    """Directions (n, 3): as the file sends them, NaN where they are not to be compared, as the surfaces and the law do.
+    """Directions (n, 3) through the file (NaN where not compared), through the surfaces, and by the law.
 
     reading, seconds : float
         Processor seconds of loading OCC and the file, and of all the rays.
@@ -97,7 +97,7 @@ class Spot:
 
 
 def _compared(ladder: TracedRays, more: More | None, cast: Callable[..., Any], small: Window) -> Spot:
-    """Send living rays through the file until LEAST came through, or there are no more to send."""
+    """Trace ALIVE rays through the file until LEAST were transmitted, or none are left."""
     found, truth, asked = [np.empty((0, 3))], [np.empty((0, 3))], [np.empty((0, 3))]
     sent, want, reading, seconds = 0, SPOT_RAYS, 0.0, 0.0
     for _ in range(SENDINGS):
@@ -126,7 +126,7 @@ def _compared(ladder: TracedRays, more: More | None, cast: Callable[..., Any], s
 
 
 def _living(ladder: TracedRays, count: int, more: More | None) -> tuple[TracedRays, Rows]:
-    """Numbers of the living rays of a ladder, of a larger one if these are fewer than `count`."""
+    """Row numbers of the ALIVE rays of a ladder; of a larger one if these are fewer than `count`."""
     alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)
     if more is None or len(alive) >= count or len(alive) == 0:
         return ladder, alive
@@ -139,7 +139,7 @@ def _cast(
 ) -> tuple[list[Any], float, float]:
     """Directions, seconds of loading OCC and the file, and seconds of the rays alone.
 
-    Every call reads the file; one with a single ray tells how long that takes, the first how long loading takes.
+    Every call reads the file. A call with a single ray measures the reading time; the first call measures the loading.
     """
     taken, found = [], list[Any]()
     worker.start()
@@ -158,7 +158,7 @@ def _cast(
 
 
 def _moved(ladder: TracedRays, small: Window, lit: int) -> Floats:
-    """Displacement that brings the lit cell of the whole sheet onto the middle cell of the small one."""
+    """Displacement from the lit cell of the whole sheet to the middle cell of the small one."""
     cell = ladder.truth.cell[lit].astype(np.int64)
     here = ladder.window.lattice.centres(cell[None])[0]
     middle = small.lattice.locate(np.zeros(1), np.zeros(1))[0]

@@ -1,4 +1,4 @@
-"""Checks that need no light: can the part exist, and can the chosen process make it?
+"""Checks without light: whether the part can exist, and whether the chosen process can make it.
 
 The numbers they judge are derived in `sheet.feasibility`.
 """

@@ -1,6 +1,6 @@
-"""Checks of the design rules: can the part exist, and can the chosen process make it?
+"""Checks of the design rules: whether the part can exist, and whether the chosen process can make it.
 
-Nothing is traced here; values are the derived numbers of `clacad.sheet.feasibility`.
+No light is traced; the values are the derived numbers of `clacad.sheet.feasibility`.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def design_checks(
     Parameters
     ----------
     design : Design
-        For limits and the process.
+        Gives the limits and the process.
     window : Window
     facts : Feasibility
-        Of this window.
+        Derived numbers of this window.
     solved : bool
-        Whether a lens that does not cover its cell is said which thickness, index or pitch would: a second's work.
+        Whether to compute a thickness, index or pitch that covers the cell of a lens that does not: about a second.
     """
     found = [*_cell_checks(design, window, facts, solved), *part_checks(design, window, facts)]
     return accepted(found, design)
@@ -50,7 +50,7 @@ def design_checks(
 def _cell_checks(
     design: Design, window: Window, facts: Feasibility, solved: bool = False
 ) -> tuple[Check, ...]:
-    """Judge the cells of a window, all by one where they are equal."""
+    """Judge the cells of a window; in a uniform sheet one cell represents all."""
     if not window.uniform:
         return _in_outer_cells(design, window, facts)
     found: list[Check] = [_one_piece(body) for body in facts.bodies]
@@ -65,7 +65,7 @@ def _cell_checks(
 
 
 def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple[Check, ...]:
-    """The checks of a sheet whose cells differ: each in the worst of those cells whose lenses stand farthest out."""
+    """The checks of a non-uniform sheet: each in the worst of the cells whose lenses lie farthest out."""
     worst: dict[tuple[str, str], Check] = {}
     highest = max((highest_step(window, body) for body in window.bodies), key=lambda step: step.height)
     fields = [min(whole.half_field)]
@@ -93,7 +93,7 @@ def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple
 
 
 def _priced(check: Check) -> Check:
-    """Steps between neighbours are the price of cells that differ: beyond what the process can make they fail."""
+    """Fail the check of steps between neighbours of a non-uniform sheet where the process cannot make them."""
     if check.id != "wall" or check.state != "warn":
         return check
     sentence, _, _ = check.sentence.rpartition("; ")
@@ -103,7 +103,7 @@ def _priced(check: Check) -> Check:
 
 
 def _worse(one: Check, other: Check) -> bool:
-    """Whether a check says worse of a part than another of the same name."""
+    """Whether a check reports a worse part than another check of the same name."""
     order = ("fail", "not run", "warn", "pass")
     if one.state != other.state:
         return order.index(one.state) < order.index(other.state)
@@ -113,7 +113,7 @@ def _worse(one: Check, other: Check) -> bool:
 
 
 def _one_piece(body: BodyFacts) -> Check:
-    """Does the body hang together, without pinholes?"""
+    """Judge whether a body is in one piece, without pinholes."""
     whole = body.pieces == 1 and body.holes == 0
     if whole:
         sentence = f"{body.name} is one piece without holes"
@@ -156,7 +156,7 @@ def _cover(design: Design, window: Window, lens: LensFacts, *, solved: bool) -> 
 
 
 def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
-    """The numbers that would cover the cell; found by building, since the radii follow the thickness."""
+    """Text of the values that cover the cell, found by building windows, since the radii follow the thickness."""
     if not (isfinite(lens.least_thickness) and lens.least_thickness > 0.0):
         return "No thickness covers it at these radii: a smaller pitch or a larger separation would"
     ways = [f"thickness >= {_round_up(lens.least_thickness)}"]
@@ -174,7 +174,7 @@ def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
 
 
 def _round_up(value: float) -> str:
-    """Three digits, never below the value."""
+    """Text of a value with three digits, rounded up."""
     from math import ceil, floor, log10
 
     step = 10.0 ** (floor(log10(value)) - 2)
@@ -182,7 +182,7 @@ def _round_up(value: float) -> str:
 
 
 def _round_down(value: float) -> str:
-    """Three digits, never above the value."""
+    """Text of a value with three digits, rounded down."""
     from math import floor, log10
 
     step = 10.0 ** (floor(log10(value)) - 2)
@@ -204,7 +204,7 @@ def _covering_shrink(window: Window, lens: LensFacts) -> float | None:
 
 
 def _covering_thickness(design: Design, lens: LensFacts) -> float | None:
-    """Centre thickness that covers the cell when the radii are solved again for it; None if none is found."""
+    """Centre thickness that covers the cell, with the radii solved again for it; None if none is found."""
     from clacad.design import DesignError
     from clacad.prescription.prescribe import prescribe
 
@@ -228,9 +228,9 @@ def _covering_thickness(design: Design, lens: LensFacts) -> float | None:
 
 
 def _covering_index(design: Design, lens: LensFacts) -> float | None:
-    """Refractive index at which the thickness as given covers the cell, rounded up; None if there is none below 4.
+    """Refractive index at which the given thickness covers the cell, rounded up; None if there is none below 4.
 
-    Radii grow as n − 1 and sags fall as its inverse, so n − 1 ← (n − 1) T_min/T closes in fast.
+    Radii grow as n − 1 and sags fall as its inverse, so the iteration n − 1 ← (n − 1) T_min/T converges fast.
     """
     from clacad.design import DesignError
     from clacad.prescription.prescribe import prescribe
@@ -267,7 +267,7 @@ def _graph(design: Design, lens: LensFacts) -> Check:
 
 
 def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
-    """Lengths that every process limits: gaps, edges, necks, radii, heights, pitch."""
+    """Judge the lengths that every process limits: gaps, edges, necks, radii, heights, pitch."""
     rules, unit = profile(design.check.process), design.unit
     found: list[Check] = []
     if isfinite(facts.clearance):
@@ -310,7 +310,7 @@ def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
 def _at_least(
     id: str, value: float, limit: float, source: LimitSource, unit: str, text: str, subject: str = ""
 ) -> Check:
-    """Judge a length that must reach its limit; where the limit is 0 it must be above it."""
+    """Judge a length that must reach its limit; where the limit is 0 it must exceed it."""
     sentence = f"{text}: {value:.4g} {unit}"
     if value <= 0.0:
         sentence += (
@@ -319,13 +319,13 @@ def _at_least(
     check = judge(
         id, value, limit, sentence, relation=">=", near=NEAR, unit=unit, subject=subject, limit_source=source
     )
-    if limit == 0.0:  # 0 itself does not do
+    if limit == 0.0:  # a length of 0 fails
         return replace(check, relation=">", state="fail" if value <= 0.0 else check.state)
     return check
 
 
 def _thicker(design: Design, check: Check) -> Check:
-    """The same check; one that fails names the keys by which a body of this form is made thicker there."""
+    """Name, in a failing check, the keys that make a body of this form thicker at that place."""
     if check.state != "fail":
         return check
     keys = {
@@ -337,7 +337,7 @@ def _thicker(design: Design, check: Check) -> Check:
 
 
 def _field(design: Design, facts: Feasibility) -> Check:
-    """Does the sheet's normal, with the cone of test rays about it, lie in the field of view?"""
+    """Judge whether the sheet's normal, with the cone of test rays about it, lies in the field of view."""
     off = [abs(a) for a in facts.aperture]
     reach = tan(design.check.field)
     half = min(facts.half_field)
@@ -375,7 +375,7 @@ def _fresnel_number(design: Design, facts: Feasibility) -> Check:
 
 
 def _orders(design: Design, window: Window, facts: Feasibility) -> Check:
-    """How near the law coherent light comes: half a step of the grating that equal cells are."""
+    """Judge the deviation of coherent light from the law: half a step of the grating that identical cells form."""
     steps = order_steps(window.lattice, facts.wavelength / window.unit)
     value, limit = 0.5 * max(steps), design.check.law_rms
     first, second = (digits(1e3 * step, count=3) for step in steps)
@@ -391,7 +391,7 @@ def _orders(design: Design, window: Window, facts: Feasibility) -> Check:
 
 
 def _residual(design: Design, window: Window) -> Check:
-    """What the recipe itself leaves along the axis ray: parabasal law error and decollimation."""
+    """Judge the residual of the recipe along the axis ray: parabasal law error and decollimation."""
     left = [float(v) for v in window.residual.values()]
     if not left:
         return not_run(

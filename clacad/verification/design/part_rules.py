@@ -1,4 +1,4 @@
-"""Design rules of the whole part: can the process work its material, and is the part small enough for the machine?"""
+"""Design rules of the whole part: whether the process can work its material, and whether the part fits the machine."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 _WAYS = {"part_height": "high", "part_width": "wide"}
 VISIBLE = 550e-9
-"""Metres; wavelength at which two materials are compared, if both are known there."""
+"""Metres; wavelength at which two materials are compared, if both indices are known there."""
 
 
 def part_checks(design: Design, window: Window, facts: Feasibility) -> Iterator[Check]:
-    """Judge the material, the height and the width of the parts by the design's process; nothing where it sets no limit."""
+    """Judge the material, height and width of the parts by the design's process; no checks where it sets no limit."""
     rules = profile(design.check.process)
     if rules.materials or design.check.materials is not None:
         yield from _workable(design, window, rules)
@@ -47,7 +47,7 @@ def part_checks(design: Design, window: Window, facts: Feasibility) -> Iterator[
 
 
 def _larger(id: str, value: float, design: Design, window: Window) -> str:
-    """Name the process that makes parts so large of these materials, the one with the least room to spare."""
+    """Name the process that makes parts of this size and these materials with the smallest margin."""
     larger = [p for p in _other_processes(design, window) if getattr(p, id) >= value * design.unit_m]
     if not larger:
         return "no other process known here makes such parts of this material"
@@ -66,7 +66,7 @@ def _other_processes(design: Design, window: Window) -> list[ProcessProfile]:
 
 
 def _workable(design: Design, window: Window, rules: ProcessProfile) -> Iterator[Check]:
-    """Judge each material of the parts once; a bare index says nothing of the material."""
+    """Judge each material of the parts once; a bare index does not identify a material."""
     own = design.check.materials
     source = from_profile(rules) if own is None else DESIGN_FILE
     worked = None if own is None else {find(name).name for name in own}
@@ -86,7 +86,7 @@ def _workable(design: Design, window: Window, rules: ProcessProfile) -> Iterator
 
 
 def _way_out(material: Material, design: Design, rules: ProcessProfile) -> str:
-    """Name the processes that work a material, and the material nearest to it in index that the process works."""
+    """Name the processes that work a material, and the workable material nearest to it in index."""
     processes = [p.name for p in profiles() if p.materials and p.works(material)]
     ways = f"{' or '.join(processes)} works it" if processes else "no process known here works it"
     wave = design.pair.wavelength or VISIBLE

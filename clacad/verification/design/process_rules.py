@@ -1,4 +1,4 @@
-"""Design rules of a process: what the tool, the mould, the light or the printer cannot do. Warnings, with numbers.
+"""Design rules of a process: limits of the tool, the mould, the light or the printer. Warnings, with numbers.
 
 A warning can be allowed in the design file, with a reason: `[check] allow`.
 """
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 LOST = 0.1
-"""Share of a cell's width that a tool may leave rounded."""
+"""Share of a cell's width that a tool may leave rounded without a warning."""
 
 PURE = ("draft", "slope", "aspect")
-"""Limits that are no lengths."""
+"""Limits that are not lengths."""
 
 NEGLIGIBLE = 1e-7
 """Metres; walls lower than this are roughness."""
 
 
 def making_checks(design: Design, window: Window, facts: Feasibility) -> list[Check]:
-    """Judge a window by the rules of the design's process; rules without a limit there are left out."""
+    """Judge a window by the rules of the design's process; rules without a limit are omitted."""
     rules = profile(design.check.process)
     found = [
         *_rules_of_shape(design, window, facts, rules),
@@ -52,7 +52,7 @@ def making_checks(design: Design, window: Window, facts: Feasibility) -> list[Ch
 def _rules_of_shape(
     design: Design, window: Window, facts: Feasibility, rules: ProcessProfile
 ) -> Iterator[Check]:
-    """What the tool leaves rounded, and how high, upright and steep walls and faces are."""
+    """Rounding that the tool leaves, and the height, draft and steepness of walls and faces."""
     unit = design.unit
     tool, source = process_limit(design, rules, "tool")
     if tool > 0.0:
@@ -82,7 +82,7 @@ def _rules_of_shape(
 def _rules_of_fineness(
     design: Design, window: Window, facts: Feasibility, rules: ProcessProfile
 ) -> Iterator[Check]:
-    """Whether voxels and layers are fine enough, and what stands narrow and tall."""
+    """Whether voxels and layers are fine enough, and how narrow and tall features are."""
     unit = design.unit
     voxel, source = process_limit(design, rules, "voxel")
     if voxel > 0.0:
@@ -105,7 +105,7 @@ def _rules_of_fineness(
 
 
 def process_limit(design: Design, rules: ProcessProfile, name: str) -> tuple[float, LimitSource]:
-    """Limit (lengths in design units) and where it comes from: the design's own key, else the process profile."""
+    """Limit (lengths in design units) and its source: the design's own key, else the process profile."""
     own = getattr(design.check, name)
     if own is not None:
         return float(own), DESIGN_FILE
@@ -123,7 +123,7 @@ def _rule(
     sentence: str,
     way_out: str,
 ) -> Check:
-    """A warning where a value does not stand to its limit as it must, with a way out."""
+    """Warn where a value violates its limit, with a remedy."""
     good = seen.value <= limit if relation == "<=" else seen.value >= limit
     state: State = "pass" if good else "warn"
     return Check(

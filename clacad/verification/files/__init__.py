@@ -1,4 +1,4 @@
-"""Judging what was written: mesh, STEP and map files, by shape and by the light through them.
+"""Checks of written files: mesh, STEP and map files, by shape and by the light through them.
 
-Parts that come back unregistered are in `verification.returned`.
+Unregistered parts that are measured or returned are in `verification.returned`.
 """

@@ -31,13 +31,13 @@ from clacad.tracing.triangles.telescopelet_facets import (
 
 RANDOM_CELLS = 4
 CHORD = 0.75
-"""Mean height of a chord over its arc, of surfaces of second order, over that at the middle of a facet."""
+"""Mean height of a chord over a second-order surface across a facet, over the height at the facet's middle."""
 
 SLIVER = 1e-4
-"""Twice a facet's area over the square of its longest edge, below which its own normal says little."""
+"""Twice a facet's area over the square of its longest edge, below which the facet's own normal is unreliable."""
 
 UNIT_ROOM = 1e-3
-"""How far from 1 the length of a stored normal may be."""
+"""Largest deviation from 1 of the length of a stored normal."""
 
 Cell = tuple[int, int]
 Key = tuple[int, int, int]
@@ -45,8 +45,9 @@ Key = tuple[int, int, int]
 
 
 def chosen_cells(window: Window) -> tuple[Cell, ...]:
-    """Cells of the sheet that are looked at: the middle, the four corners, the middles of the four sides, and a
-    few at random (seed 0); the middle first, none twice.
+    """Cells of the sheet that are compared with the design, each once, the middle first.
+
+    They are the middle, the four corners, the middles of the four sides, and a few at random (seed 0).
     """
     lattice = window.lattice
     middle = central_cell(window)
@@ -71,8 +72,10 @@ def chosen_cells(window: Window) -> tuple[Cell, ...]:
 
 
 def _outermost(lattice: Lattice, middle: int) -> Ints:
-    """Cells (n, 2), row by row, among which are those farthest out along any axis or diagonal: the first and last row, and
-    the ends of the others. All where an outline cuts the sheet, or of a very large one the middle row.
+    """Cells (n, 2), row by row, that include those farthest out along any axis or diagonal.
+
+    They are the first and last row and the ends of the others. With an outline, all cells are returned, or
+    the middle row of a sheet of more than 4,000,000 cells.
     """
     if lattice.outline is not None:
         return lattice.cells() if lattice.cell_count <= 4_000_000 else lattice.row(middle)
@@ -83,7 +86,7 @@ def _outermost(lattice: Lattice, middle: int) -> Ints:
 
 @dataclass
 class CellFacets:
-    """Facets of the chosen cells, by body, side and cell, and what was counted on the way.
+    """Facets of the chosen cells, by body, side and cell, with counts over the whole file.
 
     Attributes
     ----------
@@ -93,20 +96,20 @@ class CellFacets:
     optical, walls, degenerate : int
         Facets of each kind in the whole file; degenerate ones have no area.
     farthest : float
-        Largest distance of the middle of any facet of the whole file from the exact face under it, design units.
+        Largest distance of a facet's middle from the exact face under it, over the whole file, design units.
     farthest_cell : (i, j) or None
-        Where that is.
+        Cell of that facet.
     engraved : float
-        Volume of the letters engraved where the design has room for them (length³): their floors' area times depth.
+        Volume of engraved letters where the design has room for them (length³): area of their floors times depth.
     normals : mapping
         Key → list of (k, 3, 3) arrays: normals stored for the corners of `facets`; no key where the file has none.
     stored, odd, inward : int
-        Facets that were met with stored normals; with one that is no unit vector, and with one that points inward.
+        Facets with stored normals; those with a normal that is no unit vector; those with one that points inward.
     repeats : mapping
-        Key → list of (number of a chosen cell, (3,) shift): this cell's facets are, besides its own, those of that
-        cell moved. So an instanced file costs one cell.
+        Key → list of (number of a chosen cell, (3,) shift). The facets of this cell are its own and those of the
+        other cell, shifted; so an instanced file needs the facets of one cell.
     chord : float
-        Volume (length³) that all facets of the file add to the exact body, where cells differ; see `chord_volume`.
+        Volume (length³) that all facets of the file add to the exact body of a non-uniform sheet; see `chord_volume`.
     """
 
     cells: tuple[Cell, ...]
@@ -133,13 +136,13 @@ class CellFacets:
         return np.concatenate(found) if found else np.empty((0, 3, 3))
 
     def corner_normals(self, body: int, side: int, cell: int) -> Floats | None:
-        """Normals (k, 3, 3) stored for the corners of those facets, in their order; None where the file has none."""
+        """Normals (k, 3, 3) stored for the corners of `corners`, in the same order; None where the file has none."""
         cells = [cell, *(source for source, _ in self.repeats.get((body, side, cell), []))]
         found = [normals for c in cells for normals in self.normals.get((body, side, c), [])]
         return np.concatenate(found) if found else None
 
     def source(self, cell: int) -> int:
-        """The chosen cell of which this one is nothing but a copy, displaced by whole pitches; itself if it is none."""
+        """The chosen cell of which `cell` is a pure copy, displaced by whole pitches; `cell` itself if it is no copy."""
         keys = [key for key in (*self.facets, *self.repeats) if key[2] == cell]
         sources = {source for key in keys for source, _ in self.repeats.get(key, [])}
         alone = all(key not in self.facets and len(self.repeats[key]) == 1 for key in keys)
@@ -153,9 +156,9 @@ class SideFacets:
     corners : (k, 3, 3), normals : (k, 3, 3) or None
         Of the whole chunk.
     rows : (n,)
-        Those of this side.
+        Rows of the chunk that belong to this side.
     cells : (n, 2)
-        What they lie over, in the grid of the side's array.
+        Cells they lie over, in the grid of the side's array.
     """
 
     corners: Floats
@@ -165,11 +168,11 @@ class SideFacets:
 
 
 class Gatherer:
-    """Looks at chunks of a file and keeps the facets of the chosen cells.
+    """Collects the facets of the chosen cells from the chunks of a file.
 
-    A facet belongs to the body whose height range holds its centroid, to the front if its outward normal
-    points to −z and to the back if to +z, and to the cell its centroid lies over, in the grid of that face's
-    own array. Where a file states bevels at saddles, facets there belong to none; nor do the floors of letters
+    A facet belongs to the body whose height range contains its centroid. It belongs to the front if its outward
+    normal points to −z and to the back if to +z. Its cell is the one its centroid lies over, in the grid of that
+    face's own array. Facets on bevels at saddles that a file states belong to no face; nor do the floors of letters
     engraved in the border, at the depth and in the room that the design has for them.
     """
 
@@ -185,9 +188,9 @@ class Gatherer:
             self._table[i - self._first[0], j - self._first[1]] = number
 
     def look(self, corners: Floats, normals: Floats | None = None, times: int = 1) -> None:
-        """Take a chunk (k, 3, 3) in design units, with the normals stored for its corners.
+        """Add a chunk (k, 3, 3) in design units, with the normals stored for its corners.
 
-        times : places where these facets stand; they are counted so often, and kept where they are.
+        times : number of places of these facets; each is counted that often and stored once.
         """
         normal = doubled_normals(corners)
         length = lengths(normal)
@@ -199,7 +202,7 @@ class Gatherer:
             self._weigh(corners, normal, normals, times)
         upright = np.abs(normal[:, 2]) / np.where(length > 0.0, length, 1.0)
         middle = middles(corners)
-        if self._bevel > 0.0:  # bevels at saddles are no optical faces
+        if self._bevel > 0.0:  # bevels at saddles are not optical faces
             optical &= ~in_corners(self.window, middle, self._bevel)
         for pocket in self._pockets:
             floor = optical & (normal[:, 2] < 0.0) & pocket.on_floor(corners, self._room)
@@ -221,9 +224,9 @@ class Gatherer:
                         self.result.chord += times * CHORD * float(np.nansum(above * area))
 
     def _weigh(self, corners: Floats, normal: Floats, normals: Floats, times: int) -> None:
-        """Count facets whose stored normals are no unit vectors, or point inward."""
+        """Count facets whose stored normals are not unit vectors, or point inward."""
         longest = np.abs(np.roll(corners, 1, axis=1) - corners).max(axis=(1, 2))
-        broad = np.linalg.norm(normal, axis=1) > SLIVER * longest**2  # which way a sliver looks is rounding
+        broad = np.linalg.norm(normal, axis=1) > SLIVER * longest**2  # the normal of a sliver is rounding
         with np.errstate(invalid="ignore", over="ignore"):
             unit = np.abs(np.linalg.norm(normals, axis=2) - 1.0) <= UNIT_ROOM
             inward = broad & (np.einsum("kcx,kx->k", normals, normal) < 0.0)
@@ -232,7 +235,7 @@ class Gatherer:
         self.result.inward += times * int(inward.sum())
 
     def hold(self, corners: Floats) -> None:
-        """Hold facets (k, 3, 3) of one more place against the design; they are not counted and not kept."""
+        """Compare facets (k, 3, 3) at one more place with the design, without counting or storing them."""
         aside = Gatherer(self.window, self.result.cells[:1], self._bevel)
         aside.look(corners)
         if aside.result.farthest > self.result.farthest:
@@ -242,7 +245,7 @@ class Gatherer:
             )
 
     def _hold(self, face: Face, middle: Floats, cells: Ints, upright: Floats) -> None:
-        """Hold every facet against the face it is on: a lenslet that is not among the chosen may be wrong too."""
+        """Compare every facet with its face: a lenslet outside the chosen cells may be wrong too."""
         off = distance_in_cell(self.window, face, middle[:, None], cells)[:, 0] * upright
         worst = int(np.argmax(off))
         if off[worst] > self.result.farthest:
@@ -250,7 +253,7 @@ class Gatherer:
             self.result.farthest_cell = (int(cells[worst, 0]), int(cells[worst, 1]))
 
     def _keep(self, body: int, side: int, array: int, some: SideFacets) -> None:
-        """Keep those facets that lie over chosen cells of an array."""
+        """Store the facets that lie over chosen cells of an array."""
         number = self._chosen(some.cells)
         for cell in np.unique(number[number >= 0]):
             key, mine = (body, side, int(cell)), some.rows[number == cell]
@@ -263,7 +266,7 @@ class Gatherer:
         return self.window.locate(array, middle[:, 0], middle[:, 1])[0]
 
     def _chosen(self, cells: Ints) -> NDArray[np.int64]:
-        """Number of the chosen cell (k,) that each cell (k, 2) is; −1 for the others."""
+        """Number (k,) of the chosen cell for each cell (k, 2); −1 for other cells."""
         place = cells - self._first
         known = ((place >= 0) & (place < self._table.shape)).all(axis=1)
         number = np.full(len(place), -1, dtype=np.int64)
@@ -278,9 +281,9 @@ def telescopelet(window: Window, found: CellFacets, cell: int, present: Sequence
     Parameters
     ----------
     present : names of the bodies the file holds, or None for all
-        The others are taken from the design.
+        Missing bodies are taken from the design.
     onto_design : bool
-        Move every corner along z onto the design's own face: the design, faceted as the file is.
+        Move every corner along z onto the design's own face; the result is the design with the file's facets.
     """
     index = np.array(found.cells[cell], dtype=np.int64)
     window = like_cell(window, index, widest=False)
@@ -298,7 +301,7 @@ def telescopelet(window: Window, found: CellFacets, cell: int, present: Sequence
 
 
 def _faceted(window: Window, found: CellFacets, key: Key, place: Floats, onto_design: bool) -> FacetFace:
-    """The facets of one side of a body over the chosen cell at `place` (2,); of copies of a cell, its moved."""
+    """Facets of one side of a body over the chosen cell at `place` (2,), including shifted facets of its copies."""
     number, side, cell = key
     source = found.source(cell)
     if source != cell:
@@ -321,8 +324,9 @@ def _faceted(window: Window, found: CellFacets, key: Key, place: Floats, onto_de
 
 
 def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Floats:
-    """Height (n,) of points (n, 3) of facets above the design's lens or land in their cells (n, 2), whichever is nearer;
-    NaN where it has neither.
+    """Height (n,) of facet points (n, 3) above the design's lens or land in their cells (n, 2), whichever is nearer.
+
+    NaN where the design has neither.
     """
     assert face.array is not None
     local, places = points[:, :2] - window.centres(face.array, cells), window.lenses(face, cells)
@@ -335,8 +339,9 @@ def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Flo
 
 
 def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:
-    """Height (k, m) of the design under points (k, m, ≥ 2) of facets, cell frame: of the land under land facets,
-    else of the lens, beyond its border too; NaN where it has none.
+    """Height (k, m) of the design under facet points (k, m, ≥ 2), cell frame.
+
+    Land facets get the height of the land, others that of the lens, extended beyond its border; NaN where it has none.
     """
     if face.array is None:
         return np.full(points.shape[:2], face.vertex[2])
@@ -345,7 +350,7 @@ def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:
 
 
 def onto_face(window: Window, face: Face, corners: Floats, place: Floats) -> Floats:
-    """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`; kept where it has none."""
+    """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`; unchanged where it has none."""
     moved = corners.copy()
     z = exact_height(face, on_land(window, face, corners), corners - [*place, 0.0])
     moved[..., 2] = np.where(np.isfinite(z), z, corners[..., 2])

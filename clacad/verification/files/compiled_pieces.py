@@ -10,10 +10,10 @@ from clacad.base.types import Cells, Words
 
 @entry
 def join(keys: Words, table: Words, number: Cells, parent: Cells, count: int) -> tuple[int, int]:
-    """Join the three corners of each facet (k, 3), given by their hashes; returns vertices so far and joins made.
+    """Join the three corners of each facet (k, 3), given by their hashes; returns the vertex count and the join count.
 
-    table, number : (2^b,) hash table of the vertices met, open addressing; 0 is an empty slot
-    parent : forest over the vertices, as long as they may become
+    table, number : (2^b,) hash table of the known vertices, open addressing; 0 is an empty slot
+    parent : union-find forest over the vertices, with room for new ones
     """
     mask = np.uint64(len(table) - 1)
     joins = 0

@@ -1,4 +1,4 @@
-"""The table of cells that came with the files: read in place of the design's own, and judged."""
+"""The table of cells that was delivered with the files: read in place of the design's own, and judged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def with_copied_table(design: Design, delivery: Delivery | None) -> Design:
-    """The design reading the table that lies beside the files, where that is the one it states; else the design."""
+    """The design with the table next to the files, where that is the table it states; else the design."""
     table = None if design.law_spec.varying is None else design.law_spec.varying.table
     if table is None or delivery is None:
         return design
@@ -30,7 +30,7 @@ def with_copied_table(design: Design, delivery: Delivery | None) -> Design:
 
 
 def table_check(design: Design, subject: Subject) -> Check:
-    """Is the copy of the table the one that the design states?"""
+    """Check that the copy of the table is the one that the design states."""
     table = None if design.law_spec.varying is None else design.law_spec.varying.table
     same = table is not None and subject.sha256 == table.sha256
     text = "the table is the one that the design states"

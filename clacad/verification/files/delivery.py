@@ -1,7 +1,7 @@
-"""A delivery as a whole: what in it carries no light of the law, what its manifest withholds, and which bodies it lacks.
+"""Checks of a delivery as a whole: files without optics, files withheld from judgement, and missing bodies.
 
-A manifest is somebody's word. It may call a file a frame or a coupon, but a file that it keeps from being judged by
-light cannot help a delivery to pass, and one that measures as the design does is no frame.
+A manifest is an unverified claim. It may call a file a frame or a coupon, but a file withheld from judgement by
+light cannot make a delivery pass, and a file with the measurements of the design is not a frame.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ FIXTURES = frozenset(
         "coupon",
     }
 )
-"""Names of the parts beside the optics that an export writes."""
+"""Names of the parts that an export writes in addition to the optics."""
 
 SAME_VOLUME = 1e-6
-"""Relative difference up to which a part beside the optics has the volume its manifest states."""
+"""Relative difference of volume up to which a non-optical part has the volume its manifest states."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a file is not judged by light.
+    """Reason why a file is not judged by light.
 
     note : str
-        What is said of it in the list of files.
+        Text in the list of files.
     withheld : str
-        Why it should have been; "" for what rightly carries no light.
+        Why the file should have been judged; "" for a file that has no optics.
     """
 
     note: str
@@ -60,7 +60,7 @@ class Reason:
 
 
 def no_optics(window: Window, subject: Subject) -> Reason | None:
-    """Why a file of a manifest carries no light of the law; None for one that does."""
+    """Reason why a file of a manifest has no optics; None for a file with optics."""
     names, named = {body.name for body in window.bodies}, set(subject.bodies)
     if subject.format in NOT_OPTICAL and not (subject.is_mesh or subject.path.suffix.lower() in SUFFIXES):
         return Reason("no part of the optics: judged by its bytes")
@@ -86,7 +86,7 @@ def no_optics(window: Window, subject: Subject) -> Reason | None:
 
 
 def _measures_as(window: Window, subject: Subject) -> bool:
-    """Whether a file is as large as the design or one of its bodies, in any unit and however it is turned."""
+    """Whether a file is as large as the design or one of its bodies, in any unit and orientation."""
     try:
         box = _box(subject)
     except (ExportError, OSError, ValueError):
@@ -131,7 +131,7 @@ def _extent(mesh: FileMesh) -> NDArray[np.float64]:
 
 
 def judge_other(subject: Subject, reason: Reason) -> list[Check]:
-    """Judge a file beside the optics by its shape; one that is withheld from judgement says so."""
+    """Judge a non-optical file by its shape, and report a file that is withheld from judgement."""
     common: dict[str, Any] = {"where": "file", "subject": subject.name}
     if reason.withheld:
         return [Check("delivery", "fail", f"{subject.name}: {reason.withheld}", **common)]
@@ -142,7 +142,7 @@ def judge_other(subject: Subject, reason: Reason) -> list[Check]:
 
 
 def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
-    """Checks of a file beside the optics: readable, closed, of the volume that is stated."""
+    """Checks of a non-optical file: readable, closed, of the stated volume."""
     if subject.is_solid and subject.format != "brep":
         from clacad.formats.step.text_health import scan_step
 
@@ -173,9 +173,9 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
 def whole_delivery(
     window: Window, judged: Iterable[tuple[Subject, Role, Sequence[str] | None]]
 ) -> list[Check]:
-    """Say whether anything was judged by light, and which bodies no file holds.
+    """Judge whether any file was judged by light, and report bodies that no file holds.
 
-    judged : (file, role it was judged as, names of the bodies in it or None where its manifest says)
+    judged : (file, role it was judged as, names of the bodies in it or None where its manifest gives them)
     """
     held: set[str] = set()
     optical = 0

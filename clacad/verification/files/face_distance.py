@@ -1,4 +1,4 @@
-"""How far points of a part lie from the faces of the design, whichever cell, body and side they are on."""
+"""Distance of points of a part from the faces of the design, in any cell, body and side."""
 
 from __future__ import annotations
 
@@ -16,23 +16,26 @@ STEEP = 0.3
 """Facets whose |n_z| is below this belong to walls and edges, not to faces."""
 
 INWARD = 1e-6
-"""Least part of the way to a facet's middle by which its corners are drawn in to tell their cell."""
+"""Least displacement of a corner towards its facet's middle, over that distance, to determine the corner's cell."""
 
 MOST_INWARD = 0.2
-"""Largest part of it."""
+"""Largest such displacement, over the distance to the facet's middle."""
 
 ROOM = 2e-4
-"""Pitches by which they are drawn in if the facet is large enough: poses found by a fit, and numbers rounded to
-float32, leave corners on the wrong side of a border, and across a step the wrong cell is far off."""
+"""Displacement in pitches where the facet is large enough.
+
+Fitted poses and coordinates rounded to float32 leave corners on the wrong side of a border; where the border has a
+step, the wrong cell is far off.
+"""
 
 
 def drawn_in(window: Window, inward: Floats, noise: float = 0.0) -> Floats:
-    """Displacements (n, 3) that bring corners surely over their own facet's cell.
+    """Displacements (n, 3) that move corners safely over the cell of their own facet.
 
     inward : (n, 3) lengths
         From each corner to the middle of its facet.
     noise : float, length
-        By which the corners scatter.
+        Scatter of the corners.
     """
     length = np.linalg.norm(inward, axis=1, keepdims=True)
     room = max(ROOM * min(window.lattice.pitch), 4.0 * noise)
@@ -41,11 +44,11 @@ def drawn_in(window: Window, inward: Floats, noise: float = 0.0) -> Floats:
 
 
 WIDE = 8.0
-"""Times the noise that a facet is high over its longest edge if its direction is to be believed."""
+"""Least height of a facet over its longest edge, in multiples of the noise, for its direction to be reliable."""
 
 
 def believed(corners: Floats, noise: float) -> NDArray[np.bool_]:
-    """Which facets (k, 3, 3) are wide enough for their direction to mean something in spite of noise (length)."""
+    """Which facets (k, 3, 3) are wide enough for a reliable direction despite noise (length)."""
     edges = corners - np.roll(corners, 1, axis=1)
     twice = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     longest = np.sqrt((edges**2).sum(axis=-1).max(axis=1))
@@ -54,16 +57,16 @@ def believed(corners: Floats, noise: float) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class FaceDistance:
-    """Points against the faces of a design.
+    """Distances of points from the faces of a design.
 
     distance : (n,) lengths
         Along the face's normal, positive above the face (towards +z); NaN where the point is on no face.
     normal : (n, 3)
         Unit normal of the face, towards +z; NaN likewise.
     face : (n,) ints
-        Number of the face in the order of the light, −1 for none.
+        Number of the face in the order of the light, −1 for no face.
     cell : (n, 2) ints, local : (n, 2) lengths
-        Cell of the face's array and place in it.
+        Cell of the face's array and position in it.
     """
 
     distance: Floats
@@ -74,7 +77,7 @@ class FaceDistance:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Which points were compared."""
+        """Mask of the points that were compared."""
         return np.isfinite(self.distance)
 
 
@@ -82,20 +85,20 @@ def distance_to_faces(
     window: Window, points: Floats, facing: Floats, present: Sequence[str] | None = None, between: Floats | None = None,
     aside: Floats | None = None,
 ) -> FaceDistance:  # fmt: skip
-    """Compare points (n, 3), sheet frame, with the faces they belong to.
+    """Compare points (n, 3), sheet frame, with the faces that they belong to.
 
     Parameters
     ----------
     window : Window
     points : (n, 3) lengths
     facing : (n, 3)
-        Outward unit normals of the part at the points: they tell the side; steep ones belong to no face.
+        Outward unit normals of the part at the points: they determine the side; steep ones belong to no face.
     present : names of the bodies of the part, or None for all
     between : (bodies − 1,) lengths or None
-        Heights midway between the bodies, where they are known already.
+        Heights midway between the bodies, where they are already known.
     aside : (n, 3) lengths or None
-        The points so displaced tell the cell, and whether lens or land is under them; the distance is that of the
-        points themselves from that lens, carried on beyond its border.
+        Displacements with which the points determine the cell, and whether lens or land lies under them. The
+        distance is that of the undisplaced points from that lens, extended beyond its border.
     """
     n = len(points)
     found = FaceDistance(
@@ -122,7 +125,7 @@ def distance_to_faces(
 def _compare(
     window: Window, face: Face, array: int, points: Floats, aside: Floats | None, rows: Ints, number: int, found: FaceDistance
 ) -> None:  # fmt: skip
-    """Compare points (k, 3) with one face, and write what is found into its rows."""
+    """Compare points (k, 3) with one face, and write the result into its rows."""
     told = points if aside is None else points + aside
     cell, x, y = window.locate(array, told[:, 0], told[:, 1])
     found.face[rows], found.cell[rows], found.local[rows] = number, cell, np.column_stack([x, y])
@@ -134,7 +137,7 @@ def _compare(
     own = places.raised(lens_height(face, *places.seen(x, y)))
     flat = ~(np.abs(height - own) <= 1e-12 * window.lattice.circumradius)
     outside = ~window.lattice.contains(cell)
-    if outside.any():  # plain border, or nothing
+    if outside.any():  # plain border, or no material
         height = np.where(outside, np.nan if face.land is None else face.land, height)
         flat |= outside
     back = np.zeros((len(points), 2)) if aside is None else aside[:, :2]

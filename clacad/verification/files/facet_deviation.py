@@ -1,4 +1,4 @@
-"""How far facets lie from the design's faces, in height and in slope, and what that does to light."""
+"""Deviation of facets from the design's faces, in height and in slope, and the resulting direction error."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from clacad.tracing.triangles.telescopelet_facets import FacetBody, FacetFace, f
 from clacad.verification.files.cell_triangles import CellFacets, exact_height, telescopelet
 
 POINTS = 8192
-"""Places over the middle cell at which facets are compared with the exact faces."""
+"""Points over the middle cell at which facets are compared with the exact faces."""
 
 FEWER = 1024
-"""The same over each other cell."""
+"""Points over each other cell."""
 
 _ASIDE = np.sqrt([2.0, 3.0]) % 1.0
-"""Shift of those places: on a cell's own diagonals slivers without area would count like facets."""
+"""Shift of the points: on a cell's own diagonals, slivers without area would count like facets."""
 
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """Facets of one telescopelet against the design's faces, in the order of the light.
+    """Deviation of the facets of one telescopelet from the design's faces, in the order of the light.
 
     slope : (faces, n, 2) slopes along lens x, y
-        Facet slope less exact slope at the same n places of the cell; NaN where a facet or a lens is missing, 0
+        Facet slope minus exact slope at the same n points of the cell; NaN where a facet or a lens is missing, 0
         for a plane or a face that is not in the file.
     distance : (faces,) lengths
         Largest distance along the normal.
     met : (faces,)
-        Share of the places with material where a facet was found.
+        Share of the points with material where a facet was found.
     """
 
     slope: Floats
@@ -54,12 +54,12 @@ class Deviation:
 
     @property
     def complete(self) -> bool:
-        """Whether every face has facets over nearly all of the cell."""
+        """Whether every face has facets over more than 90 % of the cell."""
         return bool((self.met > 0.9).all())
 
 
 def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINTS) -> Deviation:
-    """Compare the facets of a telescopelet with the exact faces at `places` spread evenly over the cell."""
+    """Compare the facets of a telescopelet with the exact faces at `places` points spread evenly over the cell."""
     points = window.lattice.over_cell((sobol(places, 2) + _ASIDE) % 1.0)
     slope, distance, met = [], [], []
     for piece, body in zip(bodies, window.bodies, strict=True):
@@ -79,7 +79,7 @@ def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINT
 
 
 def deviations(window: Window, gathered: CellFacets, present: Sequence[str] | None) -> list[Deviation]:
-    """Facets of every cell that was looked at against the exact faces; `present`: as for `telescopelet`."""
+    """Deviation of the facets of every chosen cell from the exact faces; `present` as for `telescopelet`."""
     return [
         deviation(
             _like(window, gathered, k), telescopelet(window, gathered, k, present), FEWER if k else POINTS
@@ -89,14 +89,14 @@ def deviations(window: Window, gathered: CellFacets, present: Sequence[str] | No
 
 
 def _like(window: Window, gathered: CellFacets, cell: int) -> Window:
-    """The sheet of equal cells like a chosen one."""
+    """Uniform equivalent of a chosen cell."""
     return like_cell(window, np.array(gathered.cells[cell], dtype=np.int64), widest=False)
 
 
 def _compare(
     window: Window, facets: FacetFace, face: Face, points: Floats, entering: bool
 ) -> tuple[Floats, float, Ints]:
-    """Slope error (n, 2), largest distance, and the facet over each place; vertical light finds it."""
+    """Slope error (n, 2), largest distance, and the facet over each point, found by vertical rays."""
     below = facets.origin[2] + facets.z_range[0] - np.ptp(facets.z_range) - window.lattice.circumradius
     start = np.column_stack([points + facets.origin[:2], np.full(len(points), below)])
     height, number = first_crossing(facets, start, np.broadcast_to([0.0, 0.0, 1.0], start.shape), entering)
@@ -117,11 +117,11 @@ def _compare(
 
 
 def forecast_rms(window: Window, found: Deviation) -> float:
-    """Direction error (radians) that the facets' slope errors make.
+    """Direction error (radians) that the facets' slope errors cause.
 
-    A lens turns light by (n − 1) times the slope of its thickness, so the errors of its two faces at one place
-    are added before they are squared (they agree where both faces are cut alike); lens 1's error leaves the
-    pair as 1/m per meridian.
+    A lens deflects light by (n − 1) times the slope of its thickness. The errors of its two faces at one place are
+    therefore added before they are squared (they agree where both faces have the same facets). The error of lens 1
+    leaves the pair as 1/m per meridian.
     """
     ratio = np.array(focal_ratio(window.thin))
     turns: dict[int, Floats] = {}
@@ -137,7 +137,7 @@ def forecast_rms(window: Window, found: Deviation) -> float:
         known = np.isfinite(turn).all(axis=1)
         if not known.any():
             return float("nan")
-        # light is at a focus on a field lens (2): what turns it there leaves its exit direction alone
+        # light is at a focus on a field lens (2): a deflection there does not change its exit direction
         gain = (1.0 / ratio, np.ones(2), np.zeros(2))[array]
         total += float(((turn[known] * gain) ** 2).sum(axis=1).mean())
     return sqrt(total)

@@ -1,4 +1,4 @@
-"""Which files there are to judge, what each is for, and whether they are those that were written."""
+"""The files to judge, their roles, and whether they are the files that were written."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ AGAIN = " (listed again)"
 
 
 class UnknownRole(ValueError):
-    """A role that is none, or that is declared for no file."""
+    """An unknown role, or a role declared for no file."""
 
     exit_status = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """One file to be judged.
+    """One file to judge.
 
     path : Path
     name : str
     format : str
     entry : mapping
-        Of the manifest; empty without one.
+        Entry of the manifest; empty without one.
     bytes : int, sha256 : str
         As found now; "" where the file is missing.
     role : Role
-        What it is for: as declared, as the manifest says, else a master.
+        Purpose of the file: as declared, else as in the manifest, else a master.
     declared : bool
-        Whether somebody declared the role, at export or now; else it follows from what was forecast.
+        Whether the role was declared by a person, at export or now; else it follows from the forecast.
     """
 
     path: Path
@@ -62,28 +62,28 @@ class Subject:
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies its manifest lists; a body with its name engraved is that body."""
+        """Names of the bodies in the manifest entry; a body with its name engraved counts as that body."""
         listed = self.entry.get("bodies")
         names = listed if isinstance(listed, list) else []
         return tuple(shown_name(name).removesuffix(".marked") for name in names)
 
     @property
     def is_mesh(self) -> bool:
-        """Whether it holds triangles."""
+        """Whether the file holds triangles."""
         return self.format in MESH_FORMATS
 
     @property
     def is_solid(self) -> bool:
-        """Whether it holds exact solids."""
+        """Whether the file holds exact solids."""
         return self.format in SOLID_FORMATS or self.format.startswith("step")
 
     @property
     def missing(self) -> bool:
-        """Whether it is listed and not there, or listed again."""
+        """Whether the file is listed and does not exist, or is listed twice."""
         return self.name.endswith(AGAIN) or not is_there(self.path)
 
     def hashed(self, heard: Overheard | None = None) -> Subject:
-        """The same with its hash, if it is there and has none yet; `heard` has what was read of it."""
+        """Copy with its hash, if the file exists and has none yet; `heard` is the hash computed while reading."""
         if self.sha256 or self.missing:
             return self
         return replace(self, sha256=file_hash(self.path) if heard is None else heard.hexdigest())
@@ -91,22 +91,22 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class Delivery:
-    """The files handed in, and the manifest that came with them (None without one)."""
+    """The delivered files, and the manifest that came with them (None without one)."""
 
     subjects: tuple[Subject, ...]
     manifest: Mapping[str, Any] | None
 
     def hashed(self) -> Delivery:
-        """The same with the hash of every file that is there and has none yet; reads each of them once."""
+        """Copy with the hash of every file that exists and has none yet; reads each such file once."""
         return replace(self, subjects=tuple(one.hashed() for one in self.subjects))
 
 
 Roles = Mapping[str, Role]
-"""Format word or file name → declared role; "" stands for every file."""
+"""Format word or file name → declared role; "" represents every file."""
 
 
 def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
-    """Read roles as a person declares them: one word for all files, or one a format or file name.
+    """Parse the roles that a person declares: one word for all files, or one per format or file name.
 
     Raises
     ------
@@ -124,25 +124,25 @@ def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
 
 
 def find_files(place: Path, roles: Roles | None = None) -> Delivery:
-    """Find what there is to judge: a folder with a manifest, one file of it, or any one file; see `list_files`."""
+    """Find the files to judge, with hashes: a folder with a manifest, one file of it, or any file; see `list_files`."""
     return list_files(place, roles).hashed()
 
 
 def list_files(place: Path, roles: Roles | None = None) -> Delivery:
-    """What there is to judge by name and size; no file is read, so a large one is told at once.
+    """List the files to judge by name and size; no file is read, so the size of a large one is known at once.
 
     Parameters
     ----------
     place : Path
     roles : mapping or None
-        Declared by who verifies; see `declared_roles`.
+        Declared by the person who verifies; see `declared_roles`.
 
     Raises
     ------
     FileNotFoundError
-        Nothing is there, or a folder holds no manifest and no file of a known format.
+        Nothing exists at `place`, or a folder holds no manifest and no file of a known format.
     BadRequest
-        The folder holds a stack of sheets, which no design tells alone.
+        The folder holds a stack of sheets, which one design does not describe.
     UnknownRole
         A role is declared for a file that is not among them.
     """
@@ -165,7 +165,7 @@ def list_files(place: Path, roles: Roles | None = None) -> Delivery:
 
 
 def _called(subject: Subject) -> tuple[str, ...]:
-    """Words a role may be declared by, the most special first."""
+    """Words by which a role may be declared, the most specific first."""
     return (
         subject.name,
         subject.path.name,
@@ -184,7 +184,7 @@ def _with_role(subject: Subject, roles: Roles) -> Subject:
 
 
 def _found(place: Path) -> Delivery:
-    """The files at a place, in the roles that their manifest gives them."""
+    """Files at a path, with the roles of their manifest."""
     if place.is_dir():
         manifest = read_manifest(place)
         if manifest is None:
@@ -207,7 +207,7 @@ def _found(place: Path) -> Delivery:
 
 
 def _all_listed(folder: Path, entries: Sequence[Any]) -> Iterator[Subject]:
-    """Files of a manifest; one that it lists again is not there a second time."""
+    """Files of a manifest; a second entry for the same file counts as missing."""
     seen: set[str] = set()
     for entry in entries:
         subject = _listed(folder, entry) if _name(entry) not in seen else _again(folder, entry)
@@ -216,7 +216,7 @@ def _all_listed(folder: Path, entries: Sequence[Any]) -> Iterator[Subject]:
 
 
 def _name(told: Any) -> str:
-    """Name of the file that an entry of a manifest means, in the manifest's own folder."""
+    """File name of a manifest entry, in the manifest's own folder."""
     return Path(str(told.get("name", ""))).name if isinstance(told, dict) else ""
 
 
@@ -227,12 +227,12 @@ def _again(folder: Path, entry: Mapping[str, Any]) -> Subject:
 def _listed(folder: Path, told: Any) -> Subject:
     entry = believable(told) if isinstance(told, dict) and told else {"name": ""}
     name = str(entry.get("name", ""))
-    path = folder / Path(name).name  # a manifest names files of its own folder and no other
+    path = folder / Path(name).name  # a manifest names files of its own folder only
     known = is_there(path)
     format = entry.get("format")
     format = shown_name(format) if isinstance(format, str) else ""
     role = next((one for one in Role if one.value == entry.get("role")), None)
-    if role is None or role is Role.SCAN:  # nobody exports scans; files of old have no role
+    if role is None or role is Role.SCAN:  # no export writes scans; files of old versions have no role
         role = Role.OTHER if format in NOT_OPTICAL else Role.MASTER
     return Subject(
         path, shown_name(path.name if known else name) or "(no name)", format, entry,
@@ -279,7 +279,7 @@ def integrity(subject: Subject) -> Check:
 
 
 def written_meanwhile(delivery: Delivery) -> list[Check]:
-    """Say whether an export wrote into the folder while its files were judged: some of old, some of new were seen."""
+    """Report an export that wrote into the folder during judgement, so that old and new files were mixed."""
     if delivery.manifest is None or not delivery.subjects:
         return []
     if read_manifest(delivery.subjects[0].path.parent) == delivery.manifest:
@@ -289,7 +289,7 @@ def written_meanwhile(delivery: Delivery) -> list[Check]:
 
 
 def same_design(design: Design, manifest: Mapping[str, Any]) -> Check:
-    """Say whether the files were made from this very design."""
+    """Check that the files were made from this design."""
     stated = manifest.get("design", {})
     same = isinstance(stated, dict) and stated.get("sha256") == design.sha256
     name = stated.get("name") if isinstance(stated, dict) else None

@@ -1,4 +1,4 @@
-"""What every step of judging a file needs to know: the design, the file's name and role, and how many rays to send."""
+"""Inputs of every step of judging a file: the design, the file's name and role, and the ray count."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """One file that is judged.
+    """One file under judgement.
 
     design : Design
-        What is asked, and the limits.
+        Gives the law and the limits.
     name : str
         File name, the subject of the checks.
     rays : int
-        Of the main bundle through it.
+        Ray count of the main bundle through the file.
     progress : callable
         (stage, done 0 … 1).
     role : Role
-        What the file is for.
+        Purpose of the file.
     stated : mapping
         Its entry in a manifest; empty without one.
     """
@@ -40,5 +40,5 @@ class Inspection:
 
     @property
     def common(self) -> dict[str, Any]:
-        """What all checks of a file share."""
+        """Fields that all checks of a file share."""
         return {"where": "file", "subject": self.name}

@@ -1,8 +1,8 @@
-"""Light through a file, held against the law: the checks that alone let a file be called an optical master.
+"""Light through a file, compared with the law: the checks by which a file is called an optical master.
 
-The same rays go through the file's own triangles or faces and through the exact surfaces. What is asked of a design
-(section E of the contract: rms, bias, η, δ, confocality, throughput) is asked of the file, within the design's limits;
-how each is measured: `clacad.sheet.light_against_law`.
+The same rays are traced through the file's own triangles or faces and through the exact surfaces. The file must meet
+the requirements on the design (section E of the contract: rms, bias, η, δ, confocality, throughput) within the
+design's limits. `clacad.sheet.light_against_law` describes each measurement.
 """
 
 from __future__ import annotations
@@ -53,33 +53,34 @@ POINT_RAYS = 4096
 """Rays of each of the nine field points through triangles."""
 
 SHIFT_RAYS = 65536
-"""Rays that tell the shift, at most: the slopes of facets must cancel in it."""
+"""Most rays from which the shift is measured: the slopes of facets must cancel in it."""
 
 
 @dataclass(frozen=True, eq=False)
 class FileLight:
-    """What light through a file does, radians.
+    """Results of light through a file, radians.
 
     Attributes
     ----------
     rays : Bundle
     rms, worst : float
-        Over the rays ALIVE through the file in the cell that was lit most.
+        Over the rays ALIVE through the file, in the most densely lit cell.
     bias : (9,)
         Angle of the mean exit direction to the law, for nine directions of the field; NaN where too dark.
     law, exact : Law or None
         Fitted through the file and through the exact surfaces, over the rays ALIVE in both.
     shift : (2,)
-        Shift of array 2 along the sheet's normal that makes the rms to the law least, file less exact, per lens axis,
-        over the distance between the lenses; NaN in an axis without power.
+        Shift of array 2 along the sheet's normal that minimizes the rms error to the law, file minus exact, per
+        lens axis, over the distance between the lenses; NaN in an axis without power.
     middle, field : (float, float)
-        ALIVE share in the middle of the field and over it, as (through the file, closed form).
+        ALIVE share in the middle of the field, and over the field, each as (through the file, closed form).
     seen, truth : TraceResult
         Of the main bundle, through the file and through the exact surfaces.
     partner : float
-        The rms over the rays that leave nearer to the law than to the direction of a neighbouring lens.
+        The rms over the rays whose exit direction is nearer to the law than to that of a neighbouring lens.
     strayed : float
-        Share of the rays ALIVE through the file that do not, such as through a strip of a neighbour's lens that lies in the cell.
+        Share of the other rays among those ALIVE through the file, for instance through a strip of a neighbour's
+        lens that lies in the cell.
     """
 
     rays: Bundle
@@ -101,7 +102,7 @@ def measure_light(
     design: Design, window: Window, send: Tracer, rays: int, point_rays: int = POINT_RAYS,
     cell: tuple[int, int] | None = None, exact: Tracer | None = None,
 ) -> FileLight:  # fmt: skip
-    """Send the rays of the checks through a file.
+    """Trace the rays of the checks through a file.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ def measure_light(
 
 
 def half_order(window: Window) -> float:
-    """Half the angle (radians) between light through lens 2 of a cell and through that of its neighbour, p/f2; inf without power."""
+    """Half the angle p/f2 (radians) between light through lens 2 of a cell and of its neighbour; inf without power."""
     focal = [abs(f) for f in window.thin.focal_length[1] if np.isfinite(f)]
     return 0.5 * min(window.lattice.pitch) / max(focal) if focal else np.inf
 
@@ -158,7 +159,7 @@ def _field(
 
 
 def _shift(window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, both: Bools) -> Floats:
-    """Shift of array 2 (2,), file less exact, over the distance between the lenses; see `shift_of_array_2`."""
+    """Shift of array 2 (2,), file minus exact, over the distance between the lenses; see `shift_of_array_2`."""
     few = np.flatnonzero(both)[:SHIFT_RAYS]
     change = change_with_shift(window, main.cell, Rays(main.rays.position[few], main.rays.direction[few]))
     return shift_of_array_2(window, seen.direction[few], truth.direction[few], change)
@@ -175,37 +176,37 @@ def light_checks(
 
     Parameters
     ----------
-    asked : Inspection
-        Of its roles, a master fails beyond a limit; a preview is warned of. A scan fails by the part of its rms that its
-        facets and their noise do not explain; of the rest it is warned.
+    `asked` : Inspection
+        A master fails beyond a limit; a preview gets a warning. A scan fails by the part of its rms that its facets
+        and their noise do not explain; for the rest it gets a warning.
     found : FileLight
-        Of the cell lit most.
+        Of the most densely lit cell.
     what : str
-        What the light went through: triangles, or faces.
-    rms : radians of every cell looked at, the middle one first; cells : their numbers
+        The geometry that light crossed: triangles, or faces.
+    rms : radians for every measured cell, the middle one first; cells : their numbers
         The worst is judged.
     noise : float, radians
-        Scans: what the facets' own slopes, noise included, make of the direction error.
+        For scans: direction error that the facets' own slopes, noise included, cause.
     """
     checks = [
         _law_rms(asked, found, what, rms, cells, noise), _law_bias(asked, found, what), *_law_fitted(asked, found, what),
         _confocality(asked, found), _throughput(asked, found, what),
     ]  # fmt: skip
     if asked.role is Role.SCAN:
-        # how coarsely a part was measured is no fault of it: faithful_* hold what its facets allow
+        # a coarse measurement is not a fault of the part: faithful_* allow for its facets
         return [checks[0], *(softened(check) for check in checks[1:])]
     return [softened(check) if asked.role is Role.PREVIEW else check for check in checks]
 
 
 def softened(check: Check) -> Check:
-    """What fails a master is a warning for what is only looked at."""
+    """The check with a failure reduced to a warning, for files that are not masters."""
     return replace(check, state="warn" if check.state == "fail" else check.state, required=False)
 
 
 def _law_rms(
     asked: Inspection, found: FileLight, what: str, rms: Sequence[float], cells: Sequence[tuple[int, int]], noise: float
 ) -> Check:  # fmt: skip
-    """Direction error to the law, of the worst cell looked at; of a scan without what its facets make of it."""
+    """Rms direction error to the law of the worst measured cell; for a scan, without the part its facets cause."""
     spec = asked.design.check
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
     source = from_key("law_rms") if spec.mesh_law_rms is None else DESIGN_FILE
@@ -246,12 +247,12 @@ def _law_rms(
 
 
 def _together(every: Floats) -> float:
-    """Rms over the light of all cells looked at, radians."""
+    """Rms over the light of all measured cells, radians."""
     return float(np.sqrt(np.nanmean(every**2)))
 
 
 def _other_rms(found: FileLight, every: Floats) -> str:
-    """Name the rms over all cells looked at, and that of the light which keeps to its partner, where they differ from the worst."""
+    """Text of the rms over all cells and of that over partner light, where they differ from the worst cell's."""
     words = ""
     if len(every) > 1 and np.isfinite(_together(every)):
         words += f"; over all {len(every)} cells {1e3 * _together(every):.4g} mrad"
@@ -280,7 +281,7 @@ def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:
 
 
 def _law_fitted(asked: Inspection, found: FileLight, what: str) -> list[Check]:
-    """η and δ through the file against those through the exact surfaces."""
+    """η and δ through the file, compared with those through the exact surfaces."""
     law, exact, spec = found.law, found.exact, asked.design.check
     names = ("file_law_eta", "file_law_delta")
     if law is None or exact is None:
@@ -296,12 +297,12 @@ def _law_fitted(asked: Inspection, found: FileLight, what: str) -> list[Check]:
 def fit_checks(
     names: tuple[str, str], laws: tuple[Law, Law], limits: tuple[float, float], text: str, **common: Any
 ) -> list[Check]:
-    """Hold η (relative) and δ (slope) of one fitted law against another.
+    """Compare η (relative) and δ (slope) of one fitted law with another.
 
     names : of the check of η and of that of δ
-    laws : the one judged, and the one it is held against
+    laws : the judged law and the reference
     limits : of η and of δ
-    text : with places for the name and the four numbers
+    text : with fields for the name and the four numbers
     """
     eta, delta = difference_of_laws(*laws)
     found, wanted = ((one.eta_x, one.eta_y) for one in laws)

@@ -1,7 +1,7 @@
-"""Judge maps, point clouds, grids, tables and masks: every number in them is held against the design's own faces.
+"""Judge maps, point clouds, grids, tables and masks: every number in them is compared with the design's own faces.
 
-A file with a manifest is of the format that says; one without is of the format of its suffix, and may be of any of the
-design's structured faces: the one it fits best is named.
+The format of a file is that of its manifest, else that of its suffix. A file without a manifest may hold any of the
+design's structured faces: the best-fitting one is named.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ SUFFIXES: Mapping[str, str] = {
     ".tiff.json": "height-calibration", ".png.json": "height-calibration",
     ".gds": "gds", ".gds.json": "height-calibration",
 }  # fmt: skip
-"""Ends of names that exports give, and their formats: so many tables end in .csv that the whole end is asked for."""
+"""Endings of exported file names, and their formats; several tables end in .csv, so the whole ending is compared."""
 
 SAME = 1e-9
-"""Relative difference up to which two numbers of a table are the same; also that of two heights, in pitches."""
+"""Relative difference up to which two numbers of a table are equal; also that of two heights, in pitches."""
 
 DAMAGED = (
     ExportError,
@@ -62,16 +62,16 @@ DAMAGED = (
     MemoryError,
     csv.Error,
 )
-"""What the readers of numbers make of bytes that are no such file."""
+"""Exceptions that the readers of numbers raise for bytes of another format."""
 
 GDS_MISFIT = "clacad.formats.maps.gds_reading:gds_misfit"
 
 Misfit = tuple[float, float, str]
-"""Greatest deviation in millimetres (or relative, for tables), what may be left by writing it, and what was compared."""
+"""Greatest deviation in millimetres (or relative, for tables), its allowance for writing, and the compared quantity."""
 
 
 def format_of(subject: Subject) -> str | None:
-    """The format by which a file can be judged here, None if it cannot."""
+    """Format under which a file can be judged, or None."""
     if subject.entry:
         return subject.format if subject.format in _READERS or subject.format in _FACES else None
     name = subject.name.lower()
@@ -79,16 +79,16 @@ def format_of(subject: Subject) -> str | None:
 
 
 def judge_map(asked: Inspection, window: Window, subject: Subject, format: str) -> list[Check]:
-    """Compare a file with the design's faces, number by number, and send light through the heights it holds.
+    """Compare a file with the design's faces, number by number, and trace light through its heights.
 
     Parameters
     ----------
-    asked : Inspection
+    `asked` : Inspection
     window : Window
         With the cells that were written.
     subject : Subject
     format : str
-        As `format_of` says.
+        From `format_of`.
 
     Returns
     -------
@@ -115,7 +115,7 @@ def judge_map(asked: Inspection, window: Window, subject: Subject, format: str) 
 
 
 def _compared(window: Window, subject: Subject, format: str) -> tuple[float, float, str, str]:
-    """Misfit, and the face it is of ("" for the whole window)."""
+    """Misfit, and the name of its face ("" for the whole window)."""
     if format in _READERS:
         return *_READERS[format](window, subject.path), ""
     best: tuple[float, float, str, str] | None = None
@@ -135,7 +135,7 @@ def _compared(window: Window, subject: Subject, format: str) -> tuple[float, flo
 
 
 def _labelled(window: Window, name: str) -> bool:
-    """Whether a file's name says which face it is of."""
+    """Whether a file's name contains the name of a face."""
     return any(f".{label}." in name for _, _, label in structured_faces(window))
 
 
@@ -178,7 +178,7 @@ def _mask(of: FaceFile) -> Misfit:
 
 
 def _layers(of: FaceFile) -> Misfit:
-    """Layers say how many levels there are, but for some at the top that no pixel may reach."""
+    """Compare layers: the level count must agree, except for top levels that no pixel may reach."""
     refusal = None
     most = max(layer_counts(of.path), default=0)
     for levels in range(max(2, most + 1), most + 4):
@@ -186,7 +186,7 @@ def _layers(of: FaceFile) -> Misfit:
             laid = grey_cell(of.window, of.body, of.face, of.label, levels, of.scale)
             with reading_worker(
                 of.path
-            ) as worker:  # the library crashes on files that are damaged within a record
+            ) as worker:  # the library crashes on a file that is damaged within a record
                 worst, count = worker.run(GDS_MISFIT, laid, of.path, of.scale, timeout=longest_wait(of.path))
         except ExportError as error:
             refusal = refusal or error
@@ -202,12 +202,12 @@ _FACES: Mapping[str, Callable[[FaceFile], Misfit]] = {
 
 
 def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[float, int]:
-    """Greatest distance of any pixel from the face, millimetres, and the number of pixels; inf for a false hole.
+    """Greatest distance of a pixel from the face, millimetres, and the number of pixels; inf for a false hole.
 
     Raises
     ------
     UnreadableFile
-        Damaged, or of other pixels than the map.
+        The file is damaged, or its pixel format is not that of the map.
     """
     pixels: Pixels = read_png(path) if kind == "png16" else read_tiff(path)
     if pixels.shape != (map_.height, map_.width):
@@ -228,7 +228,7 @@ def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[fl
 
 
 def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple[float, int]:
-    """Greatest distance of any point from the face, millimetres, and the number of points; inf for a false normal.
+    """Greatest distance of a point from the face, millimetres, and the number of points; inf for a false normal.
 
     Raises
     ------
@@ -281,7 +281,7 @@ def _json(path: Path) -> Any:
 
 
 def _apart(wanted: Any, found: Any) -> float:
-    """Greatest relative difference of numbers that stand in the same place; inf where anything else differs."""
+    """Greatest relative difference of numbers at the same position; inf where anything else differs."""
     if isinstance(wanted, Mapping):
         if not isinstance(found, Mapping) or set(found) != set(wanted):
             return inf
@@ -297,7 +297,7 @@ def _apart(wanted: Any, found: Any) -> float:
 
 
 def _poses(window: Window, path: Path) -> Misfit:
-    """Every line in its place: cell, apex and angles."""
+    """Compare every line of a pose table: cell, apex and angles."""
     scale, count, worst = millimetres(window.unit), 0, 0.0
     rows = (window.lattice.row(j) for j in range(window.lattice.count[1]))
     wanted = pose_lines(window, scale, rows)

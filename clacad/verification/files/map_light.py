@@ -1,4 +1,4 @@
-"""Light through a map: the heights of one cell of a face as a bicubic surface, the other faces as the design has them."""
+"""Light through a map: the heights of one cell of a face as a bicubic surface, the other faces as designed."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from clacad.verification.files.law_through_file import IDS, light_checks, measur
 from clacad.verification.files.mesh_light import lit_cells, seen_cell
 
 RAYS, POINT_RAYS = 8192, 1024
-"""Rays of the main bundle at most, and of each field point."""
+"""Most rays of the main bundle, and of each field point."""
 
 
 @dataclass(frozen=True, eq=False)
 class FaceFile:
-    """A file of one face: the face, the body it is of, its name in files ("array1.front"), and where the file is."""
+    """A file of one face: the face, its body, its name in files ("array1.front"), and the path."""
 
     window: Window
     body: Body
@@ -51,7 +51,7 @@ class FaceFile:
         return millimetres(self.window.unit)
 
     def map(self) -> HeightMap:
-        """The map of the face as it would be written."""
+        """Map of the face as an export writes it."""
         per_cell = samples_per_cell(self.window, None)
         return height_map(self.window, self.body, self.face, self.label, per_cell)
 
@@ -70,17 +70,17 @@ class Samples:
 
 
 def map_light(asked: Inspection, window: Window, path: Path, format: str, label: str) -> list[Check]:
-    """Send the rays of the checks through what a map, grid or point file holds.
+    """Trace the rays of the checks through the heights of a map, grid or point file.
 
     Parameters
     ----------
-    asked : Inspection
+    `asked` : Inspection
     window : Window
     path : Path
     format : str
-        As `clacad.verification.files.map_file.format_of` says; none that holds heights gives no check.
+        From `clacad.verification.files.map_file.format_of`; a format without heights gives no check.
     label : str
-        Which face it is of.
+        Name of the face.
     """
     if format not in _READ:
         return []
@@ -108,7 +108,7 @@ def map_light(asked: Inspection, window: Window, path: Path, format: str, label:
 
 
 def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples) -> tuple[FacetBody, ...]:
-    """The telescopelet of a cell: one face as sampled, the others as designed."""
+    """Telescopelet of a cell: one face as sampled, the others as designed."""
     bodies = []
     for body in window.bodies:
         faces: list[AnyFace] = []
@@ -128,7 +128,7 @@ def _centre(window: Window, face: Face, cell: tuple[int, int]) -> Floats:
 
 
 Reader = Callable[[FaceFile, tuple[int, int]], Samples]
-"""Gives the heights over one cell that a file holds."""
+"""Returns the heights over one cell that a file holds."""
 
 # -- heights of one cell, by format -----------------------------------------------------------------
 
@@ -150,7 +150,7 @@ def _pixels(kind: str) -> Reader:
         gx, gy = np.meshgrid(x, y)
         mine = in_optical_tile(
             of.window, gx, gy, of.face.array or 0
-        )  # the stand-in's cells may be larger, or lie straight
+        )  # the substitute cell may be larger, or may not be tilted
         return Samples(
             np.column_stack([gx.ravel(), gy.ravel(), np.where(mine, z, np.nan).ravel()]),
             np.full(2, map_.pixel),

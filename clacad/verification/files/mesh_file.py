@@ -1,4 +1,4 @@
-"""Judge one mesh file: is it whole, is it the design, and does light through its triangles do what it should?"""
+"""Judge one mesh file: its wholeness, its agreement with the design, and the light through its triangles."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def judge_mesh(
 
     Parameters
     ----------
-    asked : Inspection
+    `asked` : Inspection
     window : Window
         With the cells that were written.
     mesh : FileMesh
     factor : float
         Design units per file unit.
     present : names of the bodies in the file, or None for all
-        Light meets the others as the design has them.
+        Other bodies are taken from the design for the light.
     """
     design, name = asked.design, asked.name
     held = held_part(window, present)
@@ -86,7 +86,7 @@ def _bevel(window: Window, stated: Mapping[str, Any]) -> float:
 
 
 def held_part(window: Window, present: Sequence[str] | None) -> Window:
-    """The window reduced to the bodies a file holds, its height range too."""
+    """The window reduced to the bodies a file holds, with its height range."""
     if present is None or set(present) == {body.name for body in window.bodies}:
         return window
     bodies = tuple(b for b in window.bodies if b.name in present)
@@ -96,7 +96,7 @@ def held_part(window: Window, present: Sequence[str] | None) -> Window:
 
 @dataclass(frozen=True, slots=True)
 class _Lookers:
-    """What looks at the facets of a file while they are measured."""
+    """The consumers of a file's facets during measurement."""
 
     gatherer: Gatherer
     counted: PieceCount | None
@@ -105,7 +105,7 @@ class _Lookers:
 def _measured(
     mesh: FileMesh, factor: float, lookers: _Lookers, places: Standing | None, progress: Progress
 ) -> Measure:
-    """Measure a file and gather its facets: parts that stand for cells once, all else wherever it stands."""
+    """Measure a file and gather its facets: parts that represent cells once, others at each place."""
     cells = set() if places is None else {id(part) for p in places.places for part in p.parts}
     repeated = measure_repeated(replace(mesh, parts=tuple(p for p in mesh.parts if id(p) in cells)), factor)
     if places is not None and repeated.imbalance != (0, 0) and mesh.facet_count <= COUNTED_FACETS:
@@ -113,7 +113,7 @@ def _measured(
             None,
             set(),
             measure(()),
-        )  # open by themselves: closed by their neighbours, perhaps
+        )  # open when taken alone; neighbouring parts may close them
     rest = replace(mesh, parts=tuple(part for part in mesh.parts if id(part) not in cells))
     found = measure(_looked_at(rest, factor, lookers, progress), origin=np.zeros(3))
     for one in () if places is None else places.places:

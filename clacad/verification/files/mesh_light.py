@@ -1,4 +1,4 @@
-"""Does light through a file's triangles go where the exact surfaces send it?"""
+"""Light through a file's triangles, compared with light through the exact surfaces."""
 
 from __future__ import annotations
 
@@ -36,33 +36,33 @@ from clacad.verification.limit_sources import derived, other
 
 CELL_RAYS = 4096
 RAYS_A_FACET, MOST_RAYS = 32, 65536
-"""Rays of the bundle over the middle cell for each of its facets, and that many at most."""
+"""Rays over the middle cell per facet of it, and the most rays of that bundle."""
 
 LOST = 0.2
-"""Share of the design's ALIVE rays that may get lost in the file before that is a failure."""
+"""Share of the design's ALIVE rays that the file may lose without a failure."""
 
 LEAST_FITTED = 1024
 """Rays through triangles below which no law is fitted."""
 
 FIT_FIELD = 0.35
-"""Cone of the fit through facets over the half field of view: wide, so that facets average out."""
+"""Cone of the fit through facets, over the half field of view: wide, so that facet errors average out."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshEvidence:
-    """What was measured on a mesh file, for the report.
+    """Measurements of a mesh file, for the report.
 
     measure : Measure, design units
     cells : tuple of (i, j), rms : (cells,) radians
-        Direction error of the file's triangles against the exact surfaces, cell by cell.
+        Direction error of the file's triangles relative to the exact surfaces, cell by cell.
     forecast : (cells,) radians
-        What the facets' slope errors make of it.
+        Direction error that the facets' slope errors predict.
     slope_error : (faces,) radians
-        Rms, over the middle cell.
+        Rms over the middle cell.
     law, law_design : Law or None
         Fitted through the file's triangles, and through the design cut into the same triangles; same rays.
     gathered : CellFacets or None
-        Facets of the cells that were looked at, kept for what a report measures beyond the checks.
+        Facets of the chosen cells, kept for measurements of a report beyond the checks.
     """
 
     measure: Measure
@@ -88,18 +88,18 @@ def checks_of_light(
     gathered : CellFacets
         Facets of the cells that are lit, the middle one first.
     off : sequence of Deviation
-        Of the same cells.
+        Of these cells.
     found : Measure
         Of the whole file.
     present : names of its bodies, or None for all
     clean : float, radians
-        What facets of this size make of the direction error if their corners lie on the design; noise in the file's own
-        corners cannot widen the limit of faithfulness beyond it.
+        Direction error of facets of this size with corners on the design. It caps the limit of faithfulness, which
+        noise in the file's own corners would otherwise widen.
 
     Returns
     -------
     checks, evidence
-        Light through the file against the law (file_*), then against the design cut as the file is (faithful_*).
+        Checks of light against the law (file_*), then against the design with the file's facets (faithful_*).
     """
     asked.progress("tracing the triangles", 0.0)
     held, one = telescopelet(window, gathered, 0, present), seen_cell(window, gathered.cells[0])
@@ -121,7 +121,7 @@ def checks_of_light(
 
 
 def rays_for(passed: int, share: float) -> int:
-    """Rays of which so many pass where such a share does, to two figures and a tenth more than that."""
+    """Rays of which `passed` pass at a share `share`, plus a tenth, rounded to two figures."""
     least = 1.1 * passed / share
     step = int(10 ** max(0, floor(log10(least)) - 1))
     return ceil(least / step) * step
@@ -130,7 +130,7 @@ def rays_for(passed: int, share: float) -> int:
 def _by_cell(
     asked: Inspection, window: Window, gathered: CellFacets, light: FileLight, present: Sequence[str] | None
 ) -> Iterator[tuple[float, float, float]]:
-    """Of each cell: direction error to the exact surfaces and to the law (rms, radians), and the share of light lost."""
+    """For each cell: rms direction error (radians) to the exact surfaces and to the law, and the share of lost light."""
     main, spec = light.rays, asked.design.check
     for number, cell in enumerate(gathered.cells):
         asked.progress("tracing the triangles", number / len(gathered.cells))
@@ -140,7 +140,7 @@ def _by_cell(
             count = min(asked.rays, CELL_RAYS)
             if window.uniform:
                 lit = _moved(window, main, cell, count)
-            else:  # each cell is for its own light
+            else:  # each cell is lit in its own field
                 alone = bundle(one.like, count, spec.field, spec.field_centre)
                 lit, truth = one.placed(alone), one.send(alone)
             seen = trace_facets(telescopelet(window, gathered, number, present), lit.rays)
@@ -159,8 +159,9 @@ def _by_cell(
 
 
 def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
-    """Cells that are lit: the chosen ones, the middle first; where cells differ those that are tried, of which the worst
-    by the exact surfaces comes first.
+    """Cells that are lit: the chosen ones, the middle first.
+
+    In a non-uniform sheet they are the tried cells, the worst by the exact surfaces first.
     """
     if window.uniform:
         return chosen_cells(window)
@@ -170,13 +171,13 @@ def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
 
 
 def seen_cell(window: Window, cell: tuple[int, int]) -> SeenCell:
-    """One cell, as it is lit."""
+    """One cell with its light."""
     index = np.array(cell, dtype=np.int64)
     return SeenCell(window, like_cell(window, index, widest=False), index)
 
 
 def _enough(gathered: CellFacets) -> int:
-    """Rays that see every facet of a lens many times: only then do the errors of the facets' own slopes cancel in fits."""
+    """Rays that sample every facet of a lens many times, so that the errors of the facets' slopes cancel in fits."""
     finest = max(
         (sum(map(len, parts)) for (_, _, cell), parts in gathered.facets.items() if cell == 0), default=0
     )
@@ -184,18 +185,18 @@ def _enough(gathered: CellFacets) -> int:
 
 
 def _lost(good: Bools, ideal: Bools, alive: Bools, *, field: bool = False) -> float:
-    """Share of rays lost in a file that do not get lost because facets are coarse.
+    """Share of rays that a file loses for other reasons than coarse facets.
 
-    Coarse facets send some rays of a strongly magnifying pair past their partner and others into it: as many get
-    through. So what counts is the loss in number, or of the rays that get through the exact surfaces and through the
-    design cut into the same triangles.
+    Coarse facets of a strongly magnifying pair send some rays past their partner and others into it, in equal
+    numbers. The loss is therefore the larger of two: the loss in number, and the loss among the rays that pass both
+    the exact surfaces and the design with the file's facets.
 
     Parameters
     ----------
     good, ideal, alive : (n,)
-        Rays that get through the exact surfaces, the design cut as the file is, and the file.
+        Rays that pass the exact surfaces, the design with the file's facets, and the file.
     field : bool
-        Whether there is a field lens: its coarse facets send light past the partner, and none comes in return.
+        Whether there is a field lens: its coarse facets send light past the partner, and no light into it.
     """
     known = good & ideal
     whole = min(good.sum(), ideal.sum()) if field else good.sum()
@@ -216,7 +217,7 @@ def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> B
 
 
 def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, clean: float) -> Check:
-    """Direction error to the exact surfaces, of the worst cell against the forecast from its facets' slopes."""
+    """Direction error to the exact surfaces of the worst cell, compared with the forecast from its facets' slopes."""
     rms, lost, times = evidence.rms, evidence.facts["lost"], asked.design.check.file_rms
     common: dict[str, Any] = {"unit": "rad", **asked.common}
     if np.isnan(rms).any() or not np.isfinite(evidence.forecast).all():
@@ -246,10 +247,10 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
 def _fits(
     asked: Inspection, window: Window, gathered: CellFacets, held: tuple[FacetBody, ...], present: Sequence[str] | None
 ) -> tuple[Law | None, Law | None, int]:  # fmt: skip
-    """Fit the law through the triangles, and through the design cut into the same triangles, with the same rays; how many
-    of them pass both.
+    """Laws fitted through the file's triangles and through the design with the same triangles, and the common ray count.
 
-    Facets alone bias a fit by about the inverse square of their number a side; both sides share that.
+    Both fits use the same rays. Facets alone bias a fit by about the inverse square of their number per side; both
+    fits share that bias.
     """
     spec = asked.design.check
     angle = max(spec.field, FIT_FIELD * min(half_field(thin_cells(window))))
@@ -263,7 +264,7 @@ def _fits(
 
 
 def _faithful_fit(asked: Inspection, evidence: MeshEvidence, passed: int) -> list[Check]:
-    """η and δ fitted through the file's triangles against those through the design cut as it is, by so many rays that passed."""
+    """η and δ fitted through the file's triangles, compared with the design's own cut, by `passed` common rays."""
     law, exact, spec = evidence.law, evidence.law_design, asked.design.check
     names = ("faithful_eta", "faithful_delta")
     if 0 < passed < LEAST_FITTED:

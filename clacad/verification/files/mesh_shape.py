@@ -1,4 +1,4 @@
-"""Is a mesh file the design: its volume, and the distance of its facets from the exact faces?"""
+"""Agreement of a mesh file with the design: its volume, and the distance of its facets from the exact faces."""
 
 from __future__ import annotations
 
@@ -43,10 +43,11 @@ _WEIGHTS = np.array([0.225] + [0.125939180544827] * 3 + [0.132394152788506] * 3)
 
 
 def chord_volume(window: Window, gathered: CellFacets, cell: int) -> float:
-    """Volume (length³) that the facets of a file add to the exact body, all cells like the chosen one; negative for convex
-    lenses.
+    """Volume (length³) that the facets of a file add to the exact body, with all cells like the chosen one.
+
+    Negative for convex lenses.
     """
-    if not window.uniform:  # no cell stands for all: gathered over all of them
+    if not window.uniform:  # no cell represents all: gathered over all of them
         return gathered.chord
     total = 0.0
     for number, body in enumerate(window.bodies):
@@ -69,14 +70,14 @@ def chord_volume(window: Window, gathered: CellFacets, cell: int) -> float:
 
 @lru_cache(maxsize=8)
 def volume_of(window: Window, body: Body) -> Integral | None:
-    """Volume of a body by quadrature, once for all files of a window; None where an outline cuts lenslets."""
+    """Volume of a body by quadrature, cached for all files of a window; None where an outline cuts lenslets."""
     return body_volume(window, body, depth=11)
 
 
 def volume_check(
     asked: Inspection, window: Window, reach: float, chord: float, found: Measure, gathered: CellFacets
 ) -> Check:
-    """Enclosed volume against quadrature of the design plus what facets cut off.
+    """Judge the enclosed volume against quadrature of the design plus the chord volume of the facets.
 
     window : reduced to the bodies of the file
     reach : largest |z| (length) of the whole window, whose float32 spacing the heights of all its bodies share
@@ -109,10 +110,10 @@ def volume_check(
 
 
 def _volume_room(window: Window, reach: float, chord: float, exact: float) -> float:
-    """What a volume may be off (length³): 2 % of what the facets cut off, and float32 corners.
+    """Allowed error of a volume (length³): 2 % of the chord volume, and rounding of corners to float32.
 
-    Those are half a spacing on each side of the box, and a plane far from the origin moved by half a spacing as a
-    whole, which is much of a thin body, also where it is alone in its file.
+    Rounding moves each side of the box by half a spacing. It moves a plane far from the origin as a whole by half a
+    spacing, which is a large part of a thin body, also where that body is alone in its file.
     """
     x0, x1, y0, y1 = whole_extent(window)
     planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * reach
@@ -126,7 +127,7 @@ def shape_check(
     off: Sequence[Deviation],
     present: Sequence[str] | None,
 ) -> Check:
-    """Distance of the facets from the exact faces: closely over the chosen cells, by their middles over all."""
+    """Judge the distance of facets from the exact faces: densely over the chosen cells, at facet middles over all."""
     design, stated = asked.design, asked.stated
     common: dict[str, Any] = {"unit": design.unit, **asked.common}
     if not all(d.complete for d in off):
@@ -134,7 +135,7 @@ def shape_check(
         if len(dark) == len(off):
             return not_run("shape", "no triangles lie where the design has its faces", **common)
         return Check("shape", "fail", f"faces of the cells {', '.join(dark)} lack triangles", None, **common)
-    # what is a copy of another cell is as that is
+    # a copy of another cell has the deviation of that cell
     own = [k for k in range(len(off)) if gathered.source(k) == k]
     clean = [clean_cut(window, gathered, k, present) for k in own]
     at_corners = max(_corners(window, gathered, k, present) for k in own)
@@ -174,13 +175,13 @@ def _shape_words(
 
 
 def _shape_limit(asked: Inspection, window: Window, sag: float) -> tuple[float, LimitSource]:
-    """How far facets may lie off whose corners on the design would be `sag` (length) off."""
+    """Allowed distance of facets that would be off by `sag` (length) with corners on the design."""
     spec, stated = asked.design.check, asked.stated
     reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
     rounding = reach * 2.0**-24 * 12.0  # corners rounded to float32, on slopes
     if "sag_error_max" in stated:
         told = float(stated["sag_error_max"]) * UNITS.get(str(stated.get("unit", "mm")), 1e-3) / window.unit
-        if told <= spec.file_rms * sag:  # more than such facets can be off is no promise
+        if told <= spec.file_rms * sag:  # a larger stated error promises nothing
             return spec.shape * told + rounding, derived("stated sag error of the file")
     return spec.shape * sag + rounding, other("the design cut into the same facets")
 
@@ -192,9 +193,9 @@ def _slope_faults(
     off: Sequence[Deviation],
     clean: Mapping[int, Deviation],
 ) -> tuple[str, float, float, LimitSource] | None:
-    """What is wrong with the facets' slopes, in words, with value and limit (radians); None where nothing is.
+    """Text of a fault in the facets' slopes, with value and limit (radians); None without a fault.
 
-    clean : the design cut into the facets of a cell, by the cell's number
+    clean : the design with the facets of a cell, by the cell's number
     """
     rms = float(np.max([d.slope_rms.max() for d in off]))
     if "slope_error_rms" in asked.stated:
@@ -215,9 +216,9 @@ def _slope_faults(
 def clean_cut(
     window: Window, gathered: CellFacets, cell: int, present: Sequence[str] | None = None
 ) -> Deviation:
-    """The design cut into the very facets of a file, against the design: what these facets cannot but be off.
+    """Unavoidable deviation of a file's facets: that of the design with the same facets.
 
-    Every corner over a chosen cell is moved along z onto the design's face; places are those of `deviation`.
+    Every corner over a chosen cell is moved along z onto the design's face; the points are those of `deviation`.
     """
     bodies = telescopelet(window, gathered, cell, present, onto_design=True)
     like = like_cell(window, np.array(gathered.cells[cell], dtype=np.int64), widest=False)
@@ -227,8 +228,9 @@ def clean_cut(
 def clean_forecast(
     window: Window, gathered: CellFacets, cell: int, present: Sequence[str] | None = None
 ) -> float:
-    """Direction error (radians) that the facets of a file would make over a chosen cell if their corners lay on the
-    design's faces: `forecast_rms` of the clean cut, which noise in the file's heights cannot widen.
+    """Direction error (radians) of a file's facets over a chosen cell with corners on the design's faces.
+
+    It is the `forecast_rms` of the clean cut, which noise in the file's heights cannot widen.
     """
     return forecast_rms(window, clean_cut(window, gathered, cell, present))
 
@@ -236,11 +238,10 @@ def clean_forecast(
 def _roughness(
     design: Design, window: Window, gathered: CellFacets, off: Sequence[Deviation], clean: Mapping[int, Deviation]
 ) -> tuple[float, float]:  # fmt: skip
-    """Rms (radians) by which the slopes of a file's facets differ from those of the clean cut, and its limit: of the
-    face and cell that come nearest to theirs.
+    """Rms (radians) of the slope differences between a file's facets and the clean cut, and its limit.
 
-    What is above the clean cut's own slope error e may be e (check.file_rms − 1), so that in the worst case all of it
-    is check.file_rms e; and what rounding to float32 does.
+    Both are of the face and cell that come nearest to their limit. The slope error of the clean cut is e. The limit
+    is e (check.file_rms − 1) plus rounding to float32, so that in the worst case the sum is check.file_rms e.
     """
     found = (0.0, np.inf)
     for number, ideal in clean.items():
@@ -290,9 +291,10 @@ def _corners(window: Window, gathered: CellFacets, cell: int, present: Sequence[
 
 
 def own_sag_error(gathered: CellFacets) -> float:
-    """Sag error (length) that facets of this size and bend make, from the facets alone: the height over the chord at
-    the middle of an edge, L² × bend/8, or over a facet's middle, which is higher where the facet has no blunt corner;
-    with the bend from neighbouring facets' slopes.
+    """Sag error (length) that facets of this size and bend cause, computed from the facets alone.
+
+    It is the height over the chord at the middle of an edge, L² × bend/8, or over a facet's middle. The latter is
+    higher where the facet has no blunt corner. The bend is computed from the slopes of neighbouring facets.
     """
     worst = 0.0
     for (_, _, cell), parts in gathered.facets.items():
@@ -313,7 +315,7 @@ def own_sag_error(gathered: CellFacets) -> float:
 
 
 CUBIC = 48
-"""Facets of a cell from which on the bend is told place by place: steep lenses bend more towards their rim."""
+"""Facets of a cell from which the bend is computed point by point: steep lenses bend more towards their rim."""
 
 
 def _bend(middle: Floats, slopes: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Is a mesh file whole: closed, in as many pieces as designed, and as large?"""
+"""Wholeness of a mesh file: closed, with the designed number of pieces and the designed size."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 COUNTED_FACETS = 1_000_000
-"""Facets up to which vertices are welded and edges and holes counted: 0.4 GB a million. Larger files are counted as a stream."""
+"""Facets up to which vertices are welded and edges and holes counted (0.4 GB per million); larger files are streamed."""
 
 COUNTED_PIECES = 30_000_000
-"""Facets in a file up to which connected pieces are counted: 0.2 s and 20 MB a million."""
+"""Facets in a file up to which connected pieces are counted: 0.2 s and 20 MB per million."""
 
 FULL = 0.6
-"""Share of a hash table that may be taken."""
+"""Largest used share of a hash table."""
 
 
 def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
-    """What a workshop finds in a mesh file: `words`, and the numbers in them.
+    """Contents of a mesh file for a workshop: `words`, and the numbers in them.
 
     Parameters
     ----------
@@ -60,16 +60,16 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class PartCount:
-    """What is counted in a part at all of its places (its copies may touch), and at one of them.
+    """Counts of a part at all of its places (its copies may touch), and at one of them.
 
     Parameters
     ----------
     pieces : int
-        Connected ones, at all places.
+        Connected pieces, at all places.
     holes : float
         Half the sum of the missing Euler numbers, at all places.
     crowded : int
-        Edges walked by other than two facets, at one place.
+        Edges shared by a number of facets other than two, at one place.
     """
 
     pieces: int
@@ -87,7 +87,7 @@ class PartCount:
 
 
 def part_counts(mesh: FileMesh) -> list[PartCount] | None:
-    """Counts of every part; None for a file with more facets than are counted so."""
+    """Counts of every part; None for a file with more than `COUNTED_FACETS` facets."""
     return [PartCount.of(part) for part in mesh.parts] if mesh.stored_count <= COUNTED_FACETS else None
 
 
@@ -95,7 +95,7 @@ def closed_check(
     found: Measure, gathered: CellFacets, mesh: FileMesh, name: str, holds: Mapping[str, Any],
     counts: Sequence[PartCount] | None,
 ) -> Check:  # fmt: skip
-    """Judge whether the surface is closed and consistently wound; where it is not, say where.
+    """Judge whether the surface is closed and consistently wound, and locate a fault.
 
     holds : from `holding`, goes into the check's detail
     counts : from `part_counts`
@@ -134,7 +134,7 @@ def closed_check(
 
 
 def _open_edges(corners: Floats) -> tuple[int, Floats]:
-    """Count directed edges without a partner, and give the middle of one."""
+    """Count directed edges without a partner, and return the middle of one."""
     vertices, facets = welded(corners)
     start = facets.ravel()
     end = np.roll(facets, -1, axis=1).ravel()
@@ -149,7 +149,7 @@ def _open_edges(corners: Floats) -> tuple[int, Floats]:
     if not len(open_keys):
         return 0, np.zeros(3)
     a, b = divmod(int(open_keys[0]), int(size))
-    # an unmatched edge shows once from each of its ends
+    # an unmatched edge is found once from each of its ends
     return int(np.abs(balance).sum() / 2), 0.5 * (vertices[a] + vertices[b])
 
 
@@ -157,7 +157,7 @@ def pieces_check(
     window: Window, found: Measure, mesh: FileMesh, name: str, stated: Mapping[str, Any],
     counts: Sequence[PartCount] | None, counted: PieceCount | None = None,
 ) -> list[Check]:  # fmt: skip
-    """Say how many connected pieces and holes the file itself has; `counted`: as its facets were measured."""
+    """Judge the number of connected pieces and holes of the file; `counted` was counted while measuring facets."""
     common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
     if found.facets == 0:
         return [not_run("pieces", "the file holds no triangles", **common)]
@@ -194,9 +194,9 @@ def connected(part: Part) -> int:
 
 
 class PieceCount:
-    """Connected pieces of triangles that come as a stream; corners are one vertex where their hashes agree.
+    """Connected pieces of a stream of triangles; corners are one vertex where their hashes agree.
 
-    Its hash table is made for a closed surface of so many facets, which has half as many vertices; for more it grows.
+    The hash table is sized for a closed surface of `facets` facets, which has half as many vertices; it grows for more.
     """
 
     def __init__(self, facets: int) -> None:
@@ -208,7 +208,7 @@ class PieceCount:
 
     @property
     def pieces(self) -> int:
-        """Pieces of what was added."""
+        """Number of pieces among the facets added."""
         return self._vertices - self._joins
 
     def add(self, corners: Floats) -> None:
@@ -230,7 +230,7 @@ class PieceCount:
 
 
 def counted_on_the_way(mesh: FileMesh) -> PieceCount | None:
-    """What counts the pieces of a file while its facets are measured; None where `pieces_check` reads them again, or does not."""
+    """Counter of the pieces of a file for use while its facets are measured; None where that is not needed."""
     one = len(mesh.parts) == 1 and not mesh.parts[0].repeated
     return (
         PieceCount(mesh.stored_count)
@@ -248,7 +248,7 @@ def scale_check(design: Design, window: Window, found: Measure, name: str) -> Ch
     ratio = got / want
     if not np.isfinite(ratio).all() or found.facets == 0:
         return not_run("scale", "the file has no extent", where="file", subject=name)
-    # x and y alone tell a uniform shrink; facets cut a little off the top of a lens in z
+    # x and y alone show a uniform shrink; facets cut a little off the top of a lens in z
     lateral = ratio[:2]
     value = float(np.abs(lateral - 1.0).max())
     sentence = "extent over the design's: " + ", ".join(

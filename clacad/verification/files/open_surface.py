@@ -1,4 +1,4 @@
-"""Is a mesh a measured surface, which never had a volume, or a broken solid?"""
+"""Distinction between a measured surface, which has no volume, and a broken solid."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from clacad.formats.mesh.closed_stream import welded
 from clacad.formats.mesh.file_mesh import FileMesh
 
 SECTORS = 36
-"""Parts of the round that are looked at."""
+"""Number of sectors around the part's middle."""
 
 AROUND = 0.8
-"""Part of the sectors in which an open surface has its boundary at the rim."""
+"""Least share of sectors in which an open surface has its boundary at the rim."""
 
 AT_RIM = 0.8
-"""Part of the way from the middle to the rim beyond which a boundary edge is at the rim."""
+"""Distance from the middle, over that to the rim, beyond which a boundary edge lies at the rim."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rims:
-    """Edges of a mesh that no second facet answers.
+    """Edges of a mesh without a second facet.
 
     count : int
         Directed edges without a partner.
     place : (3,) lengths, file unit
-        Middle of one of them; NaN where there is none.
+        Middle of one of them; NaN where there are none.
     middles : (count, 3)
-        Of all.
+        Middles of all of them.
     closed_pieces : int
         Connected pieces without such an edge: closed shells.
     corners : (v, 3)
@@ -45,7 +45,7 @@ class Rims:
 
 
 def rims(mesh: FileMesh) -> Rims:
-    """Find the boundary of a mesh of any file, and which of its pieces have none."""
+    """Find the boundary of a mesh, and the number of pieces without a boundary."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -70,23 +70,22 @@ def rims(mesh: FileMesh) -> Rims:
 
 
 def is_open_surface(found: Rims, turn: Floats | None = None) -> bool:
-    """Whether a mesh is a surface without a volume, as a scan is, rather than a solid with something missing.
+    """Whether a mesh is a surface without a volume, such as a scan, rather than an incomplete solid.
 
     Parameters
     ----------
     found : Rims
     turn : (3, 3) or None
-        File → sheet frame: the rim is looked for around the third axis.
+        File → sheet frame: the rim lies around the third axis.
 
     Notes
     -----
-    Facets that hang together by edges are a piece (union-find over vertices). A piece whose every edge is met once
-    in each direction is a closed shell: it has a volume, however small, and whoever made the file meant a solid; then
-    what is open beside it is a fault. Where no piece is closed, it is the boundary that tells: a surface that was
-    measured ends where the part does, so seen along the sheet's normal boundary edges lie at the rim all around it
-    (in four fifths of 36 sectors, in the outer fifth of the way). A solid that lacks a facet, a patch or a whole side
-    wall has its boundary around the gap only. A soup whose facets share no corner is open at every edge and counts as
-    a surface, too.
+    Facets connected by edges are a piece (union-find over vertices). A piece whose every edge is used once in each
+    direction is a closed shell. It has a volume, however small, so the file is meant as a solid; any open edge next
+    to it is a fault. Where no piece is closed, the boundary decides. A measured surface ends at the rim of the part:
+    seen along the sheet's normal, boundary edges lie at the rim all around it (in four fifths of 36 sectors, in the
+    outer fifth of the way). A solid without a facet, a patch or a whole side wall has its boundary around the gap
+    only. A soup whose facets share no corner is open at every edge and also counts as a surface.
     """
     if found.count == 0 or found.closed_pieces:
         return False

@@ -1,4 +1,4 @@
-"""A worker that reads a stranger's file by a native library: memory and processor time as the file's size allows."""
+"""Worker process that reads an untrusted file with a native library: memory and CPU time limited by the file's size."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from clacad.storage.spending import Spending
 from clacad.storage.worker import Worker
 
 WAITS, START = 3, 60.0
-"""Seconds that are waited at most for each second of processor time, and in any case: other programs run, too."""
+"""Seconds to wait per second of processor time, and a constant in addition: other programs run too."""
 
 
 def reading_worker(path: Path) -> Worker:
-    """Start a worker that may read one STEP, BREP or GDSII file and send light through its faces.
+    """Start a worker that may read one STEP, BREP or GDSII file and trace light through its faces.
 
     Raises
     ------
     OverBudget
-        The file is larger than any that is read.
+        The file is larger than the reader accepts.
     OSError
-        It is not there.
+        The file does not exist.
     """
     spent, size = _spending(path)
     most = worker_memory()
@@ -37,7 +37,7 @@ def longest_wait(path: Path) -> float:
 
 
 def _spending(path: Path) -> tuple[Spending, int]:
-    """Budget of a file, which is another one where only its text is read; and its size, bytes."""
+    """Budget of a file (a separate one where only its text is read), and its size in bytes."""
     size = path.stat().st_size
     reader = {".brep": "brep", ".gds": "gds"}.get(path.suffix.lower(), "step")
     return Spending("step-text" if reader == "step" and size > OCC_BYTES else reader, path, size), size

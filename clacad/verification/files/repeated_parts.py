@@ -1,4 +1,4 @@
-"""A part that stands many times in a file: its places against the lattice, and its facets over the chosen cells."""
+"""Parts that are repeated in a file: their places compared with the lattice, and their facets over the chosen cells."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 TOUCHING = 1e-6
-"""Part of a pitch by which a box must reach into a cell to have facets there; equal cells meet in their borders."""
+"""Overlap, over the pitch, by which a box must enter a cell to have facets there; identical cells touch at borders."""
 
 MOST_LOOKS = 64
-"""Places of one part that are looked at one by one; where more stand over the chosen cells the places are wrong."""
+"""Places of one part that are examined one by one; where more lie over the chosen cells the places are wrong."""
 
 
 def placement_check(design: Design, found: Standing, name: str) -> Check:
-    """Every instance of a repeated cell stands on a cell of its array, each cell once."""
+    """Judge whether every instance of a repeated cell lies on a cell of its array, each cell once."""
     missing, doubled, outside = found.faults
     return Check(
         "placement", "pass" if found.sound else "fail", found.words, found.worst, found.limit, design.unit,
@@ -40,7 +40,7 @@ def placement_check(design: Design, found: Standing, name: str) -> Check:
 
 
 def look_at_places(gatherer: Gatherer, places: PartPlaces | RowPlaces, factor: float, limit: float) -> None:
-    """Gather the facets of a repeated object over the chosen cells, and hold it against the design where it is worst.
+    """Gather the facets of a repeated object over the chosen cells, and compare it with the design where it is worst.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def look_at_places(gatherer: Gatherer, places: PartPlaces | RowPlaces, factor: f
 
 
 def _look_at_rows(gatherer: Gatherer, part: Part, places: RowPlaces, factor: float) -> None:
-    """The same for a part in rows: all its places are copies of the one over the first chosen cell."""
+    """Gather a part in rows: all its places are copies of the one over the first chosen cell."""
     over = [places.over(cell) for cell in gatherer.result.cells]
     spots = part.placed_at(np.array(over, dtype=np.int64))
     for corners, normals in part.pairs_at(spots[0]):
@@ -75,7 +75,7 @@ def _look_at_rows(gatherer: Gatherer, part: Part, places: RowPlaces, factor: flo
 def _look_at_kind(
     gatherer: Gatherer, part: Part, places: PartPlaces, rows: Ints, factor: float, limit: float
 ) -> None:
-    """The same for the places `rows` where a part is turned alike."""
+    """Gather the places `rows` at which a part has one orientation."""
     over = _over(gatherer, places, rows)
     sound = places.off[rows] <= limit
     first, near = _to_look_at(gatherer, part, places, rows, factor, over, sound)
@@ -97,12 +97,12 @@ def _look_at_kind(
 def _to_look_at(
     gatherer: Gatherer, part: Part, places: PartPlaces, rows: Ints, factor: float, over: Ints, sound: Bools
 ) -> tuple[int, list[int]]:
-    """The place that a part is counted at, and others that are looked at for what they have over chosen cells."""
+    """The place at which a part is counted, and other places to examine for facets over chosen cells."""
     near = _near(gatherer, part, rows, factor)
     good = np.flatnonzero(sound & (over >= 0))
     if places.one_cell and len(good):
         first = int(rows[good[np.argmin(over[good])]])
-        known = set(rows[sound].tolist())  # copies, or over cells that are not looked at
+        known = set(rows[sound].tolist())  # copies, or over cells that were not chosen
         return first, [row for row in near.tolist() if row not in known]
     first = int(near[0]) if len(near) else int(rows[0])
     return first, [row for row in near.tolist() if row != first]
@@ -114,7 +114,7 @@ def _look(gatherer: Gatherer, part: Part, row: int, factor: float, times: int) -
 
 
 def _repeat(gatherer: Gatherer, source: int, cell: int, shift: Floats) -> None:
-    """Let a chosen cell have the facets that another has, moved; of the faces that no copy gave it yet."""
+    """Give a chosen cell the shifted facets of another cell, for the faces that no copy has given it yet."""
     found = gatherer.result
     for body, side, number in list(found.facets):
         if number == source and (body, side, cell) not in found.repeats:
@@ -122,7 +122,7 @@ def _repeat(gatherer: Gatherer, source: int, cell: int, shift: Floats) -> None:
 
 
 def _over(gatherer: Gatherer, places: PartPlaces, rows: Ints) -> Ints:
-    """Number of the chosen cell (k,) that each place of an object stands over; −1 for the other cells."""
+    """Number (k,) of the chosen cell under each place of an object; −1 for other cells."""
     index = next(iter(places.cells.values()))[0] + places.step[rows]
     found = np.full(len(rows), -1, dtype=np.int64)
     for number, cell in enumerate(gatherer.result.cells):
@@ -131,7 +131,7 @@ def _over(gatherer: Gatherer, places: PartPlaces, rows: Ints) -> Ints:
 
 
 def _near(gatherer: Gatherer, part: Part, rows: Ints, factor: float) -> Ints:
-    """Those of the places `rows` whose box reaches over a chosen cell, the first chosen cell's first."""
+    """Places among `rows` whose box extends over a chosen cell, those of the first chosen cell first."""
     window = gatherer.window
     low, high = part.own_box()
     ends = np.array(

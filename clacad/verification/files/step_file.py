@@ -1,4 +1,4 @@
-"""Judge one STEP or BREP file: read again by OCC in a process of its own, held against the closed form, lit."""
+"""Judge one STEP or BREP file: read by OCC in a separate process, compared with the closed form, and lit."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ VOLUME_LIMIT = 1e-9
 """Largest relative difference of volumes."""
 
 FITTED = 1e-8
-"""Relative difference that parameter curves make which another CAD program fitted itself."""
+"""Relative difference of parameter curves that another CAD program fitted itself."""
 
 MERGED = 1e-10
-"""Mean height over all faces, mm, by which steps that were closed change what the kernel finds (seen: 3.5e-11)."""
+"""Mean height change over all faces, mm, that closed steps cause in the kernel's results (measured: 3.5e-11)."""
 
 PART = 0.1
-"""Part of the limit of the law's rms error that faces of a file without a manifest may use up."""
+"""Part of the limit of the law's rms error that faces of a file without a manifest may use."""
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """How far a file may be from the design.
+    """Allowed deviations of a file from the design.
 
     direction : radians
         Direction error that slope errors of lens faces may make.
@@ -61,7 +61,7 @@ class Room:
     source : LimitSource
         Where the limits come from.
     fitted : bool
-        Nobody says that the faces are exact: they may have been fitted again by another program.
+        No manifest states that the faces are exact: another program may have fitted them again.
     """
 
     direction: float
@@ -71,13 +71,13 @@ class Room:
 
 
 def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
-    """Limits of a file: those of exact faces where a manifest says it is this program's, else what light allows.
+    """Allowed deviations of a file: those of exact faces where a manifest states them, else those that light allows.
 
-    Light allows a tenth of `law_rms`; a face whose slopes are off by less than that makes of it lies, over a pitch,
-    within slope × pitch / 2π of the exact one.
+    Light allows a tenth of `law_rms`. A face with a slope error below that lies, over a pitch, within
+    slope × pitch / 2π of the exact one.
     """
     pitch = min(window.lattice.pitch) * millimetres(window.unit)
-    # what is no quadric has no exact rational patch: its fit is stated to 1e-6 of the pitch
+    # a surface other than a quadric has no exact rational patch: its fit is stated to 1e-6 of the pitch
     fitted = any(not isinstance(face.surface, Quadric) for face in window.faces)
     exact = SHAPE_LIMIT * pitch * (10.0 if fitted else 1.0)
     if stated:
@@ -89,7 +89,7 @@ def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
 
 
 def gain(window: Window) -> float:
-    """Direction error (rad) per slope error (rad) of the lens faces, all of them off by as much, in quadrature."""
+    """Direction error (rad) per slope error (rad) of the lens faces, all with equal errors, added in quadrature."""
     total = 0.0
     smallest = min(abs(m) for m in focal_ratio(window.thin))
     laws = window.cell_laws
@@ -100,7 +100,7 @@ def gain(window: Window) -> float:
             if face.array in (
                 0,
                 1,
-            ):  # at a field lens light is at a focus: what turns it there leaves its exit alone
+            ):  # at a field lens light is at a focus: a deflection there does not change its exit direction
                 total += ((body.index - 1.0) * (1.0 / smallest if face.array == 0 else 1.0)) ** 2
     return float(total**0.5)
 
@@ -108,12 +108,12 @@ def gain(window: Window) -> float:
 def judge_solid(
     asked: Inspection, window: Window, path: Path, place: SheetPlace | None = None
 ) -> tuple[list[Check], Mapping[str, Any]]:
-    """Read a STEP or BREP file in a worker and judge what is found, and the light through its faces.
+    """Read a STEP or BREP file in a worker and judge its shape and the light through its faces.
 
     Parameters
     ----------
-    asked : Inspection
-        No more than `FACE_RAYS` of its rays are sent.
+    `asked` : Inspection
+        At most `FACE_RAYS` of its rays are traced.
     window : Window
     path : Path
     place : SheetPlace or None
@@ -123,8 +123,8 @@ def judge_solid(
     -------
     checks : list of Check
     found : mapping
-        What the reader says; empty if it could not read. `holds`: solids, shells, faces, prototypes, parts (name, solid,
-        faces, instances); `holds_words`: the same in words.
+        Result of the reader; empty if reading failed. `holds`: solids, shells, faces, prototypes, parts (name, solid,
+        faces, instances); `holds_words`: the same as text.
     """
     asked.progress(f"reading {path.name}", 0.0)
     try:
@@ -154,7 +154,7 @@ def _refused(asked: Inspection, error: Exception) -> list[Check]:
 
 
 def _checks_of_shape(asked: Inspection, window: Window, found: Mapping[str, Any]) -> list[Check]:
-    """Checks of what the reader says: whole, in its place, where the design's faces are."""
+    """Checks of the reader's result: whole, in its place, with faces where the design has them."""
     common, stated, room = asked.common, asked.stated, room_for(asked.design, window, asked.stated)
     return [
         Check("readable", "pass", found["holds_words"] + _unit_words(found), **common),
@@ -165,8 +165,9 @@ def _checks_of_shape(asked: Inspection, window: Window, found: Mapping[str, Any]
 
 
 def lies_elsewhere(checks: Sequence[Check]) -> bool:
-    """Whether a readable file does not have its faces where the design has them: it holds fewer than half of the
-    lenses, or its shape is not right and fewer than half of them stand on their cells.
+    """Whether a readable file has its faces elsewhere than the design.
+
+    True if it holds fewer than half of the lenses, or if its shape fails and fewer than half of them lie on their cells.
     """
     one = {check.id: check for check in checks}
     if "readable" not in one or one["readable"].state != "pass":
@@ -180,7 +181,7 @@ def lies_elsewhere(checks: Sequence[Check]) -> bool:
 def hole_words(
     window: Window, holes: Sequence[Mapping[str, Any]], onto: Callable[[Floats], Floats] | None = None
 ) -> str:
-    """Round holes of a part in a sentence, with the cells of array 1 they go through; "" for none.
+    """Text of the round holes of a part, with the cells of array 1 they pass through; "" for none.
 
     onto : from the file's mm to the design's sheet frame and units; None where the file lies as the design does.
     """
@@ -200,7 +201,7 @@ def hole_words(
 
 
 def holds_words(holds: Mapping[str, Any]) -> str:
-    """What the workshop will find in a file, in a sentence: solids, shells, faces, and what is repeated."""
+    """Text of a file's contents for a workshop: solids, shells, faces, and repeated parts."""
     solids, faces = int(holds["solids"]), int(holds["faces"])
     words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
     if int(holds["shells"]) != solids:
@@ -230,7 +231,7 @@ def _unit_words(found: Mapping[str, Any]) -> str:
 def _light(
     asked: Inspection, window: Window, worker: Worker, path: Path, found: Mapping[str, Any], z: float
 ) -> list[Check]:
-    """Light through the faces, against the law; the sheet stands so high in the file (mm)."""
+    """Checks of light through the faces against the law; `z` is the height of the sheet in the file (mm)."""
     if not found["kernel"] and (found.get("uneven") or not found.get("patches")):
         why = "too large for the kernel, and its lens faces are of several spans; the slope error of the text is all there is"
         return [not_run(name, why, required=False, **asked.common) for name in IDS]
@@ -274,7 +275,7 @@ def _solids(found: Mapping[str, Any], stated: Mapping[str, Any], common: Mapping
 
 
 def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
-    """Every lens of a repeated part stands on a cell of its own array, every cell holds each lens once."""
+    """Judge whether every lens of a repeated part lies on a cell of its own array and every cell holds each lens once."""
     at = found.get("placement")
     if at is None:
         why = "no lens face was found whose cell could be told"
@@ -320,7 +321,7 @@ def _shape(
 
 
 def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
-    """Direction error that the largest slope error of any patch can make."""
+    """Judge the direction error that the largest slope error of any patch can cause."""
     slopes = [float(found[k]) for k in ("patch_slope_error", "lens_slope_error") if found.get(k) is not None]
     if not slopes:
         return not_run("faithful_rms", "no lens face was found to measure", unit="rad", **common)
@@ -339,7 +340,7 @@ def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapp
 def _volume(
     window: Window, found: Mapping[str, Any], stated: Mapping[str, Any], room: Room, common: Mapping[str, Any]
 ) -> Check:
-    """Volume of the solids against quadrature of the bodies they are, engraved letters added."""
+    """Judge the volume of the solids against quadrature of their bodies plus engraved letters."""
     if not found["kernel"]:
         return not_run("volume", "too large for the kernel", required=False, unit="mm³", **common)
     bodies = _held(window, found)
@@ -355,13 +356,13 @@ def _volume(
     source = default("1e-9 relative")
     x0, x1, y0, y1 = whole_extent(window)
     area = (x1 - x0) * (y1 - y0) * millimetres(window.unit) ** 2 * 2.0 * len(bodies)
-    if room.fitted:  # every lens face off as far as it may be, and borders that another program fitted
+    if room.fitted:  # every lens face at its limit, and borders that another program fitted
         allowed += room.shape * area + FITTED * want
         source = room.source
     merged = int(stated.get("merged_steps", 0) or 0)
     if merged:
-        # steps closed on purpose move vertices by less than the merge height of a nanometre or so; of thin
-        # bodies that is more than a part of their volume
+        # steps closed on purpose move vertices by less than the merge height of about a nanometre, which is a
+        # noticeable part of the volume of thin bodies
         allowed += max(1e-8 * want, MERGED * area)
     detail = {"volume": got, "exact": want}
     whose = "the design" if len(bodies) == len(window.bodies) else " and ".join(body.name for body in bodies)
@@ -377,9 +378,7 @@ def _volume(
 
 
 def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
-    """The bodies whose lenses the file holds, or whose heights it reaches through; all where it reaches none (it lies
-    elsewhere).
-    """
+    """Bodies whose lenses the file holds, or whose heights it spans; all where it spans none (it lies elsewhere)."""
     at = found.get("placement")
     if at is not None and at["standing_held"] >= 0.5:
         return tuple(body for body in window.bodies if body.name in at["bodies"])

@@ -1,7 +1,7 @@
 """Light through the faces of a file of solids, for the checks of a master.
 
-The faces as OCC reads them, in a worker that has read the file already; where the file is too large for OCC, the
-lens patches of its text. A body the file lacks is taken from the design.
+The faces are those OCC reads, in a worker that has read the file already. Where the file is too large for OCC, the
+lens patches of its text are used. A body the file lacks is taken from the design.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from clacad.storage.worker import Worker
 
 FACE_RAYS = 1024
-"""Rays of the main bundle through faces: each takes OCC half a millisecond."""
+"""Rays of the main bundle through faces: OCC needs half a millisecond per ray."""
 
 POINT_RAYS = 256
-"""Rays of each of the nine field points; four times as many where little light gets through."""
+"""Rays of each of the nine field points; four times as many where little light is transmitted."""
 
 CELL_RAYS = 64
-"""Rays of each further cell of a sheet whose cells differ; a cell through which less than a quarter of them gets is lost."""
+"""Rays of each further cell of a non-uniform sheet; a cell that transmits less than a quarter of them is lost."""
 
 MARGIN = 0.1
-"""Pitches round a telescopelet in which faces are looked for."""
+"""Pitches around a telescopelet within which faces are searched."""
 
 SECONDS = 600.0
 OCC_RAYS, PATCH_RAYS = (
@@ -51,7 +51,7 @@ OCC_RAYS, PATCH_RAYS = (
 
 
 def point_rays(window: Window) -> int:
-    """Rays of each field point, so that enough of them get through."""
+    """Rays of each field point, so that enough of them are transmitted."""
     middle = np.array([[0.0, 0.0, 1.0]])
     return POINT_RAYS if float(share(thin_cells(window), middle)[0]) > 0.5 else 4 * POINT_RAYS
 
@@ -59,7 +59,7 @@ def point_rays(window: Window) -> int:
 def light_of_cells(
     design: Design, window: Window, send: Tracer, rays: int
 ) -> tuple[FileLight, list[float], list[tuple[int, int]]]:
-    """Light through the cell by which a sheet is judged; where cells differ, through others too.
+    """Light through the cell by which a sheet is judged; in a non-uniform sheet through other cells too.
 
     Parameters
     ----------
@@ -72,9 +72,10 @@ def light_of_cells(
     Returns
     -------
     light : FileLight
-        Of the cell whose light leaves farthest from the law through the exact surfaces; of the central one where all are alike.
+        Of the cell whose light through the exact surfaces leaves farthest from the law; of the central cell of a
+        uniform sheet.
     rms : list of float, radians
-        Of it, then of the other cells that are looked at.
+        Of that cell, then of the other measured cells.
     cells : list of (i, j)
     """
     if window.uniform:
@@ -97,15 +98,15 @@ def light_of_cells(
 
 @dataclass(frozen=True, eq=False)
 class FaceTracer:
-    """Sends bundles through the faces of one file.
+    """Traces bundles through the faces of one file.
 
     worker : Worker
-        Which has read the file.
+        Worker that has read the file.
     path : str
     window : Window
     held : names of the bodies the file holds
     by_occ : bool
-        Whether the faces are used as OCC reads them, else the patches of the text.
+        Whether the faces are those OCC reads, else the patches of the text.
     z : float, mm
         Height of the sheet's own z = 0 in the file.
     """
@@ -118,8 +119,10 @@ class FaceTracer:
     z: float = 0.0
 
     def __call__(self, lit: Bundle) -> TraceResult:
-        """ALIVE: in and out of every body through lens faces of one telescopelet, and on forwards. GHOST: through lenses of
-        several. LAND: through a face that is no lens. WALL: at a wall, or where no face was met.
+        """Trace a bundle.
+
+        ALIVE: in and out of every body through lens faces of one telescopelet, and onwards. GHOST: through lenses of
+        several telescopelets. LAND: through a face that is no lens. WALL: at a wall, or where no face was hit.
         """
         state = _State(lit.rays)
         for inside, bodies in groupby(self.window.bodies, lambda body: body.name in self.held):
@@ -130,7 +133,7 @@ class FaceTracer:
         return state.closed()
 
     def _through_file(self, state: _State, lit: Bundle, bodies: tuple[Body, ...]) -> None:
-        """Bodies the file holds, through its own faces; the state goes on behind them."""
+        """Trace the bodies of the file through its own faces; the state continues behind them."""
         live = state.alive()
         scale = millimetres(self.window.unit)
         low, high = column(self.window, lit.cell, bodies)
@@ -163,7 +166,7 @@ class FaceTracer:
 
 
 def raised(window: Window, z: float) -> Window:
-    """The same faces so much higher (length)."""
+    """Window with all faces moved up by `z` (length)."""
 
     def up(face: Face) -> Face:
         x, y, height = face.vertex
@@ -177,7 +180,7 @@ def raised(window: Window, z: float) -> Window:
 
 
 def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:
-    """Whether points (n, 3) of a lens patch lie where the lens stands proud of its land, in its optical zone."""
+    """Whether points (n, 3) of a lens patch lie where the lens is above its land, in its optical zone."""
     _, x, y = window.locate(face.array, place[:, 0], place[:, 1])
     room = 1e-9 * min(window.lattice.pitch)
     proud = np.ones(len(place), dtype=bool)
@@ -192,7 +195,7 @@ def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:
 
 
 def column(window: Window, cell: tuple[int, int], bodies: Sequence[Body]) -> tuple[Floats, Floats]:
-    """Column of x and y, low (2,) and high (2,), that holds a telescopelet, with a margin."""
+    """Bounding column in x and y, low (2,) and high (2,), of a telescopelet, with a margin."""
     arrays = {face.array for body in bodies for face in (body.front, body.back) if face.array is not None}
     corners = np.concatenate(
         [window.lattice_of(array).tile() + window.centres(array, np.array(cell)) for array in sorted(arrays)]
@@ -202,7 +205,7 @@ def column(window: Window, cell: tuple[int, int], bodies: Sequence[Body]) -> tup
 
 
 def _through_design(state: _State, window: Window, lit: Bundle, bodies: tuple[Body, ...]) -> None:
-    """Bodies the file lacks, as the design has them."""
+    """Trace the bodies that the file lacks as the design has them."""
     live = state.alive()
     cell = np.array(lit.cell)
 
@@ -225,7 +228,7 @@ def _through_design(state: _State, window: Window, lit: Bundle, bodies: tuple[Bo
 
 
 class _State:
-    """Rays on their way."""
+    """State of the rays during a trace."""
 
     def __init__(self, rays: Rays) -> None:
         many = len(rays)
@@ -238,11 +241,11 @@ class _State:
         self.cell = np.full((many, 2), NO_CELL, dtype=np.int32)
 
     def alive(self) -> NDArray[np.intp]:
-        """Rows that go on."""
+        """Rows of the rays that are still ALIVE."""
         return np.flatnonzero(self.fate == Fate.ALIVE)
 
     def see(self, rows: NDArray[np.intp], array: int, window: Window, place: Floats) -> None:
-        """Note which cells of an array rays crossed; those of one telescopelet have one number."""
+        """Record the cells of an array that rays crossed; cells of one telescopelet have one number."""
         index, _, _ = window.locate(array, place[:, 0], place[:, 1])
         known = self.cell[rows, 0] != NO_CELL
         self.stray[rows[known]] |= (self.cell[rows[known]] != index[known]).any(axis=1)
@@ -250,7 +253,7 @@ class _State:
         self.cell[rows[~known]] = index[~known]
 
     def closed(self) -> TraceResult:
-        """The result; direction before the sheet's far side counts only for rays that came through."""
+        """The trace result; exit directions count only for rays that were transmitted."""
         through = self.fate == Fate.ALIVE
         self.fate[through & (self.direction[:, 2] <= 0.0)] = Fate.BACKWARD
         self.fate[(self.fate == Fate.ALIVE) & self.aside] = Fate.LAND

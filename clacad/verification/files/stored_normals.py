@@ -1,4 +1,4 @@
-"""Normals that a file stores for its vertices against those of the design's own faces: renderers shade by them."""
+"""Stored vertex normals of a file, compared with the normals of the design's own faces; renderers shade with them."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from clacad.verification.files.facet_deviation import Deviation
 from clacad.verification.limit_sources import other
 
 STEEPER = 2.0
-"""Rms error of the stored normals over the slope error of the facets they shade, beyond which they are wrong."""
+"""Rms error of the stored normals over the slope error of their facets, beyond which the normals are wrong."""
 
 ROOM = 1e-6
-"""Radians that numbers of float32, or of six digits, may turn a normal."""
+"""Radians by which rounding to float32, or to six digits, may turn a normal."""
 
 
 def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation], name: str) -> Check | None:
@@ -34,7 +34,7 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
     gathered : CellFacets
         With the facets' stored normals.
     off : sequence of Deviation
-        Of the same cells.
+        Of these cells.
     name : str
         File name, the subject of the check.
     """

@@ -1,4 +1,4 @@
-"""What a stranger's manifest says of its files, as far as it can be so: names to show, numbers, units."""
+"""Sanitized statements of an untrusted manifest about its files: names to show, numbers, units."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from clacad.base.text import printable
 from clacad.base.units import LENGTHS
 
 LONGEST_NAME = 255
-"""Bytes of a file's name that a file system holds."""
+"""Longest file name that a file system stores, in bytes."""
 
 
 COUNTS = frozenset({"solids", "faces", "triangles", "quads", "merged_steps", "saddles", "wedges"})
 MEASURES = frozenset(
     {"slope_error_rms", "sag_error_max", "volume", "volume_exact", "saddle_bevel", "fit_error", "rim_error"}
 )
-"""Keys of a manifest's entries that are whole numbers, and that are numbers, from 0 up."""
+"""Keys of manifest entries whose values are whole numbers, and whose values are numbers, from 0 up."""
 
 
 def is_there(path: Path) -> bool:
-    """Whether a file is there; a name that no file can have is no error."""
+    """Whether a file exists; a name that no file can have is no error."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -30,7 +30,7 @@ def is_there(path: Path) -> bool:
 
 
 def believable(told: Mapping[str, Any]) -> dict[str, Any]:
-    """What a manifest states of a file, without numbers and units that are none: those are as if not stated."""
+    """Statements of a manifest entry without invalid numbers and units, which count as not stated."""
 
     def believed(key: str, value: object) -> bool:
         if key == "unit":
@@ -44,6 +44,6 @@ def believable(told: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def shown_name(name: object) -> str:
-    """A stranger's name as it is shown: nothing in it moves a cursor or goes on for ever."""
+    """Name from an untrusted source, made printable and of limited length."""
     text = printable(str(name))
     return text if len(text) <= LONGEST_NAME else text[: LONGEST_NAME - 1] + "…"

@@ -1,4 +1,4 @@
-"""In what unit a file is, how many cells of the design it holds, and of which bodies."""
+"""Unit of a file, number of design cells in it, and its bodies."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ UNITS: Mapping[str, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in"
 FACTORS: tuple[tuple[str, float], ...] = (
     ("mm", 1e-3), ("m", 1.0), ("um", 1e-6), ("in", 0.0254), ("mm / 25.4", 1e-3 / 25.4),
 )  # fmt: skip
-"""Units in metres that a file without a manifest may be in, if its format has none."""
+"""Candidate units, in metres, of a file without a manifest whose format defines no unit."""
 
 STATED = ("3mf", "glb", "step")
-"""Formats whose files are in a unit that every reader takes them to be in."""
+"""Formats whose unit every reader interprets alike."""
 
 SAME_EXTENT = 0.02
 """Relative difference up to which two extents are the same."""
 
 
 class CannotRegister(ValueError):
-    """A file whose unit or number of cells cannot be told; the message names what was tried."""
+    """A file whose unit or number of cells cannot be determined; the message names what was tried."""
 
     exit_status = 2
 
@@ -43,7 +43,7 @@ class CannotRegister(ValueError):
 def written_window(
     design: Design, manifest: Mapping[str, Any] | None, cells: tuple[int, int] | None
 ) -> Window | None:
-    """Window with the cells that were written, as the manifest or the caller says; None if neither does.
+    """Window with the cells that were written, as given by the manifest or the caller; None if neither gives them.
 
     Raises
     ------
@@ -66,15 +66,16 @@ def written_window(
 
 
 def unit_of(subject: Subject, mesh: FileMesh) -> float | None:
-    """Metres per unit of the file, as it says itself, as a reader elsewhere takes it; else as its manifest says."""
+    """Metres per unit of the file: its own unit, else the unit other readers assume, else that of its manifest."""
     if mesh.unit is not None or not subject.entry:
         return mesh.unit
     return UNITS.get(str(subject.entry.get("unit", "mm")), 1e-3)
 
 
 def held_bodies(window: Window, subject: Subject, height: float) -> tuple[tuple[str, ...], ...]:
-    """What a file may hold, names of bodies: as the manifest says, else told from its height (design units); several
-    where two bodies are as high as each other.
+    """Candidate body names of a file: from the manifest, else from the file's height (design units).
+
+    Several candidates result where two bodies have the same height.
     """
     names = tuple(body.name for body in window.bodies)
     if subject.bodies:
@@ -90,7 +91,7 @@ def held_bodies(window: Window, subject: Subject, height: float) -> tuple[tuple[
 def fitting_window(
     design: Design, whole: Window, fixed: bool, heights: Sequence[float], extent: Floats
 ) -> Window | None:
-    """The design with as many cells as fit an extent (3,) in design units, or None if its height or sides do not fit.
+    """The design with the cells that fit an extent (3,) in design units; None if its height or sides do not fit.
 
     fixed : whether `whole` has the cells of the file, and no others are tried
     heights : of the sheet and of its bodies (lengths)
@@ -100,14 +101,14 @@ def fitting_window(
     if not fixed:
         count, spec = _cells_of(design, whole, extent), design.lattice
         if count[0] * count[1] > max(MOST_CELLS, spec.count[0] * spec.count[1]):
-            return None  # one corner far away: nothing that an export wrote
+            return None  # one corner far away: no export wrote this
         if (count != spec.count or spec.outline is not None) and not _alike(whole_extent(whole), extent):
             whole = whole.with_cells(count)
     return whole if _alike(whole_extent(whole), extent) or _one_body_alike(whole, extent) else None
 
 
 def _cells_of(design: Design, whole: Window, extent: Floats) -> tuple[int, int]:
-    """Cells along each axis that come nearest to an extent (3,) in design units."""
+    """Number of cells along each axis whose extent is nearest to an extent (3,) in design units."""
     border = 2.0 * design.body.border
     step = (design.lattice.pitch[0], whole.lattice.a2[1])
     if not whole.lattice.hexagonal:
@@ -115,7 +116,7 @@ def _cells_of(design: Design, whole: Window, extent: Floats) -> tuple[int, int]:
             max(1, round((float(e) - border) / p)) for e, p in zip(extent[:2], step, strict=True)
         )
         return along, across
-    # odd rows stand half a pitch aside; rows overlap by a third
+    # odd rows are shifted by half a pitch; rows overlap by a third
     aside = 0.5 * step[0] if extent[1] > 1.5 * step[1] else 0.0
     return (
         max(1, round((float(extent[0]) - border - aside) / step[0])),
@@ -131,5 +132,5 @@ def _alike(box: Sequence[float], extent: Floats) -> bool:
 
 
 def _one_body_alike(window: Window, extent: Floats) -> bool:
-    """A file of one body need not span the displacement between the two."""
+    """Whether a file of one body has its extent, which need not include the displacement between the bodies."""
     return any(_alike(whole_extent(replace(window, bodies=(body,))), extent) for body in window.bodies)

@@ -1,8 +1,8 @@
-"""The light between the lenses: parallel rays from either side, each through its own lens, where they should meet.
+"""The light between the lenses: parallel rays from either side, each through its own lens, and where they focus.
 
-Light along the axis is sent through lens 1 forwards and through lens 2 backwards, in each meridian. Between the
-lenses both fans run to (or seem to come from) a focus: confocal means that it is one and the same. The envelope of
-a fan is its caustic; a lens without aberration has a point for it.
+Light along the axis is traced through lens 1 forwards and through lens 2 backwards, in each meridian. Each fan
+has a real or virtual focus between the lenses; in a confocal pair both fans share one focus. The envelope of
+a fan is its caustic; the caustic of a lens without aberration is a point.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from clacad.tracing.trace import Interface, trace_sequence
 
 HEIGHTS = 41
 PART = 0.9
-"""Part of the half cell that is lit."""
+"""Lit part of the half cell."""
 NEAR_AXIS = 1e-3
 """Height, over the half cell, of the ray that marks the parabasal focus."""
 
@@ -32,11 +32,11 @@ class Fan:
 
     Coordinates: along the lens axis from the middle of lens 1, and across it; lengths.
 
-    height : (k,) where the rays meet their lens
+    height : (k,) where the rays hit their lens
     place, slope : (k,)
-        Across at `along` = 0, and its change with it; NaN where a ray is lost.
+        Position across at `along` = 0, and its derivative with respect to `along`; NaN where a ray is lost.
     focus : (2,) along, across
-        Where rays a hair beside the axis cross; NaN without power.
+        Where parabasal rays cross; NaN without power.
     caustic : (m, 2) along, across
         Where neighbouring rays cross.
     """
@@ -82,10 +82,10 @@ def foci(window: Window) -> tuple[MeridianFocus, MeridianFocus]:
     """Trace both fans in both meridians of the lenses, surfaces as built."""
     turn = window.thin.rotation
     middle = np.array([[0.0, 0.0, 0.0], np.asarray(window.thin.offset)])
-    # the offset in air stands for a longer one where glass lies between the vertices
+    # the offset in air represents a longer one where glass lies between the vertices
     if window.form != "biconvex":
         middle[1] = _apex(window, 1)
-    elif window.thin.field:  # lens 2 stands farther away for the plate between
+    elif window.thin.field:  # the plate between the lenses moves lens 2 farther away
         ends = [np.asarray(f.vertex) + [*window.shifts[1], 0.0] for f in window.faces if f.array == 1]
         middle[1] = 0.5 * (ends[0] + ends[1])
     distance = float((middle[1] - middle[0]) @ turn[:, 2])
@@ -104,8 +104,9 @@ def _apex(window: Window, array: int) -> Floats:
 
 
 def _either_side(window: Window, axis: int) -> tuple[list[Interface], list[Interface]]:
-    """What light of a meridian passes from either side until it comes to the common focus: the lenses, and where there is
-    a field lens what stands between them and its face.
+    """Interfaces that light of a meridian crosses from either side up to the common focus.
+
+    They are those of the lens and, with a field lens, those between the lens and the field lens's powered face.
     """
     if not window.thin.field:
         return _of_lens(window, 0), _of_lens(window, 1)
@@ -120,7 +121,7 @@ def _either_side(window: Window, axis: int) -> tuple[list[Interface], list[Inter
 
 
 def _of_lens(window: Window, number: int) -> list[Interface]:
-    """Interfaces of one lens: its body's faces; of a slab the one face, with the material behind it."""
+    """Interfaces of one lens: the faces of its body; for a slab its one face, with the material behind it."""
     every = interfaces(window)
     if window.form == "slab":
         return [every[number]]
@@ -128,7 +129,7 @@ def _of_lens(window: Window, number: int) -> list[Interface]:
 
 
 def _fan(window: Window, faces: Sequence[Interface], middle: Floats, axis: int, way: float) -> Fan:
-    """Rays along the lens axis in one meridian, after the faces of one lens; forwards (way +1) or backwards (−1)."""
+    """Trace rays along the lens axis in one meridian through one lens; forwards (way +1) or backwards (−1)."""
     turn = window.thin.rotation
     across, along = turn[:, axis], turn[:, 2]
     half = PART * min(window.lattice.half_widths)

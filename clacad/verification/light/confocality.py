@@ -1,8 +1,8 @@
-"""Confocality measured with light: rays a hair beside the axis ray, through the faces as built.
+"""Confocality measured with light: parabasal rays next to the axis ray, through the faces as built.
 
-Nothing here knows how the radii were found: the window's faces are traced as explicit surfaces, the exit
-direction is differentiated by the entrance height, and lens 2 is slid along its axis until the pair is
-afocal, or has the focus that it was asked for. That slide, over the distance between the lenses, is the defect.
+The measurement does not use how the radii were computed. The window's faces are traced as explicit surfaces and
+the exit direction is differentiated by the entrance height. Lens 2 is then slid along its axis until the pair is
+afocal, or has the requested focus. The defect is that slide over the distance between the lenses.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ __all__ = ["Confocality", "confocality"]
 
 @dataclass(frozen=True, eq=False)
 class Confocality:
-    """What makes the pair afocal.
+    """Slide of lens 2 that makes the pair afocal.
 
     shift : (2,) lengths
         How far lens 2 must move along the axis, per lens meridian; NaN in a meridian without power.
     distance : float, length
-        Distance between the lenses, along the axis: in glass for a slab.
+        Distance between the lenses along the axis; for a slab, in glass.
     power : (2, 2) radians/length
-        Change of exit direction with entrance height, lens frame, as built, less what was asked.
+        Change of exit direction with entrance height, lens frame, as built, minus the requested change.
     """
 
     shift: Floats
@@ -53,12 +53,12 @@ class Confocality:
 
 
 def confocality(window: Window) -> Confocality:
-    """Measure how far the pair as built is from confocal, each lens met along its own axis.
+    """Measure how far the pair as built is from confocal, with each lens centred on the axis ray.
 
     Notes
     -----
-    Lens 2, and a field lens before it, are first moved sideways so that the axis ray meets their apexes: the offset δ is no
-    part of this check.
+    Lens 2, and a field lens before it, are first moved sideways so that the axis ray hits their apexes: the
+    offset δ does not enter this check.
     The power is nearly linear in the slide, so the secant through two slides finds its zero in a few rounds.
     """
     turn = window.thin.rotation
@@ -93,12 +93,12 @@ def confocality(window: Window) -> Confocality:
 
 
 def field_onto_axis(window: Window, start: Floats) -> Floats | None:
-    """Slide (3,) of the field lens that puts its first apex on the axis ray from `start` (3,), lengths; None without one.
+    """Slide (3,) of the field lens that puts its first apex on the axis ray from `start` (3,), lengths, or None.
 
     Raises
     ------
     ValueError
-        The axis ray does not reach it.
+        The axis ray does not reach the field lens.
     """
     if not window.thin.field:
         return None
@@ -107,12 +107,12 @@ def field_onto_axis(window: Window, start: Floats) -> Floats | None:
 
 
 def axis_start(window: Window, axis: Floats) -> Floats:
-    """Point (3,) before the window from which light along the law's axis meets the first apex of lens 1."""
+    """Point (3,) before the window from which light along the law's axis hits the first apex of lens 1."""
     seq = interfaces(window)
     first = [face.array for face in window.faces].index(0)
     apex = np.asarray(seq[first].vertex)
     start = apex - axis * (abs(apex[2] - window.z_range[0]) + max(window.lattice.pitch)) / axis[2]
-    for _ in range(4):  # a plane face before the lens carries the ray aside: aim again
+    for _ in range(4):  # a plane face before the lens displaces the ray: aim again
         miss = _hit(seq[: first + 1], start, axis) - apex
         start = start - (miss - axis * (miss @ axis))
     return np.asarray(start)
@@ -123,11 +123,11 @@ def _onto_axis(
 ) -> Floats:
     """Slide (3,), across its axis `along`, that puts the first apex of lens 2 or the field lens on the axis ray.
 
-    field : slide (3,) of the field lens where lens 2 is asked for
+    field : slide (3,) of the field lens where the slide of lens 2 is requested
     """
     target = [face.array for face in window.faces].index(array)
     aside = np.zeros(3)
-    for _ in range(6):  # sliding a tilted lens moves the landing point a little
+    for _ in range(6):  # sliding a tilted lens moves the hit point a little
         seq = interfaces(window, aside, field) if array == 1 else interfaces(window, None, aside)
         seq = seq[: target + 1]
         gap = _hit(seq, start, axis, to_plane=True) - np.asarray(seq[-1].vertex)
@@ -136,8 +136,8 @@ def _onto_axis(
 
 
 def _hit(seq: Sequence[Interface], start: Floats, direction: Floats, to_plane: bool = False) -> Floats:
-    """Where one ray meets the last of the interfaces, or its apex plane, (3,)."""
-    if to_plane:  # the lens itself may end before the ray reaches it: its apex plane does not
+    """Point (3,) where one ray hits the last of the interfaces, or its apex plane."""
+    if to_plane:  # the lens may end before the ray reaches it; its apex plane does not
         last = seq[-1]
         seq = [*seq[:-1], replace(last, surface=PLANE)]
     traced = trace_sequence(seq, Rays(start[None], direction[None]), record=True)

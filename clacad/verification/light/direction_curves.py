@@ -1,4 +1,4 @@
-"""Curves a report draws: what goes in against what comes out, along the two lens meridians."""
+"""Curves of a report: exit slope against incident slope, along the two lens meridians."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from clacad.sheet.window import Window
 DIRECTIONS = 49
 PLACES = 768
 MAP = 61
-"""Places across the cell, and directions, of the residual map."""
+"""Positions across the cell, and directions, of the residual map."""
 
 
 @dataclass(frozen=True, eq=False)
 class Meridian:
-    """One lens meridian, over the whole field of view.
+    """Curves of one lens meridian over the whole field of view.
 
-    slope : (k,) incident slopes along the lens axis, the other one kept at the middle of the field
-    law, mean, spread : (k,) exit slopes: the law's, the mean of the ALIVE rays, their rms about it
+    slope : (k,) incident slopes along the lens axis, the other slope at the middle of the field
+    law, mean, spread : (k,) exit slopes: the law's, the mean of the ALIVE rays, and the rms of those about it
     alive, closed_form, ghost : (k,) shares of light
     place : (m,) lengths across the cell, map_slope : (m,) slopes, residual : (m, m) radians
-        Error of single rays in the meridian's plane, [direction, place]; NaN where the ray is not ALIVE.
+        Error of single rays in the meridian's plane, [direction, position]; NaN where the ray is not ALIVE.
     """
 
     slope: Floats
@@ -101,10 +101,10 @@ def _meridian(window: Window, send: Callable[[Bundle], TraceResult], axis: int) 
 def _map(
     window: Window, send: Callable[[Bundle], TraceResult], axis: int, reach: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Error of rays through a line across the cell along a lens axis, for directions in the same plane."""
+    """Error of rays along a line across the cell in a lens meridian, for directions in the same plane."""
     along = window.thin.rotation[:2, axis]
     along = along / np.hypot(*along)
-    half = min(window.lattice.half_widths) * 0.98  # a ray through the very border may enter the neighbour
+    half = min(window.lattice.half_widths) * 0.98  # a ray at the exact border may enter the neighbour
     place = np.linspace(-half, half, MAP)
     slopes = np.linspace(-reach, reach, MAP)
     direction = _directions(window, axis, slopes)

@@ -1,20 +1,21 @@
-"""Where an error of direction comes from: five parts of it, ray by ray, that add up to the whole.
+"""Split of a direction error into five parts, ray by ray, which add up to the whole.
 
-The same rays are sent up a chain of models, each of which leaves out one thing less:
+The same rays are traced through a chain of models. Each model includes one more source of error:
 
 ====  ====================================================================================  =================
       direction of a ray                                                                    what is new in it
 ====  ====================================================================================  =================
-0     the law that was asked
-1     the exact surfaces, met by the ray of the same direction through the middle of lens 1  design
-2     the exact surfaces, met where the ray meets them, in 50 digits                         aberration
+0     the requested law
+1     the exact surfaces, hit by the ray of the same direction through the middle of lens 1  design
+2     the exact surfaces, hit where the ray hits them, in 50 digits                         aberration
 3     the same in double precision: the kernel                                               kernel rounding
 4     triangles with their corners on the exact surfaces                                     tessellation
 5     the triangles as the file holds them                                                   file precision
 ====  ====================================================================================  =================
 
-A part is the difference of two neighbours, a vector; the five vectors of a ray add up to its whole error. Their
-lengths do not, so each part also carries its share of the rms error, mean(part · whole)/rms(whole): the shares do.
+A part is the vector difference of two neighbouring models; the five vectors of a ray add up to its whole error.
+The lengths of the vectors do not add up. Each part therefore also carries its share of the rms error,
+mean(part · whole)/rms(whole); these shares add up to the rms error.
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ if TYPE_CHECKING:
 
 RAYS = 1024
 QUADS = 16
-"""Grid of the triangles where no file is given."""
+"""Grid of the triangles where no file is given, in quads."""
 
 ASIDE = (0.618e-3, 0.414e-3)
-"""Sobol points are dyadic and would lie on the very edges of the triangles: all are moved by this part of the cell."""
+"""Offset of all points, over the cell: Sobol points are dyadic and would lie exactly on triangle edges."""
 
 NAMES = ("design", "aberration", "kernel rounding", "tessellation", "file precision")
 MEANING: Mapping[str, str] = {
@@ -67,10 +68,10 @@ class ErrorPart:
     vector : (n, 3)
         Difference of the directions of two neighbouring models, ray by ray.
     rms, half, worst : float, radians
-        Of this part alone: rms, what half of the rays stay below, largest. (A ray beside an edge of a triangle
-        changes facets when the edge moves a little: a few large errors in many small ones.)
+        Of this part alone: rms, median, largest. A ray next to a triangle edge changes facets when the edge
+        moves a little, which gives a few large errors among many small ones.
     share : float, radians
-        What it adds to the rms of the whole; may be negative where it takes some of the others away.
+        Contribution to the rms of the whole; negative where the part cancels some of the others.
     """
 
     name: str
@@ -82,23 +83,23 @@ class ErrorPart:
 
     @property
     def meaning(self) -> str:
-        """What the part is, in words."""
+        """Description of the part in words."""
         return MEANING[self.name]
 
 
 @dataclass(frozen=True, eq=False)
 class Attribution:
-    """The error of some triangles, told apart.
+    """The error of some triangles, split into its parts.
 
     about : str
-        The file, or what stands for it.
+        The file, or the triangles that represent it.
     parts : tuple of five ErrorPart
     whole : (n, 3)
-        Direction through the triangles less the law's.
+        Direction through the triangles minus the law's.
     rms : float, radians
     cell : (i, j)
     rays, used : int
-        Launched, and compared: ALIVE on every rung.
+        Rays launched, and rays compared: those ALIVE in every model.
     bundle : str
     """
 
@@ -112,7 +113,7 @@ class Attribution:
     bundle: str
 
     def part(self, name: str) -> ErrorPart:
-        """The part of that name.
+        """Part with a given name.
 
         Raises
         ------
@@ -134,7 +135,7 @@ class Attribution:
 
 @dataclass(frozen=True, eq=False)
 class FacetTraces:
-    """Two ways to send a bundle through triangles: with exact corners, and as a file holds them."""
+    """Two ways to trace a bundle through triangles: with exact corners, and with the corners a file stores."""
 
     about: str
     cell: Cell
@@ -150,19 +151,19 @@ def attribute(
     Parameters
     ----------
     design : Design
-        For the field and its middle.
+        Gives the field and its middle.
     window : Window
     facets : FacetTraces
         From `as_written` or `as_it_would_be_written`.
     rays : int
     aperture : float
-        Linear part of the cell that is lit.
+        Lit part of the cell, linear.
     angle : float or None, radians
         Half angle of the cone; default the design's field.
 
     Returns
     -------
-    Attribution, or None where no ray gets through every rung.
+    Attribution, or None where no ray gets through every model.
     """
     spec = design.check
     cone = spec.field if angle is None else angle
@@ -176,7 +177,7 @@ def attribute(
 
 
 def _differences(window: Window, facets: FacetTraces, lit: Bundle) -> tuple[Floats, ...] | None:
-    """What each model adds to the direction of a ray, (n, 3) each, then the whole; None where no ray gets through all."""
+    """Direction that each model adds to a ray, (n, 3) each, then the whole; None where no ray gets through all."""
     truth = trace(window, lit.rays, path="size")
     chief, chief_known = _through_middle(window, lit)
     exact, held = facets.exact(lit.rays), facets.held(lit.rays)
@@ -184,7 +185,7 @@ def _differences(window: Window, facets: FacetTraces, lit: Bundle) -> tuple[Floa
     good = chief_known & np.isfinite(law).all(axis=1)
     for result in (truth, exact, held):
         good &= result.fate == Fate.ALIVE
-        if result.order[0, 0] != NO_CELL:  # triangles of one telescopelet know no other
+        if result.order[0, 0] != NO_CELL:  # triangles of one telescopelet have no other order
             good &= (result.order == 0).all(axis=1)
     rounding = _rounding(window, lit, truth, np.flatnonzero(good))
     rows = np.flatnonzero(good)[np.isfinite(rounding).all(axis=1)]
@@ -218,7 +219,7 @@ def _rms(vector: Floats) -> float:
 
 
 def _through_middle(window: Window, lit: Bundle) -> tuple[Floats, NDArray[np.bool_]]:
-    """Exit directions (n, 3) of rays of the bundle's directions through the middle of lens 1, and which there are.
+    """Exit directions (n, 3) of the bundle's directions through the middle of lens 1, and which of them exist.
 
     Traced through the faces without cell borders: a ray through the middle belongs to its telescopelet.
     """
@@ -240,7 +241,7 @@ def _rounding(window: Window, lit: Bundle, truth: TraceResult, rows: NDArray[np.
 
 
 def farthest_cell(window: Window) -> Cell:
-    """Kept cell farthest from the middle of the sheet: there the numbers of a file are largest."""
+    """Kept cell farthest from the middle of the sheet, where the coordinates in a file are largest."""
     lattice = window.lattice
     rows = sorted({0, lattice.count[1] - 1}) if lattice.outline is None else range(lattice.count[1])
     cells = np.concatenate([lattice.row(j) for j in rows])
@@ -249,7 +250,7 @@ def farthest_cell(window: Window) -> Cell:
 
 
 def as_it_would_be_written(window: Window, quads: int = QUADS) -> FacetTraces:
-    """Triangles that an STL in millimetres would hold, over the cell where rounding to 32 bits is coarsest."""
+    """Triangles as an STL in millimetres stores them, over the cell where rounding to 32 bits is coarsest."""
     from clacad.mesh import tessellate
 
     one, cell = window.with_cells((1, 1)), farthest_cell(window)
@@ -267,16 +268,16 @@ def as_it_would_be_written(window: Window, quads: int = QUADS) -> FacetTraces:
 
 
 def single(corners: Floats, scale: float) -> Floats:
-    """Corners rounded to 32 bits in a file's unit; `scale` is file units per design unit."""
+    """Corners rounded to 32 bits in a file's unit; `scale` is in file units per design unit."""
     return np.asarray((corners * scale).astype(np.float32).astype(np.float64) / scale)
 
 
 def as_written(
     window: Window, gathered: CellFacets, name: str, present: Sequence[str] | None = None
 ) -> FacetTraces:
-    """Triangles of a file over the farthest of its cells that were looked at.
+    """Triangles of a file over the farthest of the cells that were read.
 
-    "Exact corners" are those of the file moved along z onto the design's own faces.
+    The "exact corners" are the corners of the file moved along z onto the design's own faces.
     """
     centres = window.lattice.centres(np.array(gathered.cells, dtype=np.int64))
     number = int(np.argmax((centres**2).sum(axis=1)))

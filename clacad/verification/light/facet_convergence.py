@@ -1,4 +1,4 @@
-"""Does light through facets approach the exact surfaces as the facets shrink, at the rate physics predicts?"""
+"""Convergence of light through facets to the exact surfaces, compared with the order that physics predicts."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ QUADS = (4, 8, 16, 32)
 RAYS = 65536
 FIT_FIELD = 0.35
 FORMATS = ("3mf", "glb", "stl", "ply")
-"""Mesh formats of which is said what a master takes."""
+"""Mesh formats for which the size of a master file is reported."""
 ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
-"""Allowed orders: the direction error falls as the facet size, the mean slope and with it eta as its square."""
+"""Allowed orders: the direction error is first order in the facet size; the mean slope, and so eta, is second order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """Errors against the exact surfaces at several refinements, same rays.
+    """Errors compared with the exact surfaces at several refinements, same rays.
 
     quads : (k,) ints
     direction : (k,) radians, rms
@@ -47,9 +47,9 @@ class Convergence:
     order_direction, order_fitted : float
         Fitted exponents of the facet size.
     masters : mapping
-        Format → the facets and bytes at which light through a file of it meets the design's limits; empty: at none.
+        Format → the facets and bytes at which light through such a file meets the design's limits; empty if none.
     law_rms : float, radians
-        The limit of that light.
+        The rms limit of that light.
     """
 
     quads: Floats
@@ -64,7 +64,7 @@ class Convergence:
 def converge(
     design: Design, window: Window, progress: Progress, quads: tuple[int, ...] = QUADS
 ) -> Convergence:
-    """Tessellate one telescopelet at several refinements and send the same rays through each."""
+    """Tessellate one telescopelet at several refinements and trace the same rays through each."""
     from clacad.mesh import tessellate
 
     one = window.with_cells((1, 1))
@@ -98,7 +98,7 @@ def converge(
 
 
 def convergence_check(found: Convergence | None, why: str = "") -> Check:
-    """Judge the fitted order of the direction error; that of η is told beside it."""
+    """Judge the fitted order of the direction error; the order of η is reported with it."""
     common: dict[str, Any] = {
         "where": "mesh", "unit": "order", "relation": "in", "required": False,
         "bundle": f"{RAYS} Sobol rays, seed 0, the same at every refinement", "limit_source": derived("facet slopes err as their size"),
@@ -125,7 +125,7 @@ def convergence_check(found: Convergence | None, why: str = "") -> Check:
 
 
 def _masters_text(found: Convergence) -> str:
-    """At how many quads a mesh of this design is a master, and how large such a file is."""
+    """Number of quads at which a mesh of this design is a master, and the size of such a file."""
     limit = f"{1e3 * found.law_rms:.3g} mrad rms"
     if not found.masters:
         return f"no mesh of up to 1024 quads is a master (light within {limit} of the law)"

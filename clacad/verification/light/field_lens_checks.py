@@ -1,7 +1,7 @@
-"""Checks of a field lens: it stands at the foci, images lens 1 onto lens 2, fills the field, and leaves the law alone.
+"""Checks of a field lens: it lies at the foci, images lens 1 onto lens 2, fills the field and preserves the law.
 
-Light along the axis and through the middle of cell 1 is traced face by face through the window as built; nothing here
-knows how the faces were found.
+Light along the axis and through the middle of cell 1 is traced face by face through the window as built. The
+checks do not use how the faces were computed.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 FOCUS, PUPIL, SHARE, LAW = 0.01, 0.02, 0.95, 1.2
-"""Limits: face from focus over f1; du/dt over s; share over that of thin lenses; rms error over that without the lens."""
+"""Limits: face from focus over f1; du/dt over s; share over that of thin lenses; rms error over that without a field lens."""
 
 PART = 0.9
-"""Of the full field, where the share is measured."""
+"""Part of the full field at which the share is measured."""
 
 SLOPE = 1e-4
-"""Change of slope by which du/dt is taken."""
+"""Change of slope for the finite difference du/dt."""
 
 RAYS = 4096
 FIXED = other("fixed: what a field lens is for")
 
 
 def field_lens_checks(design: Design, window: Window, main: Bundle) -> list[Check]:
-    """Judge the field lens of a window; `main` are the test rays of the design."""
+    """Judge the field lens of a window; `main` holds the test rays of the design."""
     found = []
     for name, check, limit, unit in (
         ("field_focus", _focus, FOCUS, "of f1"),
@@ -57,7 +57,7 @@ def field_lens_checks(design: Design, window: Window, main: Bundle) -> list[Chec
 
 
 def _focus(window: Window, name: str, limit: float, unit: str) -> Check:
-    """How far the field faces stand from the foci of what lies before them."""
+    """Distance of the field faces from the foci of the optics before them."""
     pair = window.thin
     start = axis_start(window, pair.rotation[:, 2])
     seq = interfaces(window, None, field_onto_axis(window, start))
@@ -77,7 +77,7 @@ def _focus(window: Window, name: str, limit: float, unit: str) -> Check:
 
 
 def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: Floats, axis: int) -> float:
-    """Distance (length) along the axis from where light beside the axis ray crosses it to a vertex (3,)."""
+    """Distance (length) along the axis from the crossing of parabasal light and the axis ray to a vertex (3,)."""
     turn = window.thin.rotation
     aside = STEP * window.lattice.circumradius * turn[:, axis]
     rays = Rays(start + np.array([np.zeros(3), aside, -aside]), np.tile(turn[:, 2], (3, 1)))
@@ -91,7 +91,7 @@ def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: 
 
 
 def _pupil(window: Window, name: str, limit: float, unit: str) -> Check:
-    """How far the ray through the middle of cell 1 moves over lens 2 with its slope."""
+    """Shift over lens 2 of the ray through the middle of cell 1, per change of its slope."""
     turn, s = window.thin.rotation, window.thin.separation
     ax, ay = aperture_slope(window)
     middle = np.array([ax, ay, 1.0]) @ turn
@@ -116,7 +116,7 @@ def _pupil(window: Window, name: str, limit: float, unit: str) -> Check:
 
 
 def _throughput(window: Window) -> Check:
-    """Share at 0.9 of the full field, left, right, up and down, against thin lenses."""
+    """Share of light at 0.9 of the full field, left, right, up and down, compared with thin lenses."""
     cells = thin_cells(window)
     turn = window.thin.rotation
     ax, ay = aperture_slope(window)
@@ -144,7 +144,7 @@ def _throughput(window: Window) -> Check:
 
 
 def _law(design: Design, window: Window, main: Bundle) -> Check:
-    """Error of the law with the field lens over that without, of the light that passes both."""
+    """Error of the law with the field lens over that without, for the light that passes both windows."""
     from clacad.design import DesignError
     from clacad.prescription.prescribe import prescribe
 

@@ -1,4 +1,4 @@
-"""Where light goes for every direction of a wide field: through the partner lenslet, or as ghosts, and beside the closed form."""
+"""Shares of light through the partner lenslet and as ghosts, over a wide field, with the closed form."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from clacad.tracing.trace import trace
 DIRECTIONS = 31
 PLACES = 64
 REACH = 1.6
-"""Half width of the map over the half field of view: first ghosts on all sides are inside."""
+"""Half width of the map over the half field of view; it includes the first ghosts on all sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class GhostMap:
 
     slope : ((k,), (k,)) incident slopes along lens x and lens y
     alive, ghost, closed_form : (k, k) shares
-        Traced through the partner, traced through others, closed form of thin lenses for the partner.
+        Traced through the partner; traced through other lenslets; closed form of thin lenses for the partner.
     """
 
     slope: tuple[Floats, Floats]
@@ -41,7 +41,7 @@ class GhostMap:
         return float(np.abs(self.alive - self.closed_form).max())
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers for the report, four digits: shares counted on few rays have no more."""
+        """Numbers for the report, shares to four digits: counts of few rays have no more."""
         return {
             "slope": [np.round(s, 6) for s in self.slope], "rays_a_direction": PLACES, "worst_difference": self.worst,
             "alive": np.round(self.alive, 4), "ghost": np.round(self.ghost, 4),

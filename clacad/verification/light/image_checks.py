@@ -1,4 +1,4 @@
-"""Does a sheet that is made to image do so: where light of the asked point meets, and how narrow it is there."""
+"""Checks of an imaging sheet: where the image of the requested point lies, and how narrow it is there."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 RAYS = 16_384
 NEAR = 0.01
-"""Part of the image distance by which the image point may be off, where the image of a cell is narrower."""
+"""Allowed error of the image point over the image distance, where the image of a cell is narrower."""
 SPREAD = 1.5
-"""Times the width that cells, the limit of the law's error and diffraction leave together."""
+"""Limit over the combined width that the cells, the limit of the law's error and diffraction cause."""
 
 
 def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | None:
-    """The point that a design is made to image, and how far behind array 2 (lengths); None of other designs.
+    """Point that a design images, and its image's distance behind array 2 (lengths); None for other designs.
 
-    A sheet of two focal lengths has no image point, and one whose image is at infinity none at a place.
+    A sheet of two focal lengths has no image point, and an image at infinity has no distance.
     """
     spec, planes = design.law_spec.varying, design.pair.focus
     if spec is None and planes is None:
@@ -47,7 +47,7 @@ def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | No
 
 
 def image_checks(design: Design, window: Window) -> list[Check]:
-    """Judge the image of the point on the axis; none of a design that is made to image no point."""
+    """Judge the image of the point on the axis; no checks for a design that images no point."""
     asked = asked_image(design)
     if asked is None:
         return []
@@ -62,7 +62,7 @@ def image_checks(design: Design, window: Window) -> list[Check]:
     text = f"{RAYS} Sobol rays over all cells, of which {one.found.rays} get through"
     unit = design.unit
     width = found.width
-    assert width is not None  # a design that is made to image has no table
+    assert width is not None  # an imaging design has no table
     limit = max(*width, NEAR * abs(distance))
     point = judge(
         "image_point", off, limit,
@@ -84,7 +84,7 @@ def image_checks(design: Design, window: Window) -> list[Check]:
 
 
 def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> Pair2:
-    """Widest rms of the image along x and y (lengths) that what the design allows can leave."""
+    """Largest rms width of the image along x and y (lengths) within the limits of the design."""
     waves = design.pair.wavelength / design.unit_m
     _, _, wave = spot_widths(window.law, window.lattice.pitch, abs(distance), 0.0, waves)
     x, y = (

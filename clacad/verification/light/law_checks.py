@@ -1,7 +1,7 @@
 """Checks by light: the law, its bias, η, δ and tilt by fit, spread, transmitted share, accounting.
 
-Exact Snell at the surfaces. Error of a ray = angle between its exit direction and `Law.refract`. Only ALIVE
-rays count, each once.
+Rays are refracted exactly (Snell) at the surfaces. The error of a ray is the angle between its exit direction and
+`Law.refract`. Only ALIVE rays count, each once.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 Tracer = Callable[[Bundle], TraceResult]
-"""Sends a bundle through something: the exact surfaces, or the triangles of a file."""
+"""Traces a bundle through the exact surfaces or through the triangles of a file."""
 
 FIT_SCALE = 0.1
-"""Aperture and field of the bundle η and δ are fitted on, over those of the main bundle."""
+"""Aperture and field of the bundle on which η and δ are fitted, over those of the main bundle."""
 
 MERIDIANS = 0.002
-"""Difference of the two meridians' defects of confocality, over the separation, that is too much for any design."""
+"""Largest allowed difference of the two meridians' defects of confocality, over the separation, for any design."""
 
 WORTH_SAYING = 0.005
-"""Share of the light lost to diffraction along an axis from which it is said beside what rays tell."""
+"""Smallest on-axis share of light lost to diffraction that is reported with the traced share."""
 
 POINT_RAYS = 4096
 SHARE_DIRECTIONS = 1024
@@ -50,18 +50,18 @@ SHARE_DIRECTIONS = 1024
 
 @dataclass(frozen=True, eq=False)
 class FieldPoint:
-    """One direction of the field, traced over the whole cell.
+    """Results of one direction of the field, traced over the whole cell.
 
     direction, expected : (3,) unit
-        Before the sheet, and what the law gives.
+        Direction before the sheet, and the exit direction of the law.
     points : (k, 2) lengths
         Where its ALIVE rays cross z = 0, from the cell's centre.
     deviation : (k, 2) radians
-        Exit direction less the law's, across the law's direction.
+        Exit direction minus the law's, perpendicular to the law's direction.
     bias, spread, rms, worst : radians
-        Angle of the mean exit direction to the law; rms angle about that mean; rms and largest error.
+        Angle of the mean exit direction to the law; rms angle about that mean; rms error; largest error.
     share, closed_form : float
-        ALIVE rays over all, traced and in closed form.
+        ALIVE rays over all rays, traced and in closed form.
     counts : mapping
         Rays of each fate.
     """
@@ -81,15 +81,15 @@ class FieldPoint:
 
 @dataclass(frozen=True, eq=False)
 class Optics:
-    """Everything measured with light on one thing (exact surfaces, or a file's triangles).
+    """Results of all measurements with light on one object (exact surfaces, or a file's triangles).
 
     rms, worst : radians, over the ALIVE rays of the main bundle
     point_rays : int
         Rays of each field point.
     turn : Turn or None
-        Of the lens meridians about the lens axis; None where no law could be fitted.
+        Turn of the lens meridians about the lens axis; None where no law could be fitted.
     field_rms : tuple of (field angle, rms), radians
-        By ring of the cone.
+        Rms by ring of the cone.
     """
 
     main: Bundle
@@ -108,12 +108,12 @@ class Optics:
 
 @dataclass(frozen=True)
 class Turn:
-    """Turn of the lens meridians about the lens axis against the asked ones, as light shows it.
+    """Turn of the lens meridians about the lens axis relative to the requested ones, measured with light.
 
     angle : radians
-        In (−π/2, π/2]; positive is φ more than asked.
+        In (−π/2, π/2]; positive means φ is larger than requested.
     doubt : radians
-        What light that the fit leaves unexplained could make of it; infinite where η is the same in both meridians.
+        Turn that the light unexplained by the fit could cause; infinite where η is the same in both meridians.
     """
 
     angle: float
@@ -123,15 +123,15 @@ class Turn:
 def measure(
     design: Design, window: Window, through: Tracer, rays: int, point_rays: int = POINT_RAYS
 ) -> Optics:
-    """Trace the bundles of the checks through something and gather what they say.
+    """Trace the bundles of the checks through one object and gather the results.
 
     Parameters
     ----------
     design : Design
-        For field and its middle.
+        Gives the field and its middle.
     window : Window
     through : callable
-        Bundle → TraceResult; what a sharp pair adds because it was asked to is taken off.
+        Bundle → TraceResult; the requested deviation of a sharp pair is removed from it.
     rays : int
         Rays of the main bundle; the fit takes a quarter.
     point_rays : int
@@ -168,7 +168,7 @@ def measure(
 
 
 def _field_points(window: Window, directions: Floats, send: Tracer, rays: int) -> tuple[FieldPoint, ...]:
-    """What parallel light of each direction (k, 3) does."""
+    """Results of parallel light of each direction (k, 3)."""
     lit = [bundle(window, rays, 0.0, middle=direction) for direction in directions]
     return tuple(
         _field_point(window, one, direction, *seen)
@@ -179,14 +179,14 @@ def _field_points(window: Window, directions: Floats, send: Tracer, rays: int) -
 def _field_point(
     window: Window, lit: Bundle, direction: Floats, leaving: Floats, fate: NDArray[np.uint8]
 ) -> FieldPoint:
-    """What parallel light of one direction (3,) does; its numbers are NaN where too little gets through."""
+    """Results of parallel light of one direction (3,); NaN where too little light gets through."""
     alive, rays = fate == Fate.ALIVE, len(fate)
     out = leaving[alive]
     expected = window.law.refract(direction[None])[0]
     closed = float(share(thin_cells(window), direction[None])[0])
     places = deviation = np.empty((0, 2))
     bias = spread = rms = worst = np.nan
-    # of fewer rays fewer are enough: the same points of the field are too dark to say
+    # the fewest rays that count scale with those traced, so the same field points are too dark
     if len(out) >= max(8, FEWEST * rays // POINT_RAYS) and np.isfinite(expected).all():
         u = np.array([1.0, 0.0, 0.0]) - expected[0] * expected
         u = u / np.linalg.norm(u)
@@ -219,25 +219,26 @@ def _fitted(
     into, out = narrow.rays.direction[alive], result.direction[alive]
     try:
         fit = Law.fit(into, out, axes=window.law)
-    except ValueError:  # light that leaves without depending on how it came: no law to speak of
+    except ValueError:  # the exit directions do not depend on the incident ones: no law can be fitted
         return None, np.nan, {}, None
     return fit.law, fit.rms, fit.sigma, turn_of(into, out, window.law)
 
 
 def turn_of(into: Floats, out: Floats, law: Law) -> Turn:
-    """Measure by how much the lens meridians are turned about the lens axis.
+    """Measure the turn of the lens meridians about the lens axis.
 
     Parameters
     ----------
     into, out : (n, 3) directions
     law : Law
-        Says where the axis and the meridians should be, and which η belongs to which.
+        Gives the axis and the meridians as requested, and which η belongs to which meridian.
 
     Notes
     -----
     In the lens frame the law is affine in slopes, t' = J t + b; lenses turned by α about their axis have
-    J = ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. So α is seen in first order, unlike a
-    lean of the axis: that shifts b alone, as δ does, and only slopes squared tell the two apart (aberration hides it).
+    J = ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. A turn α is therefore visible in
+    first order. A lean of the axis is not: it shifts b alone, as δ does. Only squared slopes separate lean and δ,
+    and aberration hides those.
     """
     before, after = into @ law.rotation, out @ law.rotation
     slope, exit_slope = (d[:, :2] / d[:, 2:] for d in (before, after))
@@ -256,7 +257,7 @@ def turn_of(into: Floats, out: Floats, law: Law) -> Turn:
 
 
 def law_checks(design: Design, seen: Optics, where: str = "surfaces") -> list[Check]:
-    """Judge the law: law_rms, law_bias, spread, eta, delta, tilt, accounting of what was traced."""
+    """Judge the law with the checks law_rms, law_bias, spread, eta, delta, tilt and accounting."""
     spec, bundle_text = design.check, str(seen.main)
     lost = "too few rays reach their partner to say; lattice.aperture or a smaller field would help"
     rms = seen.rms
@@ -275,7 +276,7 @@ def law_checks(design: Design, seen: Optics, where: str = "surfaces") -> list[Ch
 
 
 def _bias(limit: float, seen: Optics, where: str) -> Check:
-    """Is the mean direction that of the law, in the middle of the field and all around it?"""
+    """Judge the bias: the angle of the mean exit direction to the law, at the middle and rim of the field."""
     values = np.array([p.bias for p in seen.points])
     text = f"9 directions, {seen.point_rays} Sobol rays each over the whole cell"
     if np.isnan(values).all():
@@ -297,7 +298,7 @@ def _bias(limit: float, seen: Optics, where: str) -> Check:
 
 
 def _spread(limit: float, seen: Optics, where: str) -> Check:
-    """Position independence: do parallel rays leave parallel, wherever they hit?"""
+    """Judge position independence: parallel rays leave parallel, regardless of where they hit."""
     values = np.array([p.spread for p in seen.points])
     if np.isnan(values).all():
         return not_run(
@@ -317,7 +318,7 @@ def _spread(limit: float, seen: Optics, where: str) -> Check:
 
 def fit_checks(design: Design, seen: Optics, where: str, names: tuple[str, str, str] = ("eta", "delta", "tilt"),
                subject: str = "") -> list[Check]:  # fmt: skip
-    """Judge η, δ and the orientation by a fit with the asked axes held."""
+    """Judge η, δ and the orientation by a fit with the requested axes fixed."""
     spec, asked, law = design.check, design.law, seen.fit
     bundle_text = str(seen.fit_bundle)
     common: dict[str, Any] = {"where": where, "bundle": bundle_text, "subject": subject}
@@ -346,10 +347,10 @@ def fit_checks(design: Design, seen: Optics, where: str, names: tuple[str, str, 
 
 
 def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: Mapping[str, Any]) -> Check:
-    """Judge how the lenses are turned: about their axis by light, and their lean as what δ's error amounts to.
+    """Judge the orientation of the lenses: the turn about their axis by light, the lean by the error of δ.
 
-    A lean of the axis and δ act as one offset, δ + (1 − η)τ to first order, so that the limit of δ is one of the lean,
-    and of the turn. A turn shows where the two η differ, and is required there.
+    A lean τ of the axis and δ act as one offset, δ + (1 − η)τ to first order. The limit of δ is therefore also a
+    limit of the lean, and of the turn. A turn is visible where the two η differ; there the check is required.
     """
     asked = design.law
     weight = np.abs([1.0 - asked.eta_x, 1.0 - asked.eta_y])
@@ -378,7 +379,7 @@ def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: M
 
 
 def accounting(seen: Optics, where: str) -> Check:
-    """Every ray has one fate, and no ray but an INVALID one holds a NaN."""
+    """Judge that every ray has exactly one fate and that only INVALID rays hold a NaN."""
     result = seen.result
     valid = result.fate != Fate.INVALID
     nan = int((~np.isfinite(result.direction[valid])).any() + (~np.isfinite(result.position[valid])).any())
@@ -393,7 +394,7 @@ def accounting(seen: Optics, where: str) -> Check:
 
 
 def throughput_check(design: Design, window: Window, seen: Optics, where: str = "surfaces") -> Check:
-    """Share of light through corresponding lenslets against the closed form of thin lenses."""
+    """Judge the share of light through corresponding lenslets, compared with the closed form of thin lenses."""
     cells = thin_cells(window)
     alive = float((seen.result.fate == Fate.ALIVE).mean())
     mean = float(share(cells, seen.main.rays.direction[:SHARE_DIRECTIONS]).mean())
@@ -419,7 +420,7 @@ def throughput_check(design: Design, window: Window, seen: Optics, where: str = 
 
 
 def confocality_check(design: Design, window: Window) -> Check:
-    """Axial slide of lens 2 that makes the pair afocal, over the distance between the lenses."""
+    """Judge the axial slide of lens 2 that makes the pair afocal, over the distance between the lenses."""
     limit = design.check.confocality
     try:
         found = confocality(window)

@@ -1,7 +1,8 @@
-"""Every check by light of a window as built: the law, what passes, confocality.
+"""Every check by light of a window as built: the law, the transmitted share, confocality.
 
-Where cells differ one of them is judged as a whole: that whose light leaves farthest from the law, of those whose lenses stand
-farthest out and of a sample over the sheet. Its own field's light is sent through the whole sheet, neighbours and all.
+In a non-uniform sheet one cell represents all: the cell whose light leaves farthest from the law. It is chosen from
+a sample over the sheet and from the cells whose lenses lie farthest out. Light of that cell's own field is traced
+through the whole sheet, neighbours included.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def _named(seen: SeenCell, check: Check) -> Check:
-    """The check, its sentence saying of which cell."""
+    """The check with the cell named in its sentence."""
     if not seen.tried:
         return check
     i, j = seen.cell.tolist()
@@ -49,23 +50,23 @@ def _named(seen: SeenCell, check: Check) -> Check:
 
 
 def _fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Optics:
-    """The same, η, δ and turn fitted to the light of the field centres of all cells: each cell is for its own light."""
+    """Optics with η, δ and turn fitted to light of the field centres of all cells, each lit in its own field."""
     rays, alive, direction = through_all(tried, FIT_SCALE * field)
     window = tried[0].window
     into, out = _as_in_the_middle(tried, rays.direction)[alive], direction[alive]
     lit = replace(optics.fit_bundle, rays=rays, aperture=1.0)
     try:
         fit = Law.fit(into, out, axes=window.law)
-    except ValueError:  # too little light gets through, or it leaves without depending on how it came
+    except ValueError:  # too little light gets through, or its exit direction is constant
         return replace(optics, fit=None, fit_bundle=lit, fit_rms=np.nan, fit_sigma={}, turn=None)
     turn = turn_of(into, out, window.law)
     return replace(optics, fit=fit.law, fit_bundle=lit, fit_rms=fit.rms, fit_sigma=fit.sigma, turn=turn)
 
 
 def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
-    """Light (n, 3) of cells that each have a law of their own, as it would have to come for the law of the sheet's middle.
+    """Directions (n, 3) of light of cells with their own laws, mapped to the equivalent input of the middle's law.
 
-    t' = (t − δ)/η, so what a cell does to slope t the middle does to (t − δ) η₀/η + δ₀.
+    With t' = (t − δ)/η, the effect of a cell on slope t equals that of the middle on (t − δ) η₀/η + δ₀.
     """
     law = tried[0].window.law
     if tried[0].window.cell_laws is None:
@@ -87,7 +88,7 @@ def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
 def judge_light(
     design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS, *, remedies: bool = False
 ) -> tuple[list[Check], Optics]:
-    """Judge light through a window's exact surfaces by what its design asks; rays as `measure` has them.
+    """Judge light through a window's exact surfaces by the limits of its design; rays as in `measure`.
 
     remedies : whether the check `viewed` tries which changes reach its limit.
     """

@@ -1,7 +1,7 @@
-"""What an eye sees of the whole sheet: the share of its light that obeys the law, over the sheet and in the mean.
+"""Share of the light an eye sees from the whole sheet that obeys the law, over the sheet and as a mean.
 
-The field of one cell is narrow, and an eye near a wide sheet looks at its border aslant: there its light meets other
-lenslets than the partner. Traced through the exact surfaces, and in the closed form of thin lenses cell by cell.
+The field of one cell is narrow. An eye near a wide sheet sees its border obliquely, where light enters lenslets
+other than the partner. The share is traced through the exact surfaces and computed in closed form of thin lenses.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 RAYS = 8192
-"""Sobol rays over the whole sheet: the mean is within .004 (an rms of .5/√8192 if they were drawn by chance)."""
+"""Sobol rays over the whole sheet: the mean is within .004 (random rays: rms .5/√8192)."""
 
 PLACES = 48
-"""Cells a side of the map over the sheet."""
+"""Cells along each side of the map over the sheet."""
 
 
 FARTHEST = 1000.0
-"""Pitches between a lens and where straight light lands: beyond, it is not traced, for no lens bends it to its partner."""
+"""Pitches between a lens and the landing point of undeviated light; beyond, no lens reaches its partner: not traced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +43,9 @@ class Viewed:
     viewer : (x, y, z), lengths
         Sheet frame.
     traced, thin : float
-        Mean over the sheet: ALIVE over all rays that meet a cell, and the closed form of thin lenses.
+        Mean over the sheet: ALIVE rays over all rays that enter a cell, and the closed form of thin lenses.
     position : (n, 2) lengths
-        Where each ray meets z = 0.
+        Where each ray crosses z = 0.
     alive : (n,) bool
     """
 
@@ -57,7 +57,7 @@ class Viewed:
 
 
 def viewer_of(design: Design) -> tuple[float, float, float]:
-    """Where the eye is: as [check] viewer says, on the axis; else the point a sheet is aimed at; else 1 m before it."""
+    """Position of the eye: on the axis as in [check] viewer; else the aim point of the cells; else 1 m before the sheet."""
     distance, _ = design.viewing_places
     aperture = design.lattice.aperture
     if distance is None and isinstance(aperture, AimedAt):
@@ -66,15 +66,15 @@ def viewer_of(design: Design) -> tuple[float, float, float]:
 
 
 def viewed(window: Window, viewer: tuple[float, float, float], rays: int = RAYS) -> Viewed:
-    """Send light of a viewer through a whole sheet.
+    """Trace light of a viewer through a whole sheet.
 
     Parameters
     ----------
     window : Window
     viewer : (x, y, z), lengths
-        Sheet frame; before the sheet (z < 0) light starts there, behind it light goes towards it.
+        Sheet frame; light starts there if z < 0 (before the sheet), and goes towards it if z > 0.
     rays : int
-        Sobol points over all cells; fewer where an outline leaves some out, but at least a quarter.
+        Sobol points over all cells; fewer where an outline omits cells, but at least a quarter.
     """
     points = sobol(rays, 4)
     cells, kept = _kept_cells(window, points[:, :2])
@@ -91,7 +91,7 @@ def viewed(window: Window, viewer: tuple[float, float, float], rays: int = RAYS)
 
 
 def thin_share(window: Window, viewer: tuple[float, float, float], cells: int = 2048) -> float:
-    """Mean share of the viewer's light that obeys the law, thin lenses, over so many cells."""
+    """Mean share of the viewer's light that obeys the law, thin lenses, over `cells` cells."""
     drawn, _ = _kept_cells(window, sobol(cells, 2))
     return _thin_share(window, drawn, viewer)
 
@@ -104,7 +104,7 @@ def _thin_share(window: Window, cells: Ints, viewer: tuple[float, float, float])
 def share_map(
     window: Window, viewer: tuple[float, float, float]
 ) -> tuple[Floats, tuple[float, float, float, float]]:
-    """Thin share over the sheet (PLACES, PLACES), [y, x], NaN beside it, and its (x_min, x_max, y_min, y_max), lengths."""
+    """Thin share (PLACES, PLACES), [y, x], NaN outside the sheet, and its (x_min, x_max, y_min, y_max), lengths."""
     x0, x1, y0, y1 = window.lattice.extent()
     y, x = np.meshgrid(
         *(np.linspace(a, b, 2 * PLACES + 1)[1::2] for a, b in ((y0, y1), (x0, x1))), indexing="ij"
@@ -121,7 +121,7 @@ def _slopes(place: Floats, viewer: tuple[float, float, float]) -> Floats:
 
 
 def _kept_cells(window: Window, unit_square: Floats) -> tuple[Ints, Ints]:
-    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the numbers (k,) of the points that found them."""
+    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the indices (k,) of their points."""
     lattice = window.lattice
     n1, n2 = lattice.count
     i, j = (np.floor(unit_square * (n1, n2)).astype(np.int64)).T
@@ -129,5 +129,5 @@ def _kept_cells(window: Window, unit_square: Floats) -> tuple[Ints, Ints]:
     found = np.flatnonzero(lattice.contains(drawn))
     if 4 * len(found) >= len(drawn):
         return drawn[found], found
-    cells = lattice.cells()  # an outline that keeps few of the count
+    cells = lattice.cells()  # the outline keeps few of the lattice's cells
     return cells[np.floor(unit_square[:, 0] * len(cells)).astype(np.int64)], np.arange(len(drawn))

@@ -1,4 +1,4 @@
-"""The check `viewed`: a stated viewer is judged, an assumed one is warned of; and which changes keep more of its light."""
+"""The check `viewed`: it judges a stated viewer, warns of an assumed one, and finds changes that keep more light."""
 
 from __future__ import annotations
 
@@ -25,18 +25,20 @@ FARTHEST = 1024.0
 """Largest factor on the viewer's distance that is tried."""
 
 STEPS = 6
-"""Steps of a tenth that rays may need beyond the distance which ideal lenses need."""
+"""Most steps of a tenth that rays need beyond the distance for ideal lenses."""
 
 
 def viewed_check(design: Design, window: Window, *, remedies: bool = False) -> Check:
-    """Judge the share of the viewer's light that obeys the law: a stated viewer fails below the limit, an assumed one warns.
+    """Judge the share of the viewer's light that obeys the law.
+
+    Below the limit a stated viewer fails and an assumed one warns.
 
     Parameters
     ----------
     design : Design
     window : Window
     remedies : bool
-        Whether to try which changes reach the limit, and name them; some tenths of a second.
+        Whether to try which changes reach the limit, and name them; this takes some tenths of a second.
     """
     found = viewed(window, viewer_of(design))
     stated, limit = design.check.viewer is not None, design.check.viewed
@@ -54,7 +56,7 @@ def viewed_check(design: Design, window: Window, *, remedies: bool = False) -> C
 
 
 def headline(checks: Sequence[Check]) -> str:
-    """Say in one line what the viewer gets of the sheet, and the limit; "" where that was not checked."""
+    """One line with the share of light for the viewer and the limit; "" where that was not checked."""
     check = next((c for c in checks if c.id == "viewed" and isinstance(c.value, float)), None)
     if check is None:
         return ""
@@ -64,13 +66,13 @@ def headline(checks: Sequence[Check]) -> str:
 
 
 def _share_of(share: float, eye: str) -> str:
-    """Say the share, never rounded up to all of it."""
+    """Text of the share, never rounded up to 100 %."""
     percent = 100.0 if share == 1.0 else min(100.0 * share, 99.9)
     return f"{percent:.3g} % of the light of {eye} obeys the law over the whole sheet"
 
 
 def _eye(design: Design, viewer: Point) -> str:
-    """Say where the eye is and who says so."""
+    """Text of the eye's position and its source."""
     x, y, z = viewer
     where = f"at ({x:.4g}, {y:.4g}, {z:.4g}) {design.unit}"
     if design.check.viewer is not None:
@@ -80,7 +82,7 @@ def _eye(design: Design, viewer: Point) -> str:
     return f"an assumed eye {where} (check.viewer states one)"
 
 
-# -- what keeps more of the light, each tried ----------------------------------------------------
+# -- changes that keep more of the light, each tried ----------------------------------------------
 
 
 def _remedy_text(design: Design, window: Window, viewer: Point) -> str:
@@ -93,7 +95,7 @@ def _remedy_text(design: Design, window: Window, viewer: Point) -> str:
 
 
 def _keys(design: Design, viewer: Point) -> Iterator[str]:
-    """Keys whose change reaches the limit: cells aimed at the viewer, a field lens."""
+    """Keys whose change reaches the limit: cells aimed at the viewer, or a field lens."""
     point = {"lattice.aperture": {"point": [int(v) if v.is_integer() else v for v in map(float, viewer)]}}
     for changes in (point, {"pair.field_lens": True}):
         changed = _built(design, changes)
@@ -104,7 +106,7 @@ def _keys(design: Design, viewer: Point) -> Iterator[str]:
 
 
 def _built(design: Design, changes: dict[str, Any]) -> Window | None:
-    """The sheet with some keys changed, lenses of aimed cells by paraxial rays; None where it cannot be built."""
+    """The sheet with some keys changed, or None where it cannot be built; aimed cells use paraxial lenses."""
     from clacad.design import DesignError
     from clacad.prescription.aimed_cells import refuse_aim
     from clacad.prescription.prescribe import prescribe
@@ -122,7 +124,7 @@ def _built(design: Design, changes: dict[str, Any]) -> Window | None:
 
 
 def _farther(design: Design, window: Window, viewer: Point) -> Iterator[str]:
-    """The nearest distance of the viewer that reaches the limit, by thin lenses and then by rays."""
+    """Nearest viewer distance that reaches the limit, first by thin lenses and then by rays."""
     limit = design.check.viewed
 
     def at(factor: float) -> Point:

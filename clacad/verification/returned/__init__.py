@@ -1,1 +1,1 @@
-"""Parts that came back: where they lie in their file, how far they are off, and what was done to them."""
+"""Measured parts: their pose in the file, their deviation from the design, and damage to them."""

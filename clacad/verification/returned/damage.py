@@ -1,7 +1,7 @@
-"""What was done to a part: holes drilled through it, steps engraved in it, dents, with their place and size.
+"""Damage to a part: drilled holes, engraved steps, dents, with their position and size.
 
-A hole in a closed mesh has walls, and walls of the design stand on the borders of its cells and around its rim only;
-walls anywhere else were made by someone. Those that hang together are one feature.
+A hole in a closed mesh has walls. Walls of the design lie only on the borders of its cells and around its rim;
+walls elsewhere are damage. Connected walls are one feature.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from clacad.verification.files.face_distance import STEEP, WIDE, believed, dista
 MICRON = 1e-6
 
 OFF_BORDER = 5e-3
-"""Pitches from every border and rim of the design at which a wall is none of its walls."""
+"""Distance in pitches from every border and rim of the design beyond which a wall is not one of its walls."""
 
 ROUND = 0.03
 """Rms of a wall's corners from a circle, over its radius, up to which it is round."""
 
 TURNS = 0.75
-"""Part of the round that a drilled wall has to go."""
+"""Least part of the full circle that a drilled wall covers."""
 
 THROUGH = 0.9
-"""Part of the material's height over which a wall reaches if it goes through."""
+"""Least height of a through wall, over the height of the material."""
 
 FEWEST = 4
-"""Facets of a wall; fewer are what noise makes."""
+"""Least number of facets of a wall; noise makes smaller groups."""
 
 SHOWN = 64
 
 
 @dataclass(frozen=True, eq=False)
 class DamageFeature:
-    """Something in a part that the design does not have.
+    """A feature of a part that the design does not have.
 
     kind : "hole", "blind hole", "opening" or "step"
         Drilled through, drilled but not through, cut through in another shape, engraved or raised.
@@ -55,11 +55,11 @@ class DamageFeature:
     centre : (2,) lengths
         Sheet frame.
     size : (2,) lengths
-        Its box; the diameter twice if it is round.
+        Size of its bounding box; for a round feature the diameter twice.
     depth : float, length
-        Of its walls along the sheet's normal.
+        Depth of its walls along the sheet's normal.
     cells : tuple of (i, j)
-        Whose material it takes, numbered as the window numbers them.
+        Cells that lose material, numbered as in the window.
     """
 
     kind: str
@@ -70,7 +70,7 @@ class DamageFeature:
     cells: tuple[tuple[int, int], ...]
 
     def words(self, unit: str, unit_m: float) -> str:
-        """The feature in words, in design units and mm."""
+        """Text of the feature, in design units and mm."""
         number = _both(unit, unit_m)
         at = f"({number(self.centre[0])}, {number(self.centre[1])})"
         if self.kind in ("hole", "blind hole"):
@@ -88,7 +88,7 @@ class DamageFeature:
         return f"{what}, in {len(self.cells)} cell{'s' if len(self.cells) > 1 else ''}: {some}"
 
     def to_dict(self, unit_m: float) -> dict[str, Any]:
-        """JSON-ready; lengths in mm."""
+        """JSON-ready numbers; lengths in mm."""
         mm = millimetres(unit_m)
         return {
             "kind": self.kind, "body": self.body, "x_mm": self.centre[0] * mm, "y_mm": self.centre[1] * mm,
@@ -116,19 +116,19 @@ def find_features(
     present: Sequence[str] | None = None,
     noise: float = 0.0,
 ) -> list[DamageFeature]:
-    """Holes and steps of a part that lies in the design's frame.
+    """Find holes and steps of a part that lies in the design's frame.
 
     Parameters
     ----------
     window : Window
-        With the cells the part holds.
+        Window with the cells that the part holds.
     mesh : FileMesh
-        Registered, by `clacad.verification.returned.registration.place`.
+        Mesh registered by `clacad.verification.returned.registration.place`.
     factor : float
         Design units per unit of the mesh.
     present : names of the bodies it holds, or None for all
     noise : float, length
-        By which corners scatter.
+        Scatter of the corners.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def find_features(
 
 
 def _made_walls(window: Window, corners: Floats, noise: float) -> Floats:
-    """Steep facets (k, 3, 3) that stand where the design has no wall: inside of its rim, off the borders of cells."""
+    """Steep facets (k, 3, 3) where the design has no wall: inside its rim, off the borders of cells."""
     normal = doubled_normals(corners)
     length = np.linalg.norm(normal, axis=1)
     steep = np.asarray(corners[(np.abs(normal[:, 2]) < STEEP * length) & (length > 0.0)])
@@ -199,7 +199,7 @@ def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArr
             from_border = half - np.abs(x * ox + y * oy) / (2.0 * half)
             near |= (from_border < room) | (np.abs(from_border - seam) < room)
         beside = ~lattice.contains(cell)
-        ours = np.zeros(len(points), dtype=bool)  # beside the cells a border is one only next to a kept cell
+        ours = np.zeros(len(points), dtype=bool)  # outside the cells, only borders next to a kept cell count
         for step in [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
             ours |= lattice.contains(cell + np.asarray(step))
         on_cells = near & (~beside | ours)
@@ -210,7 +210,7 @@ def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArr
 
 
 def _connected(corners: Floats, room: float) -> list[Ints]:
-    """Facets (k, 3, 3) that hang together by corners, to `room`, as lists of their rows."""
+    """Facets (k, 3, 3) connected by corners, to `room`, as lists of their rows."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -230,7 +230,7 @@ def _connected(corners: Floats, room: float) -> list[Ints]:
 
 
 def _feature(window: Window, body: Body, corners: Floats, noise: float) -> DamageFeature | None:
-    """What a connected wall (k, 3, 3) belongs to; None where it is too small to be anything."""
+    """Feature of a connected wall (k, 3, 3); None where it is too small to be one."""
     points = corners.reshape(-1, 3)
     low, high = points.min(axis=0), points.max(axis=0)
     size = high[:2] - low[:2]
@@ -252,7 +252,7 @@ def _feature(window: Window, body: Body, corners: Floats, noise: float) -> Damag
 
 
 def _thickness(window: Window, body: Body, points: Floats) -> float:
-    """Usual height (length) of a body's material at points (n, 3); infinite where it has none."""
+    """Median height (length) of a body's material at points (n, 3); infinite where it has none."""
     heights = []
     for way in (-1.0, 1.0):
         facing = np.broadcast_to([0.0, 0.0, way], points.shape)
@@ -265,7 +265,7 @@ def _thickness(window: Window, body: Body, points: Floats) -> float:
 
 
 def _circle(corners: Floats) -> tuple[float, float, float] | None:
-    """Centre and radius of an upright round wall whose outside is within (a hole), or None."""
+    """Centre and radius of an upright round wall whose normals point to its axis (a hole), or None."""
     points = corners[..., :2].reshape(-1, 2)
     about = points.mean(axis=0)
     x, y = (points - about).T
@@ -290,7 +290,7 @@ def _circle(corners: Floats) -> tuple[float, float, float] | None:
 def _cells_under(
     window: Window, body: Body, centre: Sequence[float], half: Sequence[float], round_: bool
 ) -> tuple[tuple[int, int], ...]:
-    """Cells of the body's arrays of which a disc or a box takes something."""
+    """Cells of the body's arrays that overlap a disc or a box."""
     lattice = window.lattice
     fine = [np.linspace(-1.0, 1.0, 4 * int(np.ceil(2.0 * h / min(lattice.pitch))) + 33) for h in half]
     u, v = (g.ravel() for g in np.meshgrid(*fine))
@@ -309,11 +309,11 @@ def _cells_under(
 
 @dataclass(frozen=True, eq=False)
 class Dent:
-    """A place where a face is off by itself.
+    """A place where a face deviates locally.
 
     face : str
     cell : (i, j)
-        As the window numbers them.
+        Numbered as in the window.
     place : (2,) lengths
         Sheet frame.
     depth : float, length
@@ -326,7 +326,7 @@ class Dent:
     depth: float
 
     def to_dict(self, unit_m: float) -> dict[str, Any]:
-        """JSON-ready: place in mm, depth in µm."""
+        """JSON-ready numbers: position in mm, depth in µm."""
         mm = millimetres(unit_m)
         return {
             "face": self.face, "cell": list(self.cell), "x_mm": self.place[0] * mm, "y_mm": self.place[1] * mm,
@@ -334,7 +334,7 @@ class Dent:
         }  # fmt: skip
 
     def words(self, unit_m: float) -> str:
-        """The dent in words."""
+        """Text of the dent."""
         told = self.to_dict(unit_m)
         kind = "too low" if self.depth > 0.0 else "too high"
         return (
@@ -347,14 +347,14 @@ def find_dents(
     window: Window, mesh: FileMesh, factor: float, present: Sequence[str], damaged: Sequence[tuple[int, tuple[int, int]]],
     noise: float = 0.0,
 ) -> list[Dent]:  # fmt: skip
-    """Deepest place of each damaged face of a cell, in one more pass.
+    """Find the deepest point of each damaged face of a cell, in one more pass.
 
     Parameters
     ----------
     damaged : sequence of (number of the face in the order of the light, cell)
-        As `clacad.verification.returned.deviation_map.DeviationMap.damaged` gives them.
+        From `clacad.verification.returned.deviation_map.DeviationMap.damaged`.
     noise : float, length
-        By which single corners scatter.
+        Scatter of single corners.
 
     Returns
     -------

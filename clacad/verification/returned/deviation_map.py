@@ -1,7 +1,7 @@
-"""Maps of how far a part is off: folded into one cell, which shows the process, and cell by cell, which shows damage.
+"""Maps of a part's deviation: folded into one cell, which shows the process, and cell by cell, which shows damage.
 
-Corners of facets are what was measured or written; between them a mesh has no say. They are compared along the
-normals of the exact faces, averaged over bins, so that noise averages out and is stated apart.
+Only corners of facets are compared: they were measured or written, while a mesh has no data between them. Deviations
+are along the normals of the exact faces and averaged over bins. The noise averages out and is reported separately.
 """
 
 from __future__ import annotations
@@ -33,38 +33,38 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BINS = 16
-"""Bins a side of the folded cell."""
+"""Bins along each side of the folded cell."""
 
 OUTLIER = 3.0
-"""A cell is damaged if it is off by more than this many times the usual, and the limit besides."""
+"""A cell is damaged if its deviation exceeds this multiple of the median plus the limit."""
 
 FEWEST = 4
-"""Corners below which a bin says nothing."""
+"""Number of corners below which a bin is not used."""
 
 GROSS = 0.25
-"""Part of a body's height beyond which a point is not on the face it looks at."""
+"""Part of a body's height beyond which a point is not on the face that it faces."""
 
 MOST = 2_000_000
-"""Facets that are looked at; of larger files evenly spread ones."""
+"""Most facets that are examined; larger files are sampled evenly."""
 
 
 @dataclass(frozen=True, eq=False)
 class FaceMap:
-    """One lens face.
+    """Deviations of one lens face.
 
     name : str
         Such as "array1 front".
     folded, count : (bins, bins)
         Mean deviation (length, weighted by area) over the bounding box of a cell, all cells on top of each other,
-        x first, NaN in empty bins; and how many equally weighted corners it is worth.
+        x first, NaN in empty bins; and the effective number of equally weighted corners.
     noise : float, length
         Rms of single corners about their bin's mean.
     cells : (n1, n2)
         Rms deviation of each cell; NaN where it has no corners.
     peaks : (n1, n2)
-        Largest deviation of a single corner of each cell, whichever way; NaN likewise.
+        Largest absolute deviation of a single corner of each cell; NaN likewise.
     number : int
-        Of the face in the order of the light.
+        Number of the face in the order of the light.
     """
 
     name: str
@@ -76,20 +76,20 @@ class FaceMap:
     number: int
 
     def damaged(self, limit: float) -> list[tuple[int, int]]:
-        """Cells (counted from the first) that stand out from their like: by their rms, or by a single corner.
+        """Cells (counted from the first) that deviate more than the others, by their rms or by a single corner.
 
         limit : length
-            What a sound face of this file may be off.
+            Allowed deviation of a sound face of this file.
         """
         with np.errstate(invalid="ignore"):
             bad = np.any([found > most for found, most in self._against(limit)] or [self.cells < 0.0], axis=0)
         return [(int(i), int(j)) for i, j in np.argwhere(bad)]
 
     def worst_cell(self, limit: float) -> tuple[float, float]:
-        """Deviation of the cell that stands out most from its like, and what it may be (lengths); NaN where too few are known.
+        """Deviation of the most conspicuous cell, and its allowed deviation (lengths); NaN where too few are known.
 
         limit : length
-            As of `damaged`.
+            As in `damaged`.
         """
         pairs = [(float(np.nanmax(found)), most) for found, most in self._against(limit)]
         return max(
@@ -97,7 +97,7 @@ class FaceMap:
         )
 
     def _against(self, limit: float) -> list[tuple[Floats, float]]:
-        """The rms and the peaks of the cells (n1, n2), each with the most that a cell may have; none of fewer than four cells."""
+        """Rms and peaks of the cells (n1, n2), each with its limit for a cell; empty for fewer than four cells."""
         known = np.isfinite(self.cells)
         if known.sum() < 4:
             return []
@@ -108,7 +108,7 @@ class FaceMap:
 
     @property
     def systematic(self) -> float:
-        """Largest mean deviation of a well-filled bin, less what noise leaves of it (length)."""
+        """Largest mean deviation of a well-filled bin, minus the noise that remains in it (length)."""
         filled = self.count >= FEWEST
         if not filled.any():
             return float("nan")
@@ -126,7 +126,7 @@ class FaceMap:
 
 @dataclass(frozen=True, eq=False)
 class DeviationMap:
-    """All lens faces of a part.
+    """Deviations of all lens faces of a part.
 
     unit : str
         Name of the design's unit.
@@ -134,13 +134,13 @@ class DeviationMap:
         Bounding box of a cell.
     faces : tuple of FaceMap
     first : (2,) ints
-        Cell that the maps of cells begin with.
+        First cell of the maps of cells.
     unit_m : float
         One design unit in metres.
     dents : tuple of Dent
-        Where cells are damaged, the deepest first.
+        Dents in damaged cells, the deepest first.
     steps : (2,) lengths
-        From cell to cell across, and from row to row.
+        Distance from cell to cell across, and from row to row.
     """
 
     unit: str
@@ -153,7 +153,7 @@ class DeviationMap:
     steps: tuple[float, float] = (nan, nan)
 
     def damaged(self, limit: float) -> list[tuple[int, tuple[int, int]]]:
-        """Number of the face and cell (as the window numbers it) wherever a face of a cell stands out."""
+        """Number of the face and cell (as in the window) of every damaged face of a cell."""
         return [
             (face.number, (i + int(self.first[0]), j + int(self.first[1])))
             for face in self.faces
@@ -161,7 +161,7 @@ class DeviationMap:
         ]
 
     def worst_cell(self, limit: float) -> tuple[float, float]:
-        """Of all faces, see `FaceMap.worst_cell`: the one farthest beyond what it may be."""
+        """`FaceMap.worst_cell` of the face farthest beyond its limit."""
         pairs = [face.worst_cell(limit) for face in self.faces]
         known = [pair for pair in pairs if pair[0] == pair[0]]
         return max(
@@ -186,7 +186,7 @@ def _grid(values: Floats) -> list[list[float | None]]:
 
 
 class Mapper:
-    """Looks at chunks of a part and adds them up."""
+    """Accumulates the deviations of the chunks of a part."""
 
     def __init__(
         self, window: Window, unit: str, present: Sequence[str], facets: int, noise: float = 0.0
@@ -206,18 +206,18 @@ class Mapper:
         self._peaks = np.zeros(faces * self._shape[0] * self._shape[1])
 
     def look(self, corners: Floats) -> None:
-        """Take a chunk (k, 3, 3), sheet frame, design units."""
+        """Add a chunk (k, 3, 3), sheet frame, design units."""
         corners = corners[:: self._stride]
         normal = doubled_normals(corners)
         length = np.linalg.norm(normal, axis=1)
         good = np.abs(normal[:, 2]) > STEEP * length
         facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
-        # a corner on the border of a cell belongs to two lenses: a hair towards the facet's middle decides
+        # a corner on a cell border belongs to two lenses: a small displacement to the facet's middle decides
         points = corners[good].reshape(-1, 3)
         inward = (corners[good].mean(axis=1, keepdims=True) - corners[good]).reshape(-1, 3)
         aside = drawn_in(self.window, inward, self._noise)
         off = distance_to_faces(self.window, points, facing, self.present, self._between, aside)
-        # a scan's facets on a step may look either way: what is nearer the other side is no deviation of this one
+        # a scan's facets on a step may face either way: points nearer the other side are no deviation of this one
         with np.errstate(invalid="ignore"):
             sound = np.abs(off.distance) < self._gross
         rows = np.flatnonzero(sound & self.window.lattice.contains(off.cell))
@@ -226,7 +226,7 @@ class Mapper:
         part = (off.local[rows] - self._low) / (self._high - self._low)
         place = np.clip((part * BINS).astype(np.int64), 0, BINS - 1)
         at = off.face[rows] * (BINS * BINS) + place[:, 0] * BINS + place[:, 1]
-        # by area: slivers along walls have many corners and say little
+        # weighted by area: slivers along walls have many corners and little area
         area = np.repeat(0.5 * np.abs(normal[good, 2]), 3)[rows]
         for k, weights in enumerate((area, area * value, area * value**2, area**2)):
             self._sums[k] += np.bincount(at, weights, self._sums[k].size).reshape(self._sums[k].shape)
@@ -238,7 +238,7 @@ class Mapper:
         np.maximum.at(self._peaks, where[told], np.abs(value[told]))
 
     def result(self) -> DeviationMap:
-        """The maps of the lens faces that the part holds."""
+        """Maps of the lens faces that the part holds."""
         found = []
         for number, body in enumerate(self.window.bodies):
             for side, face in enumerate((body.front, body.back)):
@@ -251,7 +251,7 @@ class Mapper:
         )
 
     def _face(self, number: int, name: str) -> FaceMap:
-        """The map of one lens face from what was added up."""
+        """Map of one lens face from the accumulated sums."""
         area, total, square, own = self._sums[:, number]
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = total / area
@@ -281,7 +281,7 @@ def deviation_map(
 
 
 def plot_deviation(found: DeviationMap, title: str) -> bytes:
-    """Both maps of every lens face as PNG, the same for the same numbers."""
+    """Draw both maps of every lens face as PNG; the same numbers give the same bytes."""
     style = {"font.size": 8.0}
     return drawn("png", (3.6 * len(found.faces), 6.8), lambda figure: _draw(figure, found, title), style)
 
@@ -308,7 +308,7 @@ def _title(name: str, faces: int) -> str:
 
 
 def _draw_cell(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) -> None:
-    """The map of all cells folded into one."""
+    """Draw the map of all cells folded into one."""
     microns, mm = found.unit_m / MICRON, millimetres(found.unit_m)
     folded = face.folded * microns
     most = float(np.nanmax(np.abs(folded))) if np.isfinite(folded).any() else 1.0
@@ -322,7 +322,7 @@ def _draw_cell(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) -
 
 
 def _draw_sheet(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) -> None:
-    """The map cell by cell, dents framed."""
+    """Draw the map cell by cell, dents framed."""
     microns = found.unit_m / MICRON
     i0, j0 = (int(v) for v in found.first)
     n1, n2 = face.cells.shape
@@ -364,7 +364,7 @@ def write_deviation(
 
 
 def _ours(path: Path) -> bool:
-    """Whether a file was written by an earlier run of this."""
+    """Whether a file was written by an earlier run of `write_deviation`."""
     try:
         with path.open(encoding="utf-8") as stream:
             return '"kind": "deviation"' in stream.read()

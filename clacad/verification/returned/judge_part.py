@@ -1,7 +1,7 @@
-"""Judge a part that came back: a scan, a slicer's repair, a piece; in the design's frame, noise stated apart.
+"""Judge a measured part in the design's frame: a scan, a slicer's repair, a piece; noise is reported separately.
 
-What such a mesh may be, a file to be made may not: open, in pieces, cut anywhere, facets across the borders of
-cells. What counts is the same: where its faces lie, and where they send light.
+Unlike a file to be made, such a mesh may be open, in pieces, cut anywhere, with facets across the borders of cells.
+The criteria are those of other files: the position of its faces, and the direction of light through them.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 SUSPECT = ("shape", "volume", "pieces", "closed", "faithful_rms", "file_law_rms")
-"""Checks that fail where a part is damaged: then it is looked for what was done to it."""
+"""Checks that fail where a part is damaged; a failure starts the search for damage."""
 
 FEATURES = 4
-"""Holes and steps that a sentence names; `detail` has all."""
+"""Holes and steps that a sentence names; `detail` holds all of them."""
 
 ON_FACES = 1e-5
-"""Pitches that the corners of a meshed STEP part may lie off: what registration leaves."""
+"""Distance in pitches of the corners of a meshed STEP part from its faces, caused by registration."""
 
 
 class Cutter(Gatherer):
-    """A gatherer that cuts facets at the borders of the chosen cells: a scan's run across them."""
+    """A gatherer that cuts facets at the borders of the chosen cells, since facets of a scan cross them."""
 
     def _keep(self, body: int, side: int, array: int, some: SideFacets) -> None:
         corners = some.corners[some.rows]
@@ -60,11 +60,11 @@ class Cutter(Gatherer):
                     self.result.facets.setdefault((body, side, cell), []).append(cut)
 
     def _hold(self, *_: Any) -> None:
-        """Every cell is held against the design by the deviation map."""
+        """Do nothing: the deviation map compares every cell with the design."""
 
 
 def cut_to(corners: Floats, polygon: Floats) -> Floats:
-    """Parts of facets (k, 3, 3) over a convex counter-clockwise polygon (m, 2), as facets of the same sense."""
+    """Parts of facets (k, 3, 3) over a convex counter-clockwise polygon (m, 2), as facets of the same orientation."""
     inside = np.ones(len(corners), dtype=bool)
     for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         edge = end - start
@@ -81,11 +81,11 @@ def cut_to(corners: Floats, polygon: Floats) -> Floats:
     (ax, ay), (bx, by) = ((pieces[:, k, :2] - pieces[:, 0, :2]).T for k in (1, 2))
     area = ax * by - ay * bx
     size = np.ptp(polygon, axis=0).max()
-    return np.asarray(pieces[np.abs(area) > 1e-12 * size * size])  # slivers have no slope to speak of
+    return np.asarray(pieces[np.abs(area) > 1e-12 * size * size])  # slivers have no reliable slope
 
 
 def _clipped(points: Floats, polygon: Floats) -> Floats:
-    """A plane polygon in space (m, 3) cut by vertical planes over the edges (Sutherland and Hodgman)."""
+    """A plane polygon in space (m, 3) clipped by vertical planes over the edges (Sutherland and Hodgman)."""
     for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         if len(points) == 0:
             break
@@ -103,9 +103,9 @@ def _clipped(points: Floats, polygon: Floats) -> Floats:
 
 
 def judge_placed(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEvidence]:
-    """Judge a part that came without a manifest: to rounding where it lies as written, else as what came back.
+    """Judge a part without a manifest: to rounding where it lies as written, else as a measured part.
 
-    The role found, that of a scan where the surface is open, is in the evidence's facts ("role").
+    The resulting role, that of a scan where the surface is open, is in the evidence's facts ("role").
     """
     if not placed.exact:
         found, evidence = judge_returned(asked, placed)
@@ -122,14 +122,14 @@ def judge_placed(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEv
 
 
 def _measured(placed: Placed, role: Role) -> bool:
-    """Whether what lies as written and is not closed is a surface that was measured."""
+    """Whether an open mesh that lies as written is a measured surface."""
     return role is Role.SCAN or is_open_surface(rims(placed.mesh), placed.pose.turn)
 
 
 def _with_damage(
     design: Design, placed: Placed, checks: list[Check], evidence: MeshEvidence
 ) -> tuple[list[Check], MeshEvidence]:
-    """Say where a part is damaged that was judged to rounding."""
+    """Add the damage of a part that was judged to rounding."""
     mapper = Mapper(placed.window, design.unit, placed.present, placed.mesh.facet_count)
     for chunk in placed.mesh.chunks():
         mapper.look(chunk * placed.factor)
@@ -151,12 +151,12 @@ def _with_damage(
 
 
 def _with_failure(check: Check, mapped: DeviationMap, limit: float) -> Check:
-    """The check of shape failed by dents, or by holes and steps that took cells, with the value and the limit of that.
+    """The check of shape, failed by dents or by holes and steps in cells, with their value and limit.
 
     A check that fails by its own value keeps it.
 
     limit : length
-        What a sound face of the file may be off.
+        Allowed deviation of a sound face of the file.
     """
     lost = {tuple(cell) for feature in check.detail["features"] for cell in feature["cells"]}
     if check.state == "fail" or not (lost or check.detail["dents"]):
@@ -170,7 +170,7 @@ def _with_failure(check: Check, mapped: DeviationMap, limit: float) -> Check:
 
 
 def _damage(placed: Placed, mapped: DeviationMap, limit: float) -> tuple[DeviationMap, str, dict[str, Any]]:
-    """The map with its dents, damage in words ("" for none), and its numbers."""
+    """Map with its dents, text of the damage ("" for none), and its numbers."""
     window = placed.window
     bad = mapped.damaged(limit)
     worst = sorted(bad, key=lambda one: -_peak(mapped, one))[:SHOWN]
@@ -197,12 +197,12 @@ def _peak(mapped: DeviationMap, one: tuple[int, tuple[int, int]]) -> float:
 
 
 def judge_returned(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEvidence]:
-    """Measure a returned part in one pass and judge it.
+    """Measure a registered part in one pass and judge it.
 
     Parameters
     ----------
-    asked : Inspection
-        An open surface is judged as a scan whatever its role is said to be.
+    `asked` : Inspection
+        An open surface is judged as a scan regardless of its stated role.
     placed : Placed
         The part, registered.
     """
@@ -216,7 +216,7 @@ def judge_returned(asked: Inspection, placed: Placed) -> tuple[list[Check], Mesh
     shape, mapped = _shape(asked, gathered, mapper.result(), placed)
     off = deviations(window, gathered, present)
     dark = [str(c) for c, d in zip(gathered.cells, off, strict=True) if not d.complete]
-    if dark and len(dark) < len(off):  # holes in some cells: light is judged where there is a face
+    if dark and len(dark) < len(off):  # holes in some cells: light is judged where there are faces
         kept = [k for k, d in enumerate(off) if d.complete]
         gathered, off = _only(gathered, kept), [off[k] for k in kept]
     clean = np.inf if role is Role.SCAN else clean_forecast(window, gathered, 0, present)
@@ -248,7 +248,7 @@ def _looked_at(placed: Placed, watchers: tuple[Gatherer, Mapper], progress: Prog
 
 
 def _only(gathered: CellFacets, kept: list[int]) -> CellFacets:
-    """The same with some of the chosen cells only."""
+    """Copy with some of the chosen cells only."""
     facets = {
         (body, side, kept.index(cell)): parts
         for (body, side, cell), parts in gathered.facets.items()
@@ -267,12 +267,12 @@ def _with_holes(check: Check, dark: list[str], total: int) -> Check:
 
 
 def _closed(placed: Placed, found: Measure, asked: Inspection) -> tuple[Check, Role]:
-    """Whether the surface is closed; a scan need not be. With the role that was found."""
+    """Judge whether the surface is closed, which a scan need not be; with the resulting role."""
     role, common = asked.role, {"limit": 0.0, **asked.common}
     if found.facets == 0:
         return Check("closed", "fail", "the file holds no triangles", **common), role
     rim = None if found.closed else rims(placed.mesh if placed.file is None else placed.file)
-    if rim is None or rim.count == 0:  # the file is closed: corners were told apart only by being moved
+    if rim is None or rim.count == 0:  # the file is closed: moving it separated equal corners
         sentence = f"every edge of {found.facets} facets is met once in each direction"
         return Check("closed", "pass", sentence, 0.0, **common), role
     if role is Role.SCAN or is_open_surface(rim, placed.pose.turn):
@@ -301,7 +301,7 @@ def _scale(asked: Inspection, placed: Placed) -> Check:
 def _shape(
     asked: Inspection, gathered: CellFacets, mapped: DeviationMap, placed: Placed
 ) -> tuple[Check, DeviationMap]:
-    """Systematic deviation of the faces, noise apart; holes, steps, and cells that are off by themselves."""
+    """Judge systematic deviation of the faces without noise; holes, steps, and locally deviating cells."""
     design = asked.design
     common: dict[str, Any] = {"unit": design.unit, **asked.common}
     systematic = [face.systematic for face in mapped.faces]
@@ -336,7 +336,7 @@ def _shape(
 def _shape_limit(
     design: Design, gathered: CellFacets, placed: Placed, step: float
 ) -> tuple[float, LimitSource]:
-    """How far faces may lie off (length): what their facets cannot but be off, and the rounding to `step` (length)."""
+    """Allowed deviation of faces (length): unavoidable error of their facets, and rounding to `step` (length)."""
     pitch = max(placed.window.lattice.pitch)
     if placed.mesh.format == "step":  # corners of its facets lie on its faces, to float32
         reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
@@ -346,9 +346,9 @@ def _shape_limit(
 
 
 def rounding_step(placed: Placed) -> float:
-    """Largest power of ten that a file's heights are multiples of, in its unit; 0 where float32 is all there is.
+    """Largest power of ten that divides a file's heights, in its unit; 0 where only float32 rounding is found.
 
-    Rounding moves the same places of all cells alike, so it does not average out as noise does.
+    Rounding moves one place of every cell alike, so it does not average out as noise does.
     """
     part = placed.mesh.parts[0]
     upright = int(np.argmax(np.abs(placed.pose.axes[2])))  # the file's axis across the sheet
@@ -361,7 +361,7 @@ def rounding_step(placed: Placed) -> float:
         count = corners / 10.0**exponent
         room = 0.01 + np.abs(count) * 2.0**-23
         if (room > 0.2).any():
-            continue  # finer than float32 tells
+            continue  # finer than float32 resolves
         if np.mean(np.abs(count - np.round(count)) <= room) < 0.99:
             break
         found = float(10.0**exponent)

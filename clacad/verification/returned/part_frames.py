@@ -1,8 +1,8 @@
-"""Frames a part may have been made in, however it lies in its file: from the planes its hull has, and its lenses.
+"""Candidate frames of a part in any orientation: from the planes of its hull, and from its lenses.
 
 The hull of a sheet has planes where the sheet has none: lenses of one array touch a plane, the cells of a row end in
-one. Where nothing tells the turn about the normal (a disc, a piece sawn askew) the lenses do: the slopes of the facets
-repeat with the pitch, so they interfere along the lattice's own directions alone.
+one. Where the hull does not determine the turn about the normal (a disc, a piece sawn askew), the lenses do: the
+slopes of the facets repeat with the pitch, so they interfere constructively only along the lattice's own directions.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 SAMPLE = 4000
-"""Facets whose corners are fitted."""
+"""Number of facets whose corners are fitted."""
 
 HULL_POINTS = 300_000
-"""Corners, evenly spread over the file, whose hull is taken; a box of them is as good as all."""
+"""Number of corners, evenly spread over the file, whose hull is computed; their box is accurate enough."""
 
 TOGETHER = np.cos(np.radians(2.0))
-"""Planes of the hull nearer than this (cosine of their angle) count as one."""
+"""Planes of the hull within this angle (its cosine) count as one."""
 
 PLANES = 6
 LEAST = 0.01
-"""Part of the hull's area below which a plane says nothing."""
+"""Part of the hull's area below which a plane is ignored."""
 
 SQUARE = 0.05
-"""Cosine of the angle up to which two planes are at right angles."""
+"""Cosine of the angle up to which two planes count as perpendicular."""
 
 FINENESS = 0.7
-"""Step of the trial angles over the smallest angle that lenses at the rim can tell."""
+"""Step of the trial angles over the smallest angle that lenses at the rim resolve."""
 
 ANGLES = 8192
 
@@ -63,14 +63,14 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class PartFrame:
-    """Axes that a part may have been made along.
+    """Candidate axes along which a part was made.
 
     turn : (3, 3)
         File → frame.
     extent, centre : (3,) lengths, file unit
-        Of the part's box in the frame.
+        Of the part's bounding box in the frame.
     straight : bool
-        The file's own axes.
+        Whether these are the file's own axes.
     """
 
     turn: Floats
@@ -80,11 +80,11 @@ class PartFrame:
 
 
 VAST = 1e60
-"""Coordinates beyond this, or below one over it, are no part's in any unit; squares of areas would leave the doubles."""
+"""Coordinates beyond this, or below its inverse, are no part's in any unit; squares of areas would overflow doubles."""
 
 
 def _refuse_vast(mesh: FileMesh, chunk: Floats) -> None:
-    """Refuse corners (k, 3, 3) that lie beyond every part.
+    """Refuse corners (k, 3, 3) with coordinates that no part can have.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def _refuse_vast(mesh: FileMesh, chunk: Floats) -> None:
 
 
 def sampled(mesh: FileMesh) -> tuple[Sample, PartFrame]:
-    """Some facets of a file, and its own axes, or those of its sides where these lean by a little."""
+    """Some facets of a file, and its own axes, or the axes of its sides where these lean slightly."""
     stride = max(1, mesh.facet_count // SAMPLE)
     kept, areas, whole, at = [], np.zeros((3, 3)), np.zeros(3), 0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -105,7 +105,7 @@ def sampled(mesh: FileMesh) -> tuple[Sample, PartFrame]:
         _refuse_vast(mesh, chunk)
         normal = 0.5 * doubled_normals(chunk)
         area = np.linalg.norm(normal, axis=1)
-        for k in range(3):  # vector area, and area, of the sides that look along ±k
+        for k in range(3):  # vector area, and area, of the sides that face along ±k
             looks = np.abs(normal[:, k]) > 0.9 * area
             areas[k] += (normal[looks] * np.sign(normal[looks, k : k + 1])).sum(axis=0)
             whole[k] += float(area[looks].sum())
@@ -133,11 +133,11 @@ def _boxed(mesh: FileMesh, turn: Floats) -> PartFrame:
 
 
 def _lean(areas: Floats, whole: Floats) -> Floats:
-    """Turn (3, 3) that sets the sides of the part along the axes; the identity where they stand there already.
+    """Rotation (3, 3) that aligns the sides of the part with the axes; the identity where they are aligned.
 
-    The two flattest sides give it: lenses may lean, walls do not.
+    It follows from the two flattest sides: lenses may lean, walls do not.
 
-    areas : (3, 3) vector areas of the sides that look along ±x, ±y, ±z; whole : (3,) their areas
+    areas : (3, 3) vector areas of the sides that face along ±x, ±y, ±z; whole : (3,) their areas
     """
     size = np.linalg.norm(areas, axis=1)
     flat = np.where(whole > 0.0, size / np.where(whole > 0.0, whole, 1.0), 0.0)
@@ -156,20 +156,20 @@ def _lean(areas: Floats, whole: Floats) -> Floats:
     return rows
 
 
-# -- however it lies ------------------------------------------------------------------------------------
+# -- any orientation ------------------------------------------------------------------------------------
 
 
 def frames(mesh: FileMesh, sample: Sample, window: Window, factors: Floats) -> Iterator[PartFrame]:
-    """Frames to try for a part that does not lie along the axes of its file.
+    """Candidate frames for a part that is not aligned with the axes of its file.
 
     Parameters
     ----------
     mesh : FileMesh
     sample : Sample
     window : Window
-        The design; its lattice is looked for.
+        The design; its lattice is searched for.
     factors : (m,)
-        Design units per file unit that come into question.
+        Candidate values of design units per file unit.
     """
     hull = _hull(mesh)
     if hull is None:
@@ -184,7 +184,7 @@ def frames(mesh: FileMesh, sample: Sample, window: Window, factors: Floats) -> I
 
 
 def sixths(mesh: FileMesh, turn: Floats) -> list[PartFrame]:
-    """Frames a sixth and two of a turn about the normal from a sheet's own (3, 3): a hexagonal lattice has no less."""
+    """Frames at ±60° about the normal from a sheet's own frame (3, 3): a hexagonal lattice repeats at 60°."""
     hull = _hull(mesh)
     if hull is None:
         return []
@@ -201,7 +201,7 @@ def _frame_of(points: Floats, turn: Floats) -> PartFrame:
 def _turns(
     planes: Floats, sample: Sample, points: Floats, window: Window, factors: Floats
 ) -> Iterator[Floats]:
-    """Turns (3, 3): along the lenses where there is a lattice to be seen, else along the part's sides."""
+    """Candidate rotations (3, 3): along the lenses where a lattice is found, else along the part's sides."""
     for normal in planes:
         across = _frame(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
         thick = float(np.ptp(points @ normal))
@@ -223,7 +223,7 @@ def _heights(window: Window) -> list[float]:
 
 
 def _frame(normal: Floats, side: Floats) -> Floats:
-    """Turn (3, 3) whose third row is `normal` and first as near `side` as can be."""
+    """Rotation (3, 3) whose third row is `normal` and whose first row is as near `side` as possible."""
     first = side - normal * (normal @ side)
     first = first / np.linalg.norm(first)
     return np.array([first, np.cross(normal, first), normal])
@@ -235,14 +235,15 @@ def _about_z(angle: float) -> Floats:
 
 
 def _same_axes(one: Floats, other: Floats) -> bool:
-    """Whether two frames differ by a turn of the axes only (to a hundredth of a degree)."""
+    """Whether two frames differ only by a permutation of the axes (to a hundredth of a degree)."""
     between = np.abs(one @ other.T)
     return bool((between.max(axis=0) > 1.0 - 1.5e-8).all())
 
 
 def _hull(mesh: FileMesh) -> tuple[Floats, Floats] | None:
-    """Corners (h, 3) of the convex hull, and unit normals (k, 3) of its largest planes, the largest first; None
-    where the file is flat.
+    """Corners (h, 3) of the convex hull, and unit normals (k, 3) of its largest planes, the largest first.
+
+    None where the file is flat.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -260,14 +261,14 @@ def _hull(mesh: FileMesh) -> tuple[Floats, Floats] | None:
 
 
 def _planes(normal: Floats, area: Floats) -> Floats:
-    """Unit normals (k ≤ PLANES, 3) of the planes with most area; both sides of the part count as one."""
+    """Unit normals (k ≤ PLANES, 3) of the planes with the largest area; both sides of the part count as one."""
     found = []
     left = np.ones(len(area), dtype=bool)
     for _ in range(PLANES):
         if not left.any():
             break
         seed = normal[np.flatnonzero(left)[int(np.argmax(area[left]))]]
-        for _ in range(3):  # the seed may be a sliver's
+        for _ in range(3):  # the seed may be that of a sliver
             near = left & (np.abs(normal @ seed) > TOGETHER)
             if not near.any():
                 break
@@ -281,10 +282,10 @@ def _planes(normal: Floats, area: Floats) -> Floats:
 
 
 def lattice_angles(window: Window, sample: Sample, turn: Floats, factor: float) -> list[float]:
-    """Angles (radians) by which the design's lattice may lie turned about the third axis of a frame.
+    """Angles (radians) by which the design's lattice may be turned about the third axis of a frame.
 
-    A wave along one of the lattice's own directions, as long as its rows are apart, meets the same slope in every
-    cell; along any other the slopes cancel. The lattice's own symmetry is left to whoever asks.
+    A wave along a lattice direction, with the spacing of its rows as wavelength, samples one slope in every cell;
+    along other directions the slopes cancel. The caller applies the lattice's own symmetry.
     """
     facing = sample.facing[::3] @ turn.T
     seen = np.abs(facing[:, 2]) > STEEP
@@ -295,7 +296,7 @@ def lattice_angles(window: Window, sample: Sample, turn: Floats, factor: float) 
     slope = -facing[seen, :2] / facing[seen, 2:]
     sides = [np.where((facing[seen, 2] > 0.0) == up, 1.0, 0.0) for up in (False, True)]
     waves = np.concatenate([slope * side[:, None] for side in sides], axis=1)
-    for side in sides:  # a leaning face's mean slope says nothing
+    for side in sides:  # the mean slope of a leaning face carries no information
         if side.any():
             waves -= np.where(side[:, None] > 0.0, (waves * side[:, None]).sum(axis=0) / side.sum(), 0.0)
     lattice = window.lattice

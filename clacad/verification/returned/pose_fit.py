@@ -1,4 +1,4 @@
-"""The search for a pose: every unit and turn whose box is the design's, fitted to the exact faces by least squares."""
+"""The search for a pose: every unit and turn that gives the design's box, fitted to its faces by least squares."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 TRIALS = 6
-"""Turns of each handedness that are fitted; the others are worse before the fit already."""
+"""Number of turns of each handedness that are fitted; the others have larger distances before the fit."""
 
 CUT_TRIALS = 8
-"""The same of a piece cut across cells, whose place is not known by its box."""
+"""Number of turns for a piece cut across cells, whose position does not follow from its box."""
 
 PIECE_STRIDE = 4
-"""Of the points every so manieth tells which of many places of a piece is nearest."""
+"""Every n-th point is used to choose the nearest candidate position of a piece."""
 
 STRAY = 0.002
-"""Part of the points by which equally good fits may differ in those that lie on no face."""
+"""Difference of the share of points on no face up to which two fits are equally good."""
 
 STEPS = 12
 PHASES = 6
-"""Places a side tried within a cell, for a piece that was not cut along cell borders."""
+"""Positions per side tried within a cell, for a piece that was not cut along cell borders."""
 
 AS_WRITTEN = 1e-5
-"""Median distance over the pitch below which a file lies as it was written and is judged to rounding."""
+"""Median distance over the pitch below which a file lies as written and is judged to rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,16 +59,16 @@ class PartPose:
     unit : str
         Name of the file's unit; factor : design units per file unit.
     axes : (3, 3)
-        The nearest turn of the axes (a signed permutation), det −1 if mirrored.
+        The nearest axis permutation (a signed permutation matrix), det −1 if mirrored.
     turn : (3, 3)
-        The turn itself.
+        The rotation itself.
     scale : float
         Size of the part over the design's.
     move : (3,) lengths
     residual : float, length
         Robust rms distance of the part's corners from the design's faces.
     median : float, length
-        Half of them are nearer than this.
+        Median distance of the corners.
     """
 
     unit: str
@@ -87,17 +87,17 @@ class PartPose:
 
     @property
     def untouched(self) -> bool:
-        """Whether the file's numbers are the design's, but for the unit."""
+        """Whether the file's numbers equal the design's, apart from the unit."""
         return bool(np.array_equal(self.turn, np.eye(3))) and self.scale == 1.0 and not self.move.any()
 
     def onto_design(self, points: Floats) -> Floats:
-        """File points (…, 3) in the sheet frame of the design, scaled to its size."""
+        """File points (…, 3) in the sheet frame of the design, scaled to the design's size."""
         return np.asarray((points * self.factor) @ (self.turn.T / self.scale) + self.move)
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A part in one unit, turn and place, before it is fitted: points, facing, inward (n, 3) in design units."""
+    """A part in one unit, turn and position, before the fit: points, facing, inward (n, 3) in design units."""
 
     unit: str
     factor: float
@@ -115,7 +115,7 @@ class Trial:
     residual: float
 
     def off(self, turn: Floats, scale: float, move: Floats) -> FaceDistance:
-        """The part against the faces, moved by a similarity."""
+        """Distances of the part from the faces after a similarity transform."""
         return distance_to_faces(
             self.window, self.points @ turn.T / scale + move, self.facing @ turn.T, self.present, self.between,
             self.inward @ turn.T,
@@ -123,7 +123,7 @@ class Trial:
 
 
 def robust(distance: Floats) -> float:
-    """Rms of distances (n,) that a tenth of wild ones cannot spoil; infinite where too few are known."""
+    """Rms of distances (n,) that is insensitive to a tenth of outliers; infinite where too few are known."""
     known = np.abs(distance[np.isfinite(distance)])
     if len(known) < max(32, len(distance) // 20):
         return np.inf
@@ -145,7 +145,7 @@ def _axes() -> Iterator[Floats]:
 
 
 def order_of(turn: Floats) -> int:
-    """How far a turn is from none, in thousandths: ties take the least."""
+    """Deviation of a turn from the identity, in thousandths; the smallest value wins a tie."""
     return int(round(1e3 * (3.0 - float(np.trace(turn)))))
 
 
@@ -158,9 +158,7 @@ def all_trials(
     sample: Sample,
     frame: PartFrame,
 ) -> Iterator[Trial]:
-    """Every unit and turn of a frame's axes that makes the box of the part the design's, with its distance before
-    any fit.
-    """
+    """Every unit and turn of a frame's axes that gives the part the design's box, with its distance before any fit."""
     spans, between = [body_range(whole, body) for body in whole.bodies], levels(whole)
     heights = [high - low for low, high in (whole.z_range, *spans)]
     few = slice(None, None, max(1, len(sample.corners) // 3000))
@@ -191,14 +189,14 @@ def all_trials(
 
 
 def units_of(mesh: FileMesh) -> list[tuple[str, float]]:
-    """Names and metres of the units that a file's numbers may be in."""
+    """Names and metres of the candidate units of a file."""
     return [("its own unit", mesh.unit)] if mesh.unit is not None and mesh.format in STATED else list(FACTORS)
 
 
 def _fits(
     design: Design, whole: Window, fixed: bool, heights: Sequence[float], size: Floats
 ) -> tuple[Window, bool] | None:
-    """The design with the cells of a box of this size, and whether it is a piece cut across cells; None if neither."""
+    """The design with the cells of a box of this size, and whether it is cut across cells; None if nothing fits."""
     window = fitting_window(design, whole, fixed, heights, size)
     if window is not None:
         return window, False
@@ -216,7 +214,7 @@ def _fits(
 def _onto(
     window: Window, spans: Sequence[tuple[float, float]], present: Sequence[str], middle: Floats
 ) -> Floats:
-    """Displacement (3,) from the middle of a box to the middle of the design's."""
+    """Displacement (3,) from the middle of a box to the middle of the design's box."""
     held = replace(window, bodies=tuple(b for b in window.bodies if b.name in present))
     x0, x1, y0, y1 = whole_extent(held)
     mine = [r for r, body in zip(spans, window.bodies, strict=True) if body.name in present]
@@ -225,7 +223,7 @@ def _onto(
 
 
 def _moves(window: Window, onto: Floats, cut: bool, axes: Floats | None) -> list[Floats]:
-    """Displacements to try: none (the file's own frame), box onto box, and for a cut piece places within a cell."""
+    """Candidate displacements: none (the file's own frame), box onto box, and for a cut piece positions in a cell."""
     if not cut:
         reach = 1e-3 * min(window.lattice.pitch)
         own = axes is not None and np.array_equal(axes, np.eye(3)) and bool((np.abs(onto) <= reach).all())
@@ -236,7 +234,7 @@ def _moves(window: Window, onto: Floats, cut: bool, axes: Floats | None) -> list
 
 
 def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, extent: Floats) -> str:
-    """Say what a part measures that fits the design in no unit and turn; extent (3,) in the file's unit."""
+    """Text of the size of a part that fits the design in no unit and turn; extent (3,) in the file's unit."""
     x0, x1, y0, y1 = whole_extent(whole)
     size = " x ".join(f"{v:.4g}" for v in extent)
     want = " x ".join(
@@ -257,7 +255,7 @@ Fit = tuple[Trial, PartPose]
 
 
 def fitted(trial: Trial) -> Fit:
-    """Least squares, point to plane: rotation, displacement and scale, wild points given less weight (Huber)."""
+    """Fit rotation, displacement and scale by least squares, point to plane, with outliers weighted down (Huber)."""
     points = trial.points
     turn, scale, move = np.eye(3), 1.0, trial.move.copy()
     best = (trial.residual, turn, scale, move)
@@ -296,15 +294,17 @@ def fitted(trial: Trial) -> Fit:
 
 
 def nearest_axes(turn: Floats) -> Floats:
-    """The turn of the axes (3, 3) nearest to a turn, mirrored if it is."""
+    """The signed axis permutation (3, 3) nearest to a rotation, mirrored if the rotation is."""
     hand = np.sign(np.linalg.det(turn))
     alike = [axes for axes in _axes() if np.linalg.det(axes) * hand > 0.0]
     return max(alike, key=lambda axes: round(float((axes * turn).sum()), 9))
 
 
 def worth_fitting(trials: Sequence[Trial]) -> list[Trial]:
-    """The trials of each handedness that lie nearest, those of equal distance by the least turn; of the places that
-    are tried for a piece in one turn, the best: a wrong turn in a good place may lie nearer than the right in a bad.
+    """Nearest trials of each handedness; trials of equal distance are ordered by the smallest turn.
+
+    Of the positions tried for a piece in one turn only the best is kept. Otherwise a wrong turn in a good position
+    could displace the right turn in a bad one.
     """
     best: dict[tuple[object, ...], Trial] = {}
     for trial in trials:
@@ -322,24 +322,24 @@ def worth_fitting(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _equal(least: float, window: Window) -> float:
-    """Residual up to which fits are as good as the best of them."""
+    """Residual up to which fits count as equally good as the best fit."""
     return max(1.05 * least + 1e-7 * min(window.lattice.pitch), as_written(window))
 
 
 def _median(distance: Floats) -> float:
-    """Half of the known distances (n,) are smaller; infinite where none is known."""
+    """Median of the known distances (n,); infinite where none is known."""
     known = np.abs(distance[np.isfinite(distance)])
     return float(np.median(known)) if len(known) else np.inf
 
 
 def as_written(window: Window) -> float:
-    """Median distance (length) up to which a file lies as it was written: float32 corners, or a hair of a pitch."""
+    """Median distance (length) up to which a file lies as written: float32 corners, or 1e-5 of a pitch."""
     reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
     return max(AS_WRITTEN * min(window.lattice.pitch), 2.0**-22 * reach)
 
 
 def _step(points: Floats, normal: Floats, distance: Floats) -> Floats:
-    """Rotation vector, displacement and growth (7,) that lessen the distances (n,) of points (n, 3) most."""
+    """Rotation vector, displacement and growth (7,) that minimize the distances (n,) of points (n, 3)."""
     about = points - points.mean(axis=0)
     size = float(np.abs(about).max())
     rows = np.column_stack(
@@ -348,7 +348,7 @@ def _step(points: Floats, normal: Floats, distance: Floats) -> Floats:
     width = 1.4826 * float(np.median(np.abs(distance - np.median(distance)))) + 1e-300
     weight = np.sqrt(np.minimum(1.0, 1.5 * width / np.maximum(np.abs(distance), 1e-300)))
     rows = rows * weight[:, None]
-    # seven unknowns of like size: the normal equations, with what the faces do not fix left alone
+    # seven unknowns of similar size: normal equations; unknowns that the faces do not determine stay 0
     solved = np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True) @ (rows.T @ (-distance * weight))
     solved[:3] /= size
     solved[6] /= size
@@ -369,28 +369,28 @@ def _rotation(vector: Floats) -> Floats:
 
 
 def best_of(fits: Sequence[Fit]) -> Fit:
-    """The least residual; among equals, to the rounding of a file as it is written, the least turn."""
+    """Fit with the smallest residual; among equals, to rounding of the file, the one with the smallest turn."""
     least = min(pose.residual for _, pose in fits)
     level = _equal(least, fits[0][0].window)
     equal = [f for f in fits if f[1].residual <= level]
-    if len(equal) > 1:  # lenses a pitch aside are the same lenses, but for the rim
+    if len(equal) > 1:  # lenses shifted by a pitch coincide, except at the rim
         strays = [_astray(f, 10.0 * level) for f in equal]
         equal = [f for f, stray in zip(equal, strays, strict=True) if stray <= min(strays) + STRAY]
     return min(equal, key=lambda f: (order_of(f[1].turn), f[1].residual))
 
 
 def _astray(fit: Fit, level: float) -> float:
-    """Part of the points of a part that lie on no face of the design."""
+    """Share of the points of a part that lie on no face of the design."""
     trial, pose = fit
     turn = pose.turn @ trial.frame.turn.T @ trial.axes.T
     off = trial.off(turn, pose.scale, pose.move)
     flat = off.face >= 0
-    near = np.abs(off.distance) <= level  # NaN is not
+    near = np.abs(off.distance) <= level  # NaN is False
     return 1.0 - float(near[flat].mean()) if flat.any() else 1.0
 
 
 def one_unit(subject: Subject, fits: Sequence[Fit], best: Fit, pitch: float) -> None:
-    """Refuse a part that fits in two units alike; pitch in design units."""
+    """Refuse a part that fits equally well in two units; pitch in design units."""
     good = {f[1].unit for f in fits if f[1].residual <= max(2.0 * best[1].residual, 1e-6 * pitch)}
     if len(good) > 1:
         raise CannotRegister(

@@ -1,8 +1,8 @@
-"""Where a part that came back lies in its file: unit, turn, mirror, place, scale, and how many cells it holds.
+"""Registration of a measured part: unit, turn, mirror, position, scale, and number of cells.
 
-A file without a manifest may be a scan, a slicer's repair, a piece cut from the sheet. Its triangles are tried in
-every unit and in the 24 proper turns of the axes (and, to tell a mirrored part, in the 24 improper ones) that make
-its box the design's; the best are fitted to the exact faces by least squares, point to plane, robustly.
+A file without a manifest may be a scan, a slicer's repair, or a piece cut from the sheet. Its triangles are tried in
+every unit and in the 24 proper axis permutations (and in the 24 improper ones, to detect a mirrored part) that give it
+the design's box. The best are fitted to the exact faces by robust least squares, point to plane.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 PART_OF_SAG = 0.1
-"""A fit whose residual is below this part of the flattest lens's sag is no chance: other poses need not be tried."""
+"""Part of the flattest lens's sag below which a residual shows a certain fit: other poses are not tried."""
 
 TURNED = radians(10.0)
-"""A part that lies turned by more is said to; less is how it was laid down."""
+"""Turn above which the pose text reports it; smaller turns are normal for a part laid down by hand."""
 
 BETTER = 0.7
-"""A mirrored fit must leave less than this part of the best proper one's residual to be called a mirrored part."""
+"""A mirrored fit below this part of the best proper fit's residual makes the part a mirrored one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +56,23 @@ class Placed:
     """A part in the design's frame.
 
     window : Window
-        With the cells the part holds.
+        Window with the cells that the part holds.
     mesh : FileMesh
-        In design units and the sheet frame, at the design's size; the file itself where it lies as written.
+        In design units and the sheet frame, at the design's size; the file itself where the part lies as written.
     factor : float
         Design units per unit of `mesh`.
     present : names of the bodies it holds
     pose : PartPose
     whole : bool
-        It was cut along cell borders: its sides are the design's.
+        Whether it was cut along cell borders, so that its sides are the design's.
     exact : bool
-        It lies as written, to rounding.
+        Whether it lies as written, to rounding.
     note : str
-        What was found, in words.
+        Result of the registration, in words.
     checks : list of Check
-        pose and handedness.
+        The checks pose and handedness.
     file : FileMesh or None
-        As it was read, in the file's unit and frame.
+        The file as read, in its own unit and frame.
     """
 
     window: Window
@@ -88,7 +88,7 @@ class Placed:
 
 
 def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None) -> Placed:
-    """Find where a part lies.
+    """Register a part.
 
     Parameters
     ----------
@@ -96,17 +96,17 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
     subject : Subject
     mesh : FileMesh
     cells : Window or None
-        With the cells that someone says the file holds.
+        Window with the cells that the file holds according to the caller.
 
     Raises
     ------
     CannotRegister
-        In no unit and turn the part is this design, or in two units alike.
+        The part fits this design in no unit and turn, or equally well in two units.
     """
     whole = prescribe(design) if cells is None else cells
     pitch = min(whole.lattice.pitch)
     sample, first = sampled(mesh)
-    fixed = cells is not None or not whole.uniform  # of cells that differ no other number is the same sheet
+    fixed = cells is not None or not whole.uniform  # a non-uniform sheet has one number of cells only
 
     def tried(frame: PartFrame) -> list[Trial]:
         return list(all_trials(design, whole, fixed, subject, mesh, sample, frame))
@@ -128,9 +128,9 @@ def _fits_in_frames(
     design: Design, mesh: FileMesh, sample: Sample, whole: Window, trials: Sequence[Trial],
     tried: Callable[[PartFrame], list[Trial]],
 ) -> list[Fit]:  # fmt: skip
-    """Fits of the file's own frame, and of further ones until one of them is no chance.
+    """Fits of the file's own frame, and of further frames until one fit is certain.
 
-    trials : of the file's own frame; tried : gives those of another
+    trials : of the file's own frame; tried : returns those of another frame
     """
     fits = [fitted(trial) for trial in worth_fitting(trials)]
     written = as_written(whole)
@@ -141,7 +141,7 @@ def _fits_in_frames(
 
     if sure():
         return fits
-    # it lies askew, scatters, or is another part
+    # the part is turned, noisy, or a different part
     factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
     for frame in frames(mesh, sample, whole, factors):
         fits += [fitted(trial) for trial in worth_fitting(tried(frame))]
@@ -154,7 +154,7 @@ def _fits_in_frames(
 
 
 def _in_own_frame(whole: Window, trials: Sequence[Trial], unit: str) -> bool:
-    """Whether a file's box lies where the design's does, the arrays' displacement apart: then it was written so."""
+    """Whether a file's box lies where the design's does, apart from the arrays' displacement: it was written there."""
     pitch = min(whole.lattice.pitch)
     room = np.array([*(2.0 * np.abs(whole.shifts[1]) + 1e-3 * pitch), 1e-3 * pitch])
     return any(
@@ -171,11 +171,11 @@ def least_sag(window: Window) -> float:
     return min(float(np.nanmax(h) - np.nanmin(h)) for h in heights)
 
 
-# -- what was found -------------------------------------------------------------------------------------
+# -- result ---------------------------------------------------------------------------------------------
 
 
 def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: float) -> Check:
-    """Whether the part, lying as `best`, is the mirror image of the design, as `twin` would have it lie."""
+    """Judge whether the part in pose `best` is the mirror image of the design, whose pose is then `twin`."""
     common: dict[str, Any] = {
         "where": "file",
         "subject": subject.name,
@@ -203,10 +203,10 @@ def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: 
 def _placed(
     design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed: Check, own: bool, cells_of: Window | None
 ) -> Placed:  # fmt: skip
-    """The part set down by the best fit, with the checks of its pose.
+    """The part in the pose of the best fit, with the checks of its pose.
 
     own : whether the file's box lies where the design's does
-    cells_of : the whole design where nobody says which cells the file holds
+    cells_of : the whole design where the caller does not give the file's cells
     """
     trial, pose = best
     exact = trial.whole and pose.untouched and pose.median <= as_written(trial.window)
@@ -231,9 +231,9 @@ def _placed(
 def _pose_check(
     design: Design, subject: Subject, tried: Window, window: Window, pose: PartPose, own: bool
 ) -> Check:
-    """How a part lies and how well it fits so; whether it may lie so.
+    """Judge the pose of a part, the quality of its fit, and whether the pose is allowed.
 
-    tried, window : with the cells of the trial, and with those the part holds
+    tried, window : with the cells of the trial, and with those that the part holds
     """
     limit = design.check.pose * min(tried.lattice.pitch)
     state: State = "pass" if pose.residual <= limit else "fail"
@@ -254,13 +254,13 @@ def _pose_check(
 
 
 def _pose_words(pose: PartPose, unit: str) -> str:
-    """The pose in a sentence a person can follow."""
+    """Text of the pose for a person."""
     if pose.untouched:
         return "it lies as the design does"
     names = "xyz"
     parts = []
     rest = turned_by(pose.turn @ pose.axes.T)
-    if rest > TURNED:  # askew: no turn of the axes describes it
+    if rest > TURNED:  # no axis permutation describes the turn
         parts.append(_askew_words(pose.turn))
     else:
         images = [
@@ -281,14 +281,14 @@ def _pose_words(pose: PartPose, unit: str) -> str:
 
 
 def turned_by(turn: Floats) -> float:
-    """Angle (radians) of a rotation (3, 3); of a mirrored one, that of its turned mirror image in z."""
+    """Angle (radians) of a rotation (3, 3); for a mirrored one, that of the rotation after reversing z."""
     proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
     across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
     return float(np.arctan2(np.linalg.norm(across), np.trace(proper) - 1.0))
 
 
 def _askew_words(turn: Floats) -> str:
-    """The axis and the angle of a turn; of a mirrored part, of what is left when z is reversed."""
+    """Text of the axis and the angle of a rotation; for a mirrored part, of the rotation after reversing z."""
     proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
     across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
     length = float(np.linalg.norm(across))
@@ -300,14 +300,14 @@ def _askew_words(turn: Floats) -> str:
 
 
 def _turned_words(turn: Floats) -> str:
-    """What a part in the design's own frame that fits only when turned was made with."""
+    """Text of the error in making of a part that lies in the design's own frame but fits only when turned."""
     if turn[2, 2] < 0.0:
         return "it fits only upside down: the arrays are exchanged, or the file was turned over"
     return "it fits only turned about the sheet's normal: tilt or offset have the other sign, or the file was turned"
 
 
 def moved(mesh: FileMesh, pose: PartPose) -> FileMesh:
-    """The mesh in the design's frame and size; facets keep facing outward."""
+    """The mesh in the design's frame and size; facets still face outward."""
     linear = pose.factor * pose.turn.T / pose.scale
     parts = []
     for part in mesh.parts:
@@ -319,7 +319,7 @@ def moved(mesh: FileMesh, pose: PartPose) -> FileMesh:
 
 
 def _own_cells(whole: Window, window: Window, pose: PartPose) -> str:
-    """Which of the design's cells a piece is whose numbers are in the design's own frame; "" where they are not."""
+    """Text of the design's cells in a piece that lies in the design's own frame; "" for other pieces."""
     if turned_by(pose.turn) > 1e-4 or pose.mirrored or abs(pose.scale - 1.0) > 1e-3:
         return ""
     lattice = whole.lattice
@@ -333,7 +333,7 @@ def _own_cells(whole: Window, window: Window, pose: PartPose) -> str:
 
 
 def _inside(subject: Subject, trial: Trial, pose: PartPose, mesh: FileMesh) -> tuple[Window, PartPose]:
-    """The window with the whole cells that a piece holds, and the pose that sets the piece onto them."""
+    """The window with the whole cells that a piece holds, and the pose that places the piece onto them."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for chunk in mesh.chunks():
         flat = pose.onto_design(chunk.reshape(-1, 3))[:, :2]
@@ -351,7 +351,7 @@ def _inside(subject: Subject, trial: Trial, pose: PartPose, mesh: FileMesh) -> t
                 inside &= (centres + first >= low - room).all(axis=1) & (centres + last <= high + room).all(
                     axis=1
                 )
-    # columns as a person counts them: the rows of a hexagonal sheet step back half a cell each
+    # columns as a person counts them: the rows of a hexagonal sheet step back by half a cell each
     column = cells[:, 0] + (cells[:, 1] // 2 if lattice.hexagonal else 0)
     rows = np.unique(cells[inside, 1])
     if lattice.hexagonal and len(rows) and rows[0] % 2:

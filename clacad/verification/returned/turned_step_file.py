@@ -1,7 +1,7 @@
-"""A STEP file that does not lie as the design does: meshed to find how it lies, then judged by light through its faces.
+"""A STEP file in another pose than the design: meshed to find its pose, then judged by light through its faces.
 
-Triangles made here tell the pose, the shape cell by cell and what is damaged. They are no part of the file: light is sent
-through the file's own faces, set down as the design lies.
+The triangles give the pose, the shape cell by cell, and the damage. They are not part of the file: light is traced
+through the file's own faces, in the design's frame.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
     from clacad.formats.mesh.file_mesh import FileMesh
 
 FINE = 400.0
-"""Facets are made this many times flatter than the flatter lens is high."""
+"""Sag of the flatter lens over the deflection of the facets."""
 
 COARSE = 1e-6
-"""Facets need be no flatter than this part of the diagonal of the box round the part."""
+"""Least deflection of facets, over the diagonal of the part's bounding box."""
 
 SCALE = 1e-5
-"""Relative error of size that registration leaves."""
+"""Relative error of size after registration."""
 
 THROUGH = (*IDS, "faithful_rms", "faithful_eta", "faithful_delta")
-"""What light says: through the faces, not through triangles made here."""
+"""Checks by light through the faces, not through the triangles."""
 KEPT = ("readable", "closed", "solids")
-"""What OCC says of a file wherever the part lies in it."""
+"""Checks of OCC that do not depend on the pose of the part."""
 
 
 def judge_turned(
@@ -55,12 +55,12 @@ def judge_turned(
     checks: Sequence[Check],
     facts: Mapping[str, Any],
 ) -> tuple[list[Check], MeshEvidence | None, Placed | None]:
-    """Find the part in a STEP file without a manifest, and judge it by triangles whose corners lie on its faces.
+    """Find the pose of a STEP file without a manifest, and judge it by triangles whose corners lie on its faces.
 
     Parameters
     ----------
-    asked, subject
-    window : with the cells that someone says the file holds, or None
+    `asked`, subject
+    window : with the cells that the file holds according to the caller, or None
     checks, facts : from `judge_solid`; of the checks those that depend on the pose are replaced
 
     Raises
@@ -80,7 +80,7 @@ def judge_turned(
                 None,
             )
         placed = place(asked.design, subject, mesh, window)
-        if placed.pose.untouched and placed.whole:  # its own frame after all: judged as exactly as it can be
+        if placed.pose.untouched and placed.whole:  # in its own frame: judged as exact faces
             exact, _ = judge_solid(replace(asked, stated={}), placed.window, subject.path)
             return [*exact[:1], *placed.checks, *exact[1:]], None, placed
         found, evidence = judge_returned(asked, placed)
@@ -91,7 +91,7 @@ def judge_turned(
 
 
 def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float) -> FileMesh:
-    """The solids of a file as triangles, at most `deflection` (mm) off its faces, by a worker that writes them to `target`."""
+    """Triangles of a file's solids, at most `deflection` (mm) off its faces, written by a worker to `target`."""
     from clacad.formats.mesh.readers import read_mesh
 
     with reading_worker(subject.path) as worker:
@@ -103,8 +103,9 @@ def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float
 
 
 def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
-    """Largest distance (mm) of facets from a part's faces: fine beside the flatter lens, but not beside a part that is no
-    such sheet at all (one in another unit, say), whose facets would fill the memory.
+    """Largest distance (mm) of facets from a part's faces: a small part of the flatter lens's sag.
+
+    A lower limit follows from the part's size: facets of a part in another unit could fill the memory.
     """
     low, high = facts.get("box", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     sag = min(lens.sag for lens in feasibility(window).lenses) * millimetres(window.unit)
@@ -112,7 +113,7 @@ def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
 
 
 def _through_faces(asked: Inspection, placed: Placed, subject: Subject, target: Path) -> list[Check]:
-    """Set the shape down as the design lies, and send light through its own faces."""
+    """Place the shape in the design's frame, and trace light through its own faces."""
     pose = placed.pose
     try:
         with reading_worker(subject.path) as worker:
@@ -128,7 +129,7 @@ def _through_faces(asked: Inspection, placed: Placed, subject: Subject, target: 
 
 
 def _exact_scale(check: Check) -> Check:
-    """A file of solids states its size exactly: nothing of it shrank in a mould."""
+    """Mark the scale check of a file of solids, which states its size exactly: no mould shrinkage."""
     if check.id != "scale" or not isinstance(check.value, float):
         return check
     state: State = "pass" if check.value <= SCALE else "fail"

@@ -1,8 +1,8 @@
-"""How stable the arithmetic is: named hard cases, measured here and now against stored answers of 40 digits.
+"""Numerical stability: named hard cases, computed with the installed clacad and compared with 40-digit answers.
 
-`stability_table()` traces every case of `cases.json` with the installed clacad and gives its error beside that of
-the textbook formula, in ulp (2⁻⁵²). The answers, the conditions and the textbook's errors were worked out once
-by independent arithmetic of 60 to 450 digits; the tests work them out again and hold this file to it.
+`stability_table()` traces every case of `cases.json` and reports its error next to that of the textbook formula, in
+ulp (2⁻⁵²). The answers, the conditions and the textbook's errors were computed once by independent arithmetic of
+60 to 450 digits; the tests compute them again and compare this file with them.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from clacad.sheet.lattice import Lattice
 ULP = Decimal(2) ** -52
 DIGITS = 60
 WRONG = float("inf")
-"""Error of an answer that is no number, or that was given where there is none, or to another fate."""
+"""Error of an answer that is NaN, that is given where there is none, or that has another fate."""
 
 ALLOWED = {
     "direction": 4.0,
@@ -31,7 +31,7 @@ ALLOWED = {
     "angle": 4.0,
     "stretch": 4.0,
 }
-"""Ulp allowed for each unit of condition, at least one unit."""
+"""Allowed ulp per unit of condition, with at least one unit."""
 
 Case = Mapping[str, Any]
 
@@ -45,15 +45,15 @@ class Row:
     kind, name, why : str
         Group of cases, the case, and what makes it hard.
     quantity : str
-        "direction" and "place" are absolute (of 1 and of the pitch), the others relative.
+        "direction" and "place" are absolute (relative to 1 and to the pitch), the others relative.
     condition : float
-        How much a rounding of the inputs grows in the exact answer; inf where the answer itself is undecided.
+        Amplification of input rounding in the exact answer; inf where the answer itself is undecided.
     textbook : float or str
-        Error of the textbook formula in ulp, or what else went wrong with it.
+        Error of the textbook formula in ulp, or a description of another failure of it.
     error : float
         Error of clacad in ulp, measured now; inf if the answer is missing or its fate wrong.
     recorded : float
-        The same when the table was recorded.
+        Value of `error` when the table was recorded.
     """
 
     kind: str
@@ -72,12 +72,12 @@ class Row:
 
     @property
     def holds(self) -> bool:
-        """Whether the error is within what is allowed."""
+        """Whether the error is within the allowed error."""
         return self.error <= self.allowed
 
     @property
     def worsened(self) -> bool:
-        """Whether it is worse than recorded by more than half a place (a law turns by sines of some library)."""
+        """Whether the error exceeds the recorded one by more than half a place (a law uses sines of some library)."""
         slack = 0.5 * (max(1.0, self.condition) if self.kind == "law" else 1.0)
         return self.error > 1.001 * self.recorded + slack  # four figures are recorded
 
@@ -89,12 +89,12 @@ def hard_cases() -> tuple[Case, ...]:
 
 
 def stability_table(cases: Sequence[Case] | None = None) -> tuple[Row, ...]:
-    """Measure every case with the code that is installed.
+    """Measure every case with the installed code.
 
     Parameters
     ----------
     cases : sequence of cases, optional
-        Default all stored ones.
+        Default: all stored ones.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def _rows(case: Case) -> Iterator[Row]:
         )
 
 
-# -- one function a kind: what clacad gives for the inputs, against the answer -----------------------------------
+# -- one function per kind: clacad's result for the inputs, compared with the answer -----------------------------
 
 
 def _ray(given: Case, answer: Case) -> dict[str, float]:
@@ -226,6 +226,6 @@ def _relative(got: float, exact: str) -> float:
         return WRONG
     with localcontext() as context:
         context.prec = DIGITS
-        # what is subnormal in truth keeps no relative digits: it may be off by the smallest double
+        # a subnormal exact value keeps no relative digits: it may be off by the smallest double
         slack = abs(value - answer) - Decimal(5e-324)
         return float(max(slack, Decimal(0)) / abs(answer) / ULP)

@@ -13,7 +13,7 @@ HEAD = ("kind", "case", "quantity", "condition", "textbook", "clacad", "allowed"
 
 
 def as_dict(rows: Sequence[Row]) -> dict[str, Any]:
-    """Rows and verdict as JSON can hold them; infinite numbers as words."""
+    """Rows and verdict as JSON can hold them; infinite numbers become words."""
     found = {
         "unit": "ulp = 2**-52",
         "rows": [
@@ -38,7 +38,7 @@ def as_dict(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def as_text(rows: Sequence[Row]) -> str:
-    """One line a row, aligned, and the verdict."""
+    """One aligned line per row, and the verdict."""
     lines = [HEAD, *(_cells(row) for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(HEAD))]
     text = [

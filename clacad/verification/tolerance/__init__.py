@@ -1,8 +1,8 @@
-"""What fabrication gets wrong, and what it does to light: tolerances, sensitivities, yield; and parameter sweeps.
+"""Fabrication errors and their effect on light: tolerances, sensitivities, yield; and parameter sweeps.
 
-`tolerance` perturbs the window as built (array poses, radii, index, thickness, roughness), traces it, and says in
-the words of lenslet sheets what happens: image shift, moiré, residual power, blur, throughput. `sweep` does the
-same for any keys of the design. Both run point by point on an executor and resume from a checkpoint. Names resolve
+`tolerance` perturbs the window as built (array poses, radii, index, thickness, roughness) and traces it. It reports the
+results in the terms of lenslet sheets: image shift, moiré, residual power, blur, throughput. `sweep` varies any keys
+of the design instead. Both run point by point on an executor and resume from a checkpoint. Names resolve
 when first used.
 """
 

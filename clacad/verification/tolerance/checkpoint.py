@@ -1,8 +1,8 @@
-"""Results kept as they come: an append-only file in which every line vouches for all before it.
+"""Append-only file of results, in which the checksum of every line covers all lines before it.
 
-A line is a checksum, a space and a JSON value; the checksum covers the line and the checksum before it, so what a
-killed run leaves is a prefix of what an unbroken run writes, and a line cut short, changed or moved ends the prefix.
-The first line says whose results these are.
+A line is a checksum, a space and a JSON value. The checksum covers the line and the checksum before it. A killed run
+therefore leaves a prefix of the file of a complete run, and a truncated, changed or moved line ends the prefix.
+The first line identifies the study.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ class OtherStudy(ValueError):
 
 
 class Checkpoint:
-    """Records 0, 1, 2 … of a study, kept in a file; use as a context manager.
+    """Records 0, 1, 2 … of a study, stored in a file; use as a context manager.
 
     Parameters
     ----------
     path : path or None
-        None keeps nothing.
+        None stores nothing.
     header : mapping
-        What the records depend on; a file with another header is refused.
+        Identity of the records; a file with another header is refused.
 
     Attributes
     ----------
     records : list
-        Those found in the file when it was opened.
+        Records found in the file when it was opened.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class Checkpoint:
             self._handle = -1
 
     def _resume(self, path: Path) -> None:
-        """Take the file for this process, read what is good of it, and cut off the rest."""
+        """Lock the file for this process, read its valid prefix, and truncate the rest."""
         try:
             fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -104,7 +104,7 @@ class Checkpoint:
             self._write([self.header])
 
     def _read(self, content: bytes) -> tuple[list[Any], int]:
-        """Records of the good prefix, and its length in bytes. A first line that is complete but not ours: [], > 0."""
+        """Records of the valid prefix, and its length in bytes. A complete first line of another study: [], > 0."""
         records: list[Any] = []
         good = 0
         for line in content.splitlines(keepends=True):
@@ -119,7 +119,7 @@ class Checkpoint:
         return records, good
 
     def append(self, records: Iterable[Any]) -> None:
-        """Add records behind those that are there; on the disk when this returns."""
+        """Append records; they are on the disk when this returns."""
         if self._handle >= 0:
             self._write(records)
 
@@ -145,7 +145,7 @@ def _checksum(before: str, body: bytes) -> str:
 
 
 def _word(number: float) -> str | None:
-    """What stands for a number that JSON lacks: null for NaN, a word for an infinity."""
+    """JSON substitute for a number that JSON lacks: null for NaN, a word for an infinity."""
     return None if isnan(number) else repr(number)
 
 

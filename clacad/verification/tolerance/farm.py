@@ -1,7 +1,7 @@
-"""Many independent pieces of work: here, on the cores of this machine, or on a cluster; results in order.
+"""Execution of independent pieces of work: in this process, on this machine's cores, or on a cluster; ordered results.
 
-The local pool needs nothing else to run. With a scheduler's address the same work goes to a running Dask cluster.
-Which of them did it cannot be told from the results.
+The local pool needs no further software. With a scheduler's address the work goes to a running Dask cluster.
+The results do not depend on which of them does the work.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from clacad.base.whole_numbers import whole_number
 from clacad.storage.child_path import safe_children
 
 Work = Callable[[str, Any], list[Any]]
-"""Takes a study as text and a piece of it; a function of a module, so that other processes find it."""
+"""Takes a study as text and a piece of it; must be a module-level function, so that other processes can import it."""
 
 PER_WORKER = 3
-"""Pieces handed out ahead to each worker."""
+"""Pieces queued ahead for each worker."""
 PULSE = 1.0
-"""Seconds between two looks at a cluster that owes us a result."""
+"""Seconds between two checks of a cluster with an outstanding result."""
 PATIENCE = 30.0
-"""Seconds for which a cluster may have no worker at all: time for one that died to be started again."""
+"""Seconds for which a cluster may have no worker: enough to restart one."""
 
 
 class NoCluster(RuntimeError):
-    """The scheduler, or the package that talks to it, is not there."""
+    """The scheduler does not answer, or the package that connects to it is not installed."""
 
     exit_status = 2
 
 
 class WorkersLost(RuntimeError):
-    """Those who did the work are gone: what they had delivered is good, the rest has to be done again."""
+    """The workers are gone; delivered results are valid, the rest must be computed again."""
 
     exit_status = 4
 
@@ -55,35 +55,35 @@ class _Promise(Protocol):
 
 
 class _Client(Protocol):
-    """What is asked of a Dask client."""
+    """Methods used of a Dask client."""
 
     def nthreads(self) -> dict[str, int]: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Farm:
-    """Where work is done.
+    """Executor of the work.
 
     Parameters
     ----------
     workers : int or None
-        Processes on this machine; 1: this process itself; None: one a core (or the environment's CLACAD_THREADS).
+        Processes on this machine; 1: this process itself; None: one per core (or the environment's CLACAD_THREADS).
     scheduler : str or None
-        Address of a Dask scheduler, such as "tcp://10.0.0.1:8786", instead.
+        Address of a Dask scheduler, such as "tcp://10.0.0.1:8786", used in place of this machine.
     """
 
     workers: int | None = None
     scheduler: str | None = None
 
     def run(self, work: Work, study: str, pieces: Sequence[Any]) -> Iterator[list[Any]]:
-        """Do `work(study, piece)` for every piece; results come in the order of the pieces.
+        """Do `work(study, piece)` for every piece; results are in the order of the pieces.
 
         Raises
         ------
         NoCluster
-            The scheduler does not answer, or the package to speak with it is missing.
+            The scheduler does not answer, or the package that connects to it is missing.
         WorkersLost
-            A process of this machine died; the scheduler went away, or no worker was left.
+            A process of this machine died; the scheduler disconnected, or no worker was left.
         """
         if not pieces:
             return
@@ -99,24 +99,24 @@ class Farm:
 
 
 def cores() -> int:
-    """Cores this process may use."""
+    """Number of cores this process may use."""
     asked = whole_number(os.environ.get("CLACAD_THREADS", "")) or 0
     return asked if asked > 0 else len(os.sched_getaffinity(0))
 
 
 def told(work: Work, study: str, piece: Any) -> tuple[str, list[Any]]:
-    """The result with the version that made it: a cluster may run another."""
+    """The result with the version that computed it, since a cluster may run another version."""
     return __version__, work(study, piece)
 
 
 def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iterator[list[Any]]:
-    """Results of all pieces, in their order, from so many processes of this machine."""
+    """Results of all pieces, in their order, from `count` processes of this machine."""
     others = {process.pid for process in active_children()}
-    with safe_children():  # it starts a process that keeps track of semaphores
+    with safe_children():  # the pool starts a process that tracks semaphores
         pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_settle)
 
     def submitted(piece: Any) -> Future[Any]:
-        with safe_children():  # and workers when there is work
+        with safe_children():  # the pool starts workers when it gets work
             return pool.submit(told, work, study, piece)
 
     done = False
@@ -126,7 +126,7 @@ def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iter
     except BrokenProcessPool as error:
         raise WorkersLost("a worker process died (out of memory?)") from error
     finally:
-        if not done:  # stopped on the way: nobody waits for pieces that nobody will take
+        if not done:  # stopped early: end the workers, since the remaining pieces are not needed
             for process in active_children():
                 if process.pid not in others:
                     process.kill()
@@ -134,7 +134,7 @@ def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iter
 
 
 def _settle() -> None:
-    """In a worker: leave Ctrl-C and warnings to the parent, and end when the parent ends, however it ends."""
+    """Set up a worker: leave Ctrl-C and warnings to the parent, and end when the parent ends in any way."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.filterwarnings("ignore", message="compiled kernels cannot be kept")
     parent = parent_process()
@@ -176,7 +176,7 @@ def _gone(address: str) -> WorkersLost:
 
 @contextmanager
 def _hushed() -> Iterator[None]:
-    """Keep the cluster's own logs still: that it was lost is said by us, in one sentence."""
+    """Silence the cluster's own logs; a lost cluster is reported in one sentence."""
     roots = ("distributed", "tornado")
     talking = [
         logger
@@ -193,12 +193,12 @@ def _hushed() -> Iterator[None]:
 
 
 def _awaited(promise: _Promise, client: _Client, address: str) -> Any:
-    """What a cluster was asked for, once it is there; the work's own errors pass as they are.
+    """Wait for a result of a cluster; errors of the work itself propagate unchanged.
 
     Raises
     ------
     WorkersLost
-        The scheduler went away, no worker was left for `PATIENCE`, or the piece ended every worker that took it.
+        The scheduler disconnected, no worker was left for `PATIENCE`, or the piece ended every worker that ran it.
     """
     from distributed import KilledWorker
 
@@ -228,7 +228,7 @@ def _taken(promise: _Promise) -> Any:
 def _in_order(
     submit: Callable[[Any], Any], pieces: Sequence[Any], count: int, taken: Callable[[Any], Any] = _taken
 ) -> Iterator[list[Any]]:
-    """Keep every worker busy, never hold more than a few results, give them in the order of the pieces."""
+    """Keep every worker busy, hold only a few results, and yield them in the order of the pieces."""
     waiting: deque[Any] = deque()
     rest = iter(pieces)
     while True:

@@ -1,23 +1,22 @@
-"""What light says about one telescopelet as made: the words of lenslet sheets, each a traced number.
-
+"""Measures of light through one telescopelet as made, in the terms of lenslet sheets; each is a traced number.
 image shift
-    Change of the direction in which the ray through the middle of lens 1's cell leaves; decentred arrays.
+    Change of the exit direction of the ray through the middle of lens 1's cell; caused by decentred arrays.
 slip, moiré period
-    How fast that direction changes from cell to cell, expressed as the rate at which array 2 slips against array 1
-    (the change per decentre is traced too). The moiré pattern repeats where it has slipped by one pitch: Hutley,
+    Change of that direction from cell to cell, expressed as the rate at which array 2 slips relative to array 1
+    (the change per decentre is traced too). The moiré pattern repeats where the slip reaches one pitch: Hutley,
     Hunt, Stevens, Savander, Pure Appl. Opt. 3, 133 (1994).
 residual power
-    Convergence: minus the change of exit slope with entrance height of rays a hair beside that ray, 0 for an
+    Convergence: minus the change of exit slope with entrance height of parabasal rays about that ray, 0 for an
     afocal pair. In dioptres.
 blur
     Rms spread of the exit directions of parallel light over a cell.
 throughput
-    Share of the light of the field that stays in its telescopelet and out of the haze of rough faces.
+    Share of the light of the field that stays in its telescopelet and is not scattered by rough faces.
 law_rms, law_bias, eta, delta, kept
-    As the checks of the same names define them (kept: throughput over the closed form), with fewer rays; blur, law_rms and
-    law_bias are those of the worst of the cells traced, the middle one and the farthest ones.
+    Defined as in the checks of the same names (kept: throughput over the closed form), with fewer rays. Blur, law_rms
+    and law_bias are those of the worst of the traced cells, the middle one and the farthest ones.
 law_rms_x, law_rms_y
-    Centre of the cell that law_rms is of.
+    Centre of the cell with that law_rms.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ HAIR = 2e-3
 """Entrance height of the parabasal rays over the cell's circumradius."""
 
 FIT_SCALE = 0.1
-"""Aperture and field of the rays that eta and delta are fitted on, as in the checks."""
+"""Aperture and field of the rays on which eta and delta are fitted, over those of the main rays, as in the checks."""
 
 MEASURES: Mapping[str, str] = {
     "shift_x": "rad", "shift_y": "rad", "slip_xx": "", "slip_xy": "", "slip_yx": "", "slip_yy": "",
@@ -61,12 +60,12 @@ MEASURES: Mapping[str, str] = {
     "throughput": "", "law_rms": "rad", "law_bias": "rad", "eta_x": "", "eta_y": "", "delta_x": "", "delta_y": "",
     "eta_error": "", "delta_error": "", "kept": "", "law_rms_x": "m", "law_rms_y": "m",
 }  # fmt: skip
-"""Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others follow."""
+"""Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others are derived."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A design's window with the rays and reference values that every sample shares.
+    """A design's window with the rays and reference values that all samples share.
 
     window : Window
     rays : (position (n, 3), direction (n, 3))
@@ -74,15 +73,15 @@ class Bench:
     parts : mapping
         Name of a bundle to its rows.
     places : (m, 2) lengths
-        Cells that are traced: the middle one and the farthest ones, nominal centres of cell 1.
-    asked : (n, 3)
-        Directions the asked law gives to all rays.
+        Traced cells: the middle one and the farthest ones, nominal centres of cell 1.
+    `asked` : (n, 3)
+        Exit directions of all rays by the requested law.
     chief : (2,) slopes
         Nominal exit slopes of the chief ray, lens frame.
     per_decentre : (2, 2) 1/length
         Change of those slopes with the decentre of array 2.
     closed_form : float
-        Share of the field's light that thin lenses would keep.
+        Share of the field's light that thin lenses keep.
     wavelength : float, metres
     """
 
@@ -97,7 +96,7 @@ class Bench:
     wavelength: float
 
     def measured(self, errors: Errors) -> dict[str, float]:
-        """All measures of the sheet made with these errors; NaN where too little light gets through to say."""
+        """All measures of the sheet made with these errors; NaN where too little light is transmitted."""
         found = self._chief_measures(errors)
         spread, share_, rms, bias = [], [], [], []
         clear = 1.0 - self._haze(errors)
@@ -120,7 +119,7 @@ class Bench:
         }  # fmt: skip
 
     def _sent(self, cell: Telescopelet, errors: Errors) -> tuple[Floats, NDArray[np.bool_]]:
-        """The field's light comes over the whole sheet, so over cell 1 wherever it stands."""
+        """Trace the field's light over cell 1 at its actual position: the light covers the whole sheet."""
         aside = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
         return cell.send(self.rays[0] + aside, self.rays[1])
 
@@ -155,7 +154,7 @@ class Bench:
             return dict.fromkeys(names, np.nan)
         try:
             law = law_in_axes(into, lit, self.window.law)
-        except ValueError:  # light that leaves without depending on how it came
+        except ValueError:  # the exit directions do not depend on the incident ones
             return dict.fromkeys(names, np.nan)
         asked = self.window.law
         eta, delta = (law.eta_x, law.eta_y), (law.delta_x, law.delta_y)
@@ -164,7 +163,7 @@ class Bench:
         return dict(zip(names, (*eta, *delta, off_eta, off_delta), strict=True))
 
     def _chief_measures(self, errors: Errors) -> dict[str, float]:
-        """Image shift, slip and power, from the chief ray and its neighbours."""
+        """Image shift, slip and power, computed from the chief ray and its neighbours."""
         window, unit = self.window, self.window.unit
         here = self.chief_slopes(errors)
         shift = here[0] - self.chief
@@ -194,7 +193,7 @@ class Bench:
         }  # fmt: skip
 
     def chief_slopes(self, errors: Errors, place: Floats | None = None) -> Floats:
-        """Exit slopes (5, 2), lens frame, of the chief ray and of those a hair beside it; NaN where none arrives."""
+        """Exit slopes (5, 2), lens frame, of the chief ray and its parabasal rays; NaN for a lost ray."""
         rows = self.parts["chief"]
         cell = telescopelet(self.window, errors, place)
         aside = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
@@ -206,16 +205,16 @@ class Bench:
 def bench(
     design: Design, window: Window, rays: int = RAYS, incident: tuple[float, float] | None = None
 ) -> Bench:
-    """Lay out the rays and trace the sheet as designed.
+    """Create the rays and trace the sheet as designed.
 
     Parameters
     ----------
     design : Design
-        For the field of the checks.
+        Gives the field of the checks.
     window : Window
     rays : int
-        Rays of each bundle; the cone, whose rays are counted, takes four times as many, the parallel beams beside
-        the middle one a quarter.
+        Rays of each bundle. The cone, whose rays are counted, has four times as many; the parallel beams other than
+        the middle one have a quarter.
     incident : (x, y) slopes or None
         Middle of the field along the sheet's x and y, in place of `check.field_centre`.
     """
@@ -235,7 +234,7 @@ def bench(
 
 
 def sloped(slopes: tuple[float, float]) -> Floats:
-    """Unit direction (3,) of the slopes along the sheet's x and y."""
+    """Unit direction (3,) with the given slopes along the sheet's x and y."""
     direction = np.array([*slopes, 1.0])
     return np.asarray(direction / np.linalg.norm(direction))
 
@@ -243,7 +242,7 @@ def sloped(slopes: tuple[float, float]) -> Floats:
 def _bundles(
     window: Window, spec: CheckSpec, rays: int, incident: Floats | None
 ) -> dict[str, tuple[Floats, Floats]]:
-    """Positions about the cell's centre and directions, (n, 3) each, of the rays of every bundle by its name."""
+    """Positions about the cell's centre and directions, (n, 3) each, of the rays of every bundle, by bundle name."""
     middle = middle_direction(window, spec.field_centre) if incident is None else incident
     bundles = {"cone": bundle(window, 4 * rays, spec.field, spec.field_centre, middle=incident)}
     for number, direction in enumerate(field_about(middle, spec.field)[[0, 1, 3, 5, 7]]):
@@ -264,7 +263,7 @@ def _per_decentre(table: Bench) -> Floats:
 
 
 def _chief_rays(window: Window, middle: Floats, low: float) -> tuple[Floats, Floats]:
-    """The ray through the cell's middle, and four a hair beside it along lens x and y, from below the window."""
+    """The ray through the cell's middle, and four parabasal rays along lens x and y, from below the window."""
     u, v, _ = window.thin.rotation.T
     size = HAIR * window.lattice.circumradius
     at = np.array([0.0 * u, u, -u, v, -v]) * size
@@ -288,12 +287,12 @@ def places(window: Window) -> Floats:
 
 
 def _worst(values: list[float]) -> float:
-    """The largest; NaN if any could not be measured."""
+    """The largest value; NaN if any is NaN."""
     return float(np.max(values))
 
 
 def _first_worst(values: list[float]) -> int:
-    """Index of the first that is the largest within rounding, or could not be measured."""
+    """Index of the first value that is the largest within rounding, or NaN."""
     most = _worst(values)
     return next(k for k, value in enumerate(values) if value != value or value >= most * (1.0 - 1e-9))
 

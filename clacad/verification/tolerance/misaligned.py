@@ -1,8 +1,8 @@
-"""One telescopelet of a sheet that was not made as designed: its faces where and what they really are.
+"""One telescopelet of a sheet with fabrication errors: its faces in their actual positions and shapes.
 
-Radius, index and thickness change the bodies of the window; decentre, rotation, separation and tilt are rigid
-motions of a whole array, so what they do to one telescopelet depends on where in the sheet it stands. Nothing here
-is first order: the faces are moved, and light is traced through them.
+Errors of radius, index and thickness change the bodies of the window. Decentre, rotation, separation and tilt are
+rigid motions of a whole array, so their effect on a telescopelet depends on its position in the sheet. No effect is
+linearized: the faces are moved, and light is traced through them.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ class Motion:
         return np.asarray((point - self.pivot) @ (self.turn - np.eye(3)).T + self.shift)
 
     def undone(self, point: Floats) -> Floats:
-        """Where moved points (…, 3) were before."""
+        """Positions (…, 3) of moved points (…, 3) before the motion."""
         return np.asarray((point - self.shift - self.pivot) @ self.turn + self.pivot)
 
 
 @dataclass(frozen=True, eq=False)
 class Telescopelet:
-    """Faces of one telescopelet as made, about the nominal centre of its cell 1.
+    """Faces of one telescopelet as made, relative to the nominal centre of its cell 1.
 
     window : Window
-        As made (radii, indices, thicknesses), for its cells.
+        The window as made (radii, indices, thicknesses); gives the cells.
     seq : list of Interface
     faces : list of (Face, array, Motion)
-        Of each interface: the design's face, the array it stands with, and how that array moved.
+        For each interface: the design's face, the array it moves with, and the motion of that array.
     centre : (2,) lengths
-        Of cell 1 in the sheet, nominal.
+        Nominal centre of cell 1 in the sheet.
     """
 
     window: Window
@@ -61,8 +61,8 @@ class Telescopelet:
     def send(self, position: Floats, direction: Floats) -> tuple[Floats, Bools]:
         """Trace rays given about the cell's centre; exit directions (n, 3), and which stayed in this telescopelet.
 
-        Directions are NaN where a ray ended on the way. A ray counts if it meets every lens face in the optical zone of this cell, where the lens is not buried in
-        land, and leaves forwards.
+        Directions are NaN where a ray ended on the way. A ray counts if it hits every lens face in the optical zone
+        of this cell, where the lens is not buried in land, and leaves forwards.
         """
         result = trace_sequence(self.seq, Rays(position, direction), record=True)
         through = result.fate == Fate.ALIVE
@@ -81,15 +81,15 @@ class Telescopelet:
 
 
 def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -> Telescopelet:
-    """Place the faces of the telescopelet whose cell 1 is centred at `centre` (2,), default the sheet's middle.
+    """Build the faces of the telescopelet whose cell 1 is centred at `centre` (2,), default the sheet's middle.
 
     Parameters
     ----------
     window : Window
         As designed.
     errors : mapping
-        Parameter name (`clacad.verification.tolerance.perturbations`) to error, in design units, radians or as a ratio; what is not
-        named is as designed.
+        Parameter name (`clacad.verification.tolerance.perturbations`) to error, in design units, radians or as a
+        ratio; parameters without an entry have no error.
     """
     at = np.zeros(2) if centre is None else np.asarray(centre, dtype=np.float64)
     made = as_made(window, errors)
@@ -114,21 +114,21 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
 
 
 def _moves_with(number: int, bodies: int) -> int:
-    """Array 0, 1 or 2 whose motion is that of a body: array 1's, array 2's, or that of the plate between."""
+    """Number (0, 1 or 2) of the array that moves a body: array 1, array 2, or that of the plate between."""
     if number == 0:
         return 0
     return 1 if number == bodies - 1 else 2
 
 
 def _baffled(window: Window) -> Window:
-    """With a baffle its walls narrow the zone of a cell as a seam does."""
+    """Window in which baffle walls narrow the zone of a cell as a seam does."""
     if window.baffle is None:
         return window
     return replace(window, land=replace(window.land, seam=max(window.land.seam, window.baffle.wall)))
 
 
 def as_made(window: Window, errors: Errors) -> Window:
-    """The window with the radii, indices and thicknesses it was made with."""
+    """The window with its radii, indices and thicknesses as made."""
     bodies = []
     for number, body in enumerate(window.bodies, 1):
         front, back = (
@@ -146,7 +146,7 @@ def as_made(window: Window, errors: Errors) -> Window:
 
 
 def _thicker_outside(body: Body, change: float, number: int) -> Body:
-    """The first or second plate of a slab with a field lens, `change` (length) thicker: the inner faces keep the air gap."""
+    """First or second plate of a slab with a field lens, `change` (length) thicker; inner faces keep the air gap."""
     if number == 1:
         x, y, z = body.front.vertex
         return replace(body, front=replace(body.front, vertex=(x, y, z - change)))
@@ -162,24 +162,24 @@ def _radius(errors: Errors, body: Body, face: Face, part: str) -> float:
 
 
 def grown(surface: Surface, part: float) -> Surface:
-    """The same shape with all radii larger by a relative `part`."""
+    """The surface with all radii larger by a relative `part`."""
     return surface if part == 0.0 else resized(surface, 1.0 + part)
 
 
 def _first(errors: Errors) -> Motion:
-    """Array 1 is what the others are measured against; it may stand off its place."""
+    """Motion of array 1, the reference of the others; it may be decentred."""
     shift = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
     return Motion(np.eye(3), shift, np.zeros(3))
 
 
 def _field(errors: Errors) -> Motion:
-    """The plate of a field lens, moved aside."""
+    """Motion of the plate of a field lens: decentred."""
     shift = np.array([errors.get("decentre.3.x", 0.0), errors.get("decentre.3.y", 0.0), 0.0])
     return Motion(np.eye(3), shift, np.zeros(3))
 
 
 def _second(window: Window, errors: Errors) -> Motion:
-    """Array 2: moved aside, turned about the sheet's normal, tilted about x and y, its spacer too high."""
+    """Motion of array 2: decentred, turned about the sheet's normal, tilted about x and y, its spacer too high."""
     heights = [face.vertex[2] for face in window.faces if face.array == 1]
     pivot = np.array([*window.shifts[1], sum(heights) / len(heights)])
     up = errors.get("separation", 0.0)
@@ -196,14 +196,14 @@ def _second(window: Window, errors: Errors) -> Motion:
 
 
 def _middle_of_pins(window: Window, pivot: Floats) -> Floats:
-    """The point (2,) about which pins let a plate turn; the pivot itself without pins."""
+    """The point (2,) about which pins let a plate turn; `pivot` without pins."""
     holes = window.outline.holes if isinstance(window.outline, Plate) else ()
     pins = [(hole.x, hole.y) for hole in holes if hole.purpose == "pin"]
     return np.mean(pins, axis=0) if pins else pivot[:2]
 
 
 def _turned(about_x: float, about_y: float, about_z: float) -> Floats:
-    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues): no order of axes to choose."""
+    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues); no axis order is involved."""
     vector = np.array([about_x, about_y, about_z])
     angle = float(np.linalg.norm(vector))
     x, y, z = vector

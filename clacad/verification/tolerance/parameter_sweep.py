@@ -44,15 +44,18 @@ TRACED: Mapping[str, str] = {
 BEAM: Mapping[str, str] = {
     "beam_exit_x": "slope", "beam_exit_y": "slope", "partner_share": "", "ghost_share": "", "orders": "",
 }  # fmt: skip
-"""Measures of the parallel beam in the middle of the light: mean exit slopes of its ALIVE rays along the sheet's x and y, by trace;
-shares of thin lenses: of the partner, of all ghosts, and of each order "i,j" of at least `clacad.sheet.vignetting.LEAST_SHARE`."""
+"""Measures of the parallel beam in the middle of the light.
+
+By trace: mean exit slopes of its ALIVE rays along the sheet's x and y. Shares of thin lenses: of the partner, of all
+ghosts, and of each order "i,j" of at least `clacad.sheet.vignetting.LEAST_SHARE`.
+"""
 
 BUILT: Mapping[str, str] = {
     "pieces": "", "cover": "", "edge": "design unit", "neck": "design unit", "step": "design unit",
     "clearance": "design unit", "radius": "design unit", "sag": "design unit", "thickness_1": "design unit",
     "thickness_2": "design unit", "normal_z": "", "half_field": "slope", "fresnel_number": "",
 }  # fmt: skip
-"""Numbers of a point by geometry: the worst of its lenses or bodies."""
+"""Geometric numbers of a point: the worst of its lenses or bodies."""
 
 _RANGE = re.compile(r"(?P<start>[^:]+):(?P<stop>[^:]+):(?P<count>[^:]+)(?P<log>:log)?\Z")
 
@@ -61,25 +64,26 @@ Axis = tuple[str, tuple[Any, ...]]
 
 
 class CannotVary(ValueError):
-    """A --vary that names no values, or no key."""
+    """A --vary without values or without a key."""
 
     exit_status = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A table of points.
+    """Table of the points of a sweep.
 
     Attributes
     ----------
     name, sha256 : str
-        Of the design that was varied.
+        Of the varied design.
     axes : tuple of (key, values)
     rows : list of mappings
         In the order of the grid, the last axis fastest: the varied keys, "state" ("ok", "failed": a check of the
-        design rules fails, or "error": it cannot be built), "failed" and "message", then `BUILT`, `TRACED` and `BEAM`.
+        design rules fails, or "error": the point cannot be built), "failed" and "message", then `BUILT`, `TRACED`
+        and `BEAM`.
     incident : (x, y) slopes or None
-        Middle of the light at every point; None: of the field of each point.
+        Middle of the light at every point; None: the middle of the field of each point.
     """
 
     name: str
@@ -130,7 +134,7 @@ def parse_vary(text: str) -> Axis:
 
 
 def _spaced(low: Fraction, high: Fraction, count: int, *, by_ratio: bool, whole: bool) -> Sequence[float]:
-    """Numbers of a range, each rounded once; `whole` ones where all steps are whole."""
+    """Numbers of a range, each rounded once; integers where all steps are whole."""
     if by_ratio:
         ratio = float(high / low)
         return [float(low) * ratio ** (k / max(1, count - 1)) for k in range(count)]
@@ -141,7 +145,7 @@ def _spaced(low: Fraction, high: Fraction, count: int, *, by_ratio: bool, whole:
 
 
 def _split(values: str) -> list[str]:
-    """Parts between commas that stand outside brackets and quotes."""
+    """Parts between commas that are outside brackets and quotes."""
     parts, depth, quote = [""], 0, ""
     for sign in values:
         if quote:
@@ -180,7 +184,7 @@ def _asked(study: str) -> tuple[Any, list[dict[str, Any]], int, tuple[float, flo
 
 
 def make_points(study: str, points: Sequence[int]) -> list[dict[str, Any]]:
-    """Build, judge and trace some points: in this process or in any other, the same numbers."""
+    """Build, judge and trace some points; the numbers do not depend on the process."""
     design, values, rays, incident = _asked(study)
     return [_point(design, values[k], rays, incident) for k in points]
 
@@ -188,7 +192,7 @@ def make_points(study: str, points: Sequence[int]) -> list[dict[str, Any]]:
 def _point(
     design: Design, changes: Mapping[str, Any], rays: int, incident: tuple[float, float] | None
 ) -> dict[str, Any]:
-    """Row of one point of the grid: what was varied, what was built, what light says."""
+    """Row of one point of the grid: its varied keys, its geometry, and its measures of light."""
     from clacad.design import DesignError
     from clacad.verification.design.design_rules import design_checks
 
@@ -258,13 +262,13 @@ def sweep(
     ----------
     design : Design
     axes : sequence of (dotted key, values)
-        As `parse_vary` reads them.
+        From `parse_vary`.
     rays : int
         Rays of a bundle.
     farm, checkpoint, progress
         As for `clacad.verification.tolerance.tolerance`.
     incident : (x, y) slopes or None
-        Middle of the light along the sheet's x and y, the same at every point; None: the middle of the field of each point.
+        Middle of the light along the sheet's x and y, at every point; None: the middle of the field of each point.
 
     Raises
     ------
@@ -286,7 +290,7 @@ def sweep(
 
 
 def _point_count(axes: Sequence[Axis]) -> int:
-    """Number of points of a grid; CannotVary is raised for none, too many, or one key twice."""
+    """Number of points of a grid; raises CannotVary for none, too many, or a repeated key."""
     if not axes or len({key for key, _ in axes}) < len(axes):
         raise CannotVary(
             "give --vary once or more, each with another key" if axes else "nothing is varied: --vary"
@@ -298,7 +302,7 @@ def _point_count(axes: Sequence[Axis]) -> int:
 
 
 def shown(value: Any) -> str:
-    """A cell of a CSV table: shortest number that reads back, nothing for what could not be measured."""
+    """Text of a CSV cell: the shortest number that reads back exactly, empty for NaN."""
     if isinstance(value, float):
         return repr(value) if isfinite(value) else {inf: "inf", -inf: "-inf"}.get(value, "")
     if isinstance(value, list | tuple | dict):

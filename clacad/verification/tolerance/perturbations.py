@@ -1,8 +1,8 @@
-"""What may go wrong with a sheet, one number each, and how a sample draws them.
+"""Fabrication errors of a sheet as parameters, and how a sample draws them.
 
-Sample k depends on the seed, on k and on nothing else: its numbers come from a counter-based generator (Philox
-4×64-10: Salmon, Moraes, Dror, Shaw, SC'11) whose counter holds k and a hash of the parameter's name, so samples
-can be drawn in any order, on any machine, and a further parameter changes no other's numbers.
+Sample k depends on the seed and on k only. Its numbers are those of a counter-based generator (Philox
+4×64-10: Salmon, Moraes, Dror, Shaw, SC'11) whose counter holds k and a hash of the parameter's name. Samples can
+therefore be drawn in any order, on any machine, and an additional parameter does not change the numbers of others.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 SIGMAS = 2.0
-"""A stated tolerance is this many standard deviations of a normal distribution."""
+"""Standard deviations of a normal distribution in a stated tolerance."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One thing that may go wrong.
+    """One fabrication error.
 
     Parameters
     ----------
     name : str
         Such as "decentre.2.x": the key, the array, the direction or face.
     key : str
-        Key of [tolerances] it comes from; "play" of body.pins.
+        Key of [tolerances] that sets it; "play" of body.pins.
     half : float
         Stated tolerance: ±half, in design units, radians or as a ratio; 0 … half where one-sided.
     unit : str
@@ -42,7 +42,7 @@ class Parameter:
     one_sided : bool
         Whether only positive errors exist (roughness).
     uniform : bool
-        Whether every error up to the end is as likely, whatever the design's distribution (the play of a pin).
+        Whether all errors up to the tolerance are equally likely, regardless of the design's distribution (pin play).
     """
 
     name: str
@@ -54,7 +54,7 @@ class Parameter:
 
 
 def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
-    """Everything the design's [tolerances] lets go wrong, in a fixed order; what has tolerance 0 is left out."""
+    """Parameters of all tolerances in the design's [tolerances], in a fixed order; tolerances of 0 are omitted."""
     spec, unit = design.tolerances, design.unit
     found: list[Parameter] = []
     for array, half in enumerate(spec.decentre, 1):
@@ -81,12 +81,12 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
 
 
 def _play(design: Design) -> list[Parameter]:
-    """How far pins let array 2 move against array 1.
+    """Parameters of the play that pins leave array 2 relative to array 1.
 
-    A pin of diameter d in holes of d + p has p/2 of room all round in either plate, so there plate 2 moves up to p against
-    plate 1: by p along x and along y. Where the pins farthest from one another, L apart, let it move opposite ways, it
-    turns by 2 p/L about the middle of the pins. Nothing draws a plate to the middle of its play: every place is as likely.
-    The three are drawn independently; together they hold every place that the pins allow, and some that they do not.
+    A pin of diameter d in holes of d + p has p/2 of room all round in either plate. Plate 2 therefore moves up to p
+    relative to plate 1 along x and along y. Where the pins farthest apart, at distance L, allow opposite motions, it
+    turns by 2 p/L about the middle of the pins. Nothing centres a plate in its play: all positions are equally likely.
+    The three are drawn independently; together they cover every pose that the pins allow, and some that they do not.
     """
     pins = design.body.pins
     if pins is None:
@@ -112,7 +112,7 @@ def curved_faces(window: Window) -> list[tuple[int, str]]:
 def draw(
     chosen: Sequence[Parameter], seed: int, sample: int, distribution: str = "normal"
 ) -> Mapping[str, float]:
-    """Errors of sample number `sample`, by name.
+    """Errors of sample number `sample`, by parameter name.
 
     Parameters
     ----------
@@ -120,12 +120,12 @@ def draw(
     seed : int, 0 … 2^64 − 1
     sample : int ≥ 0
     distribution : "normal" or "uniform"
-        Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the end, as it always is for parameters
-        that are. One-sided parameters take the absolute value.
+        Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the limit, as always for parameters
+        with `uniform`. One-sided parameters take the absolute value.
     """
     found = {}
     for p in chosen:
-        # two independent counters' worth of bits would be wasted on one number: the first word is enough
+        # one number uses only the first word of the counter's output
         word = np.random.Philox(key=seed, counter=[0, 0, crc32(p.name.encode()), sample]).random_raw()
         uniform = ((int(word) >> 11) + 0.5) * 2.0**-53
         value = (

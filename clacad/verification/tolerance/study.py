@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 PIECE = 8
-"""Sheets a worker makes at a time."""
+"""Sheets in one piece of work."""
 
 SMALL = 0.1
-"""Part of a tolerance over which slopes are taken."""
+"""Part of a tolerance over which slopes are computed."""
 
 RANKED = ("image_shift", "moire_rate", "residual_power", "blur", "throughput", "law_rms")
 """Measures for which contributors are ranked."""
@@ -40,12 +40,12 @@ RANKED = ("image_shift", "moire_rate", "residual_power", "blur", "throughput", "
 _LAW = list(MEASURES).index("law_rms")
 
 ENDS = 4
-"""Sheets made for each parameter: at both ends of its tolerance, and a little to either side."""
+"""Sheets for each parameter: at both ends of its tolerance, and at a small error of either sign."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What a good sheet keeps: `measure` relation `value`; where the limit comes from."""
+    """A limit of a good sheet: `measure` relation `value`, and the source of the limit."""
 
     measure: str
     relation: str
@@ -53,21 +53,21 @@ class Limit:
     source: str
 
     def kept(self, values: Floats) -> NDArray[np.bool_]:
-        """Which of the values (n,) keep it; what could not be measured does not."""
+        """Mask of the values (n,) that keep the limit; NaN does not."""
         with np.errstate(invalid="ignore"):
             return np.asarray(values <= self.value if self.relation == "<=" else values >= self.value)
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What a tolerance study found.
+    """Results of a tolerance study.
 
     Attributes
     ----------
     name, sha256 : str
         Of the design.
     unit_m : float
-        Its unit in metres.
+        The design unit in metres.
     parameters : tuple of Parameter
     limits : tuple of Limit
     distribution : str; seed, rays : int
@@ -80,7 +80,7 @@ class Study:
     errors : (n, p), measures : (n, m)
         Of the Monte-Carlo sheets.
     cell : (i, j) or None; tried : int
-        Of a sheet whose cells differ: the study is of a sheet of equal cells like this one, by light the worst of so many.
+        For a non-uniform sheet: the study is of this cell's uniform equivalent, by light the worst of `tried` cells.
     """
 
     name: str
@@ -100,7 +100,7 @@ class Study:
     tried: int = 0
 
     def column(self, measure: str) -> Floats:
-        """A measure of all sheets, (n,)."""
+        """One measure of all sheets, (n,)."""
         return np.asarray(self.measures[:, list(MEASURES).index(measure)])
 
     def change(self, measure: str) -> Floats:
@@ -110,7 +110,7 @@ class Study:
         return np.where(np.isfinite(found), found, np.inf)
 
     def place(self, parameter: str) -> tuple[float, float]:
-        """Centre (metres) of the cell whose law error is the worst at the worse end of a parameter's tolerance."""
+        """Centre (metres) of the cell with the worst law error at the worse end of a parameter's tolerance."""
         number = [p.name for p in self.parameters].index(parameter)
         return _centre(
             self.ends[number, int(np.argmax(np.nan_to_num(self.ends[number, :, _LAW], nan=np.inf)))]
@@ -127,7 +127,7 @@ class Study:
         return [(self.parameters[k].name, float(change[k]), float(share[k])) for k in order]
 
     def good(self) -> NDArray[np.bool_]:
-        """Which sheets keep every limit, (n,)."""
+        """Mask (n,) of the sheets that keep every limit."""
         kept = np.ones(len(self.measures), dtype=bool)
         for limit in self.limits:
             kept &= limit.kept(self.column(limit.measure))
@@ -148,7 +148,7 @@ class Study:
         return {limit.measure: int((~limit.kept(self.column(limit.measure))).sum()) for limit in self.limits}
 
     def nominal_misses(self) -> list[str]:
-        """Limits that the sheet misses as designed: no tolerance helps there."""
+        """Limits that the sheet misses as designed, regardless of tolerances."""
         return [
             limit.measure
             for limit in self.limits
@@ -156,7 +156,7 @@ class Study:
         ]
 
     def percentiles(self, measure: str) -> list[float]:
-        """5, 50 and 95 % of the sheets have less; those that could not be measured count as infinite."""
+        """Values below which 5, 50 and 95 % of the sheets lie; unmeasurable sheets count as infinite."""
         column = self.column(measure)
         if not len(column):
             return [float("nan")] * 3
@@ -165,13 +165,13 @@ class Study:
 
 
 def _centre(measures: Floats) -> tuple[float, float]:
-    """Centre (metres) of the cell that a row of measures has its law error from."""
+    """Centre (metres) of the cell of the law error in a row of measures."""
     x, y = (float(measures[list(MEASURES).index(name)]) for name in ("law_rms_x", "law_rms_y"))
     return x, y
 
 
 def limits(design: Design) -> tuple[Limit, ...]:
-    """What the design asks of a good sheet: the limits of [check], and those of [tolerances]."""
+    """Limits of a good sheet: those of [check], and those of [tolerances]."""
     check, own = design.check, design.tolerances
     found = [
         Limit("law_rms", "<=", check.law_rms, "check.law_rms"),
@@ -218,7 +218,7 @@ def _set_up(study: str) -> tuple[Bench, tuple[Parameter, ...], int, str]:
 
 
 def make_cases(study: str, cases: Sequence[int]) -> list[list[float]]:
-    """Make the sheets of some cases and measure them: in this process or in any other, the same numbers."""
+    """Make the sheets of some cases and measure them; the numbers do not depend on the process."""
     table, chosen, seed, distribution = _set_up(study)
     found = []
     for case in cases:
@@ -228,7 +228,7 @@ def make_cases(study: str, cases: Sequence[int]) -> list[list[float]]:
 
 
 class NoTolerances(ValueError):
-    """The design states nothing that could go wrong."""
+    """The design states no tolerances."""
 
     exit_status = 2
 
@@ -248,23 +248,23 @@ def tolerance(
     checkpoint: Path | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Find what the design's tolerances do to light.
+    """Compute the effect of the design's tolerances on light.
 
     Parameters
     ----------
     design : Design
         With a [tolerances] table; without one, NoTolerances is raised.
     samples, seed : int or None
-        Instead of the design's.
+        In place of the design's values.
     rays : int
         Rays of a bundle.
     farm : Farm or None
-        Where the work is done; None: all cores of this machine.
+        Executor of the work; None: all cores of this machine.
     checkpoint : path or None
-        Results are kept here as they come; what is there already is not done again, and more samples go on from it.
-        One that holds something else raises OtherStudy.
+        Results are stored here as they arrive. Stored results are not computed again, and more samples continue
+        from them. A checkpoint of another study raises OtherStudy.
     progress : callable or None
-        (stage, part done).
+        (stage, done 0 … 1).
     """
     seen = worst_cell(prescribe(design), design.check.field)
     chosen = parameters(design, seen.like)
@@ -284,7 +284,7 @@ def tolerance(
 
 
 def named_design(design: Design) -> dict[str, Any]:
-    """A design as a study hands it to whoever works on it: its keys, and where it is if a table of cells lies beside it."""
+    """A design as a study passes it to workers: its keys, and its path if a table of cells lies next to it."""
     varying = design.law_spec.varying
     beside = varying is not None and varying.table is not None
     return {"design": design.to_dict(), **({"path": design.path} if beside else {})}
@@ -302,12 +302,12 @@ def worked(
     work: Callable[[str, Any], list[Any]], text: str, header: Mapping[str, Any], count: int, farm: Farm,
     checkpoint: Path | None, progress: Progress | None, piece: int = PIECE,
 ) -> list[Any]:  # fmt: skip
-    """Records 0 … count − 1 of a study: those of the checkpoint, and the others, which are added to it.
+    """Records 0 … count − 1 of a study: those of the checkpoint, and the computed others, which are added to it.
 
     Raises
     ------
     WorkersLost
-        With what was kept, and how to go on.
+        With the number of stored records, and how to continue.
     """
     report = progress or silent
     with Checkpoint(checkpoint, header) as kept:
@@ -338,7 +338,7 @@ def _pieces(start: int, stop: int, size: int) -> Iterator[list[int]]:
 
 
 def _study(design: Design, chosen: tuple[Parameter, ...], seed: int, rays: int, rows: Floats) -> Study:
-    """The study that the measures (cases, m) of all its sheets make."""
+    """The study assembled from the measures (cases, m) of all its sheets."""
     n = len(chosen)
     alone = rows[1 : 1 + ENDS * n].reshape(n, ENDS, len(MEASURES))
     with np.errstate(invalid="ignore"):
@@ -355,5 +355,5 @@ def _study(design: Design, chosen: tuple[Parameter, ...], seed: int, rays: int, 
 
 
 def finite(value: float) -> float | str | None:
-    """A number as JSON holds it: "inf" for infinity, null for what could not be measured."""
+    """A number as JSON holds it: "inf" for infinity, null for NaN."""
     return value if isfinite(value) else ("inf" if value > 0 else None)

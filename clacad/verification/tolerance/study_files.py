@@ -1,4 +1,4 @@
-"""Studies and sweeps as files: JSON, CSV, Parquet, PNG; all of a study at once or nothing."""
+"""Studies and sweeps as files: JSON, CSV, Parquet, PNG; all files of a study are written, or none."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ CHECKPOINT = ".checkpoint"
 
 
 def checkpoint_path(folder: Path, kind: str) -> Path:
-    """Where the results of a study are kept as they come."""
+    """Path of the checkpoint of a study."""
     return folder / f"{kind}{CHECKPOINT}"
 
 
 def study_document(study: Study) -> dict[str, Any]:
-    """What tolerances.json says of a study; the report's section is made of it."""
+    """Content of tolerances.json, also used for the report's section."""
     share, low, high = study.yields()
     return {
         "kind": TOLERANCES, "format": FORMAT, "design": {"name": study.name, "sha256": study.sha256},
@@ -75,7 +75,7 @@ def _sensitivity(study: Study, number: int) -> dict[str, Any]:
 
 
 def study_table(study: Study) -> str:
-    """tolerances.csv: one sheet a line, its errors, its measures, whether it is good."""
+    """Content of tolerances.csv: one line per sheet with its errors, its measures, and whether it is good."""
     lines = [["sheet", *(p.name for p in study.parameters), *MEASURES, "good"]]
     good = study.good()
     for k in range(len(study.measures)):
@@ -91,7 +91,7 @@ def _csv(lines: Sequence[Sequence[str]]) -> str:
 
 
 def harmless_cell(cell: str) -> str:
-    """Give a cell as it is, but with an apostrophe before what a spreadsheet would run as a formula; numbers are none."""
+    """Return a cell with an apostrophe before text that a spreadsheet would run as a formula; numbers are unchanged."""
     try:
         float(cell)
     except ValueError:
@@ -143,7 +143,7 @@ def write_sweep(
 
 
 def require_writable(formats: Sequence[str]) -> None:
-    """Refuse formats of a table that are not written, or not here: said before a sweep, not after it.
+    """Refuse unknown or unavailable formats of a table, before a sweep and not after it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Pictures of studies and sweeps; the same bytes for the same numbers."""
+"""Plots of studies and sweeps; the same numbers give the same bytes."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ BAR, LINE, LIMIT = "#1f4e79", "#e07b39", "#b00020"
 
 
 def plot_tolerances(study: Study) -> bytes:
-    """Ranked contributors of each measure, and how the sheets of the Monte-Carlo run fall, as PNG."""
+    """Draw the ranked contributors of each measure, and its distribution over the Monte-Carlo sheets, as PNG."""
     return _png((11.0, 9.6), lambda figure: _draw_study(figure, study))
 
 
 def plot_sweep(found: Sweep) -> bytes:
-    """Measures against the varied key; over two keys as maps; over more against the first, one line each, as PNG."""
+    """Draw measures as PNG: over one key as lines, over two as maps, over more against the first, one line each."""
     if len(found.axes) == 2:
         return _png((11.0, 6.4), lambda figure: _draw_maps(figure, found))
     return _png((11.0, 6.4), lambda figure: _draw_lines(figure, found))
@@ -87,7 +87,7 @@ def _draw_histogram(axes: Any, study: Study, measure: str, limit: float | None) 
 
 
 def _numbers(values: tuple[Any, ...]) -> list[float]:
-    """Positions of the values of a key on an axis: themselves where they are numbers, else 0, 1, 2 …"""
+    """Positions of the values of a key on an axis: the values where they are numbers, else 0, 1, 2 …"""
     texts = [str(v).split(" ")[0] if isinstance(v, str) else v for v in values]
     try:
         return [float(t) for t in texts]
@@ -101,7 +101,7 @@ def _label(axis: tuple[str, tuple[Any, ...]]) -> str:
 
 
 def _draw_lines(figure: Figure, found: Sweep) -> None:
-    """Each measure against the first key, one line for each combination of the others."""
+    """Draw each measure against the first key, one line for each combination of the others."""
     figure.suptitle(f"{found.name}: {len(found.rows)} points", fontsize=10)
     first, *others = found.axes
     at = _numbers(first[1])
@@ -122,7 +122,7 @@ def _draw_lines(figure: Figure, found: Sweep) -> None:
 
 
 def _draw_maps(figure: Figure, found: Sweep) -> None:
-    """Each measure over both keys, as a map."""
+    """Draw each measure over both keys, as a map."""
     figure.suptitle(f"{found.name}: {len(found.rows)} points", fontsize=10)
     (x, y) = found.axes
     shape = (len(x[1]), len(y[1]))
