@@ -43,6 +43,7 @@ STRICT: tuple[str, ...] = (
     "config",
     "design",
     "effects",
+    "exporting",
     "formats",
     "imaging",
     "mesh",
