@@ -53,6 +53,7 @@ STRICT: tuple[str, ...] = (
     "scene",
     "sheet",
     "solid",
+    "storage",
     "topology",
     "tracing",
     "waves",
