@@ -53,6 +53,7 @@ STRICT: tuple[str, ...] = (
     "scene",
     "sheet",
     "solid",
+    "stacking",
     "storage",
     "topology",
     "tracing",
