@@ -48,6 +48,7 @@ STRICT: tuple[str, ...] = (
     "imaging",
     "mesh",
     "optics",
+    "optimising",
     "prescription",
     "rendering",
     "scene",
