@@ -39,6 +39,7 @@ LEFT_OUT = {
 """Words, as regular expressions → what is written instead."""
 
 STRICT: tuple[str, ...] = (
+    "advice",
     "base",
     "config",
     "design",
