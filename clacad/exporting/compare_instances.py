@@ -25,15 +25,14 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import WALL, Body, Face, Window
 
 COVERED = 0.02
-"""Least share of a cell's area that a part's facets must cover to represent that cell; lenses may be small.
-"""
+"""Least share of a cell's area that a part's facets must cover to represent that cell; lenses may be small."""
 
 SPILT = 1e-6
 """Share of a cell's area below which facets over it are slivers on its border."""
 
 SURE = 4.0
-"""Safety factor: the error of rows times this exceeds the distance of any place from the centre of all
-places. Along each axis, places are at most twice that error apart.
+"""Factor on the row error that bounds the residual of any place from the mean position error of all places.
+Along each axis, the position errors of two places differ by at most twice the row error.
 """
 
 Cell = tuple[int, int]

@@ -233,10 +233,10 @@ class Grader:
 
 
 def _judged_cell(window: Window, field: float, centre: str) -> Window:
-    """A sheet of one cell: the cell at the sheet's centre, or the worst outermost cell of a non-uniform
-    sheet.
+    """A sheet of one cell: the central cell, or the worst candidate cell of a non-uniform sheet.
 
-    The worst is the one, among the cells with the most displaced lenses, with the largest error to the law.
+    Candidates are the central cell and those with the most displaced lenses; the worst has the largest rms
+    error to the law.
     """
     from clacad.tracing.trace import trace
 

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 
 MERGE_STEPS = 5.0
-"""Largest distance of a vertex from its surface, in levels: 0.5 by rounding, the rest by merging at a border.
-"""
+"""Largest distance of a vertex from its surface, in levels: 0.5 by rounding, the rest by merging at borders."""
 
 
 @dataclass(frozen=True, eq=False)

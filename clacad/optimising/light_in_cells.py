@@ -40,8 +40,7 @@ SHARE_ROOM = 0.5 * MOST_LOST
 """Share that a trial may lose: less than `MOST_LOST`, because a search has few rays."""
 
 BORDER = 0.02
-"""Width of the border (half cells) in which a ray counts partly; a share of whole rays is not differentiable.
-"""
+"""Width of the border (half cells) in which a ray counts partly; a share of whole rays has no derivative."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ from clacad.storage.spending import Spending
 
 MOST_ENTRIES = 1000
 LONGEST_DIRECTORY = 1 << 20
-"""Largest size (bytes) of the list of entries; the standard library makes an object of each before any check.
-"""
+"""Largest list of entries (bytes); the standard library makes an object of each entry before any check."""
 MOST_RATIO = 100
 FREE_BYTES = 1 << 20
 """Entries that inflate to fewer bytes than this may have any compression ratio: 1 MB is harmless."""
