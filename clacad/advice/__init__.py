@@ -1,7 +1,7 @@
-"""Advice: what verify will say of a design, which keys to change so that it passes, and the design with them changed; and from a wish to a design that passes.
+"""Advice: forecast of verify for a design, the keys to change so that it passes, and a design from a wish.
 
-Nothing is said that was not tried: every proposal is a design that was built and judged by the checks of verification.
-Neither the judging nor a formula of optics lives here.
+Every proposal was tried: its design was built and judged by the checks of verification. The package contains
+neither checks nor formulas of optics.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A design that might fulfil a wish: one form, one pitch, one separation."""
+"""Candidate designs for a wish: one form, one pitch, one separation."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ Curved = Literal["outside", "inside"]
 FORMS: Final[tuple[tuple[Form, Curved], ...]] = (
     ("slab", "outside"), ("plano", "inside"), ("plano", "outside"), ("biconvex", "outside"),
 )  # fmt: skip
-"""In the order they are tried: one piece; plates with their lenses out of harm's way, then in reach; two-sided lenses."""
+"""Forms in the order of trial: one piece; plates with protected lenses, then exposed lenses; two-sided
+lenses.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """How a pair is built, apart from its sizes.
+    """Construction of a pair, apart from its sizes.
 
     Parameters
     ----------
@@ -33,12 +35,12 @@ class Variant:
     conic : float or None
         Of both meridians of both lenses; None: ellipsoids.
     aperture : float
-        Slope of the middle of the field over that of the line through both lenses: 1 looks along the lenses, 0 along the
-        sheet's normal.
+        Slope of the centre of the field over that of the line through both lenses: 1 is along the lenses, 0
+        along the sheet's normal.
     slope : (2,) tuple of float
         That of the line through both lenses, sheet frame.
     eye : {"", "field lens", "aimed"}
-        What keeps the light of a stated eye with its partner, aslant as it comes: nothing, a field lens, or cells that are
+        Means that directs the oblique light of a stated eye to its partner cell: none, a field lens, or cells
         aimed at the eye.
     """
 
@@ -58,10 +60,10 @@ class Variant:
 
 
 def apertures(wish: Wish) -> tuple[float, ...]:
-    """Where the field may look, the best first.
+    """Candidate values of `Variant.aperture`, the best first.
 
-    Light along the normal meets lens 2 beside its vertex: neighbours then stand at different heights, which only some
-    processes make.
+    Light along the normal hits lens 2 away from its vertex. Neighbouring lenses then have steps between them,
+    which only some processes make.
     """
     if wish.straight:
         return (1.0,)
@@ -71,7 +73,8 @@ def apertures(wish: Wish) -> tuple[float, ...]:
 def built(
     wish: Wish, variant: Variant, pitch: float, ratio: float, name: str, overrides: Sequence[str] = ()
 ) -> Design:
-    """The design of a variant at a pitch (millimetres) and a separation of `ratio` pitches, rounded to three digits.
+    """Design of a variant at a pitch (millimetres) and a separation of `ratio` pitches, rounded to three
+    digits.
 
     Raises
     ------
@@ -126,7 +129,7 @@ def _check(wish: Wish) -> dict[str, Any]:
 
 
 def _body(wish: Wish, variant: Variant) -> dict[str, Any]:
-    """A slab is thick enough by itself; plates and lenses are as thick as their edges must be."""
+    """Body keys: plates and lenses are as thick as their edges require; a slab needs no extra thickness."""
     rules = profile(wish.process)
     neck = 1.02 * MILLIMETRES * max(rules.edge, rules.neck) / NEAR
     body: dict[str, Any] = {}
@@ -140,7 +143,9 @@ def _body(wish: Wish, variant: Variant) -> dict[str, Any]:
 
 
 def _holes(wish: Wish, count: int, flange: float) -> dict[str, Any]:
-    """Holes along the middle of the flange, half as wide: one in each corner of a rectangle, or on the circle of a disc."""
+    """Holes in the centre of the flange, half as wide: one in each corner of a rectangle, or on the circle of
+    a disc.
+    """
     holes: dict[str, Any] = {"diameter": 0.5 * flange}
     if wish.size.shape == "circle":
         return holes | {"circle": wish.size.size[0] + flange, "count": count}
@@ -165,7 +170,7 @@ def _lattice(wish: Wish, variant: Variant, pitch: float) -> dict[str, Any]:
 
 
 def round_to(value: float, digits: int, up: bool = False) -> float:
-    """A number in so many significant digits; `up`: none below it."""
+    """A number rounded to `digits` significant digits; `up`: rounded up."""
     if value == 0.0:
         return 0.0
     places = digits - 1 - floor(log10(abs(value)))

@@ -1,8 +1,9 @@
-"""The fewest keys that make a design pass, its law kept; where nothing passes, which limits bind.
+"""Search for the fewest keys that make a design pass with its law, or for the binding limits.
 
-Sets of one key are tried first, then of two, three and four. Of as many keys that set is taken which changes least. Longer sets
-grow from the two shorter ones that come nearest to passing, and lose at last every key that they pass without; so a set found
-is tried and passes, but a set of other keys that no part of leads towards may be missed.
+Sets of one key are tried first, then of two, three and four. Among sets of equal size, the one with the
+smallest change is taken. Longer sets grow from the two shorter ones that are nearest to passing, and finally
+lose every unnecessary key. A set that is found was tried and passes, but a set whose parts bring no
+improvement may be missed.
 """
 
 from __future__ import annotations
@@ -23,32 +24,32 @@ from clacad.design import Design
 from clacad.verification.checks import Check
 
 TRIALS = 100
-"""Designs that are tried at most."""
+"""Largest number of designs that are tried."""
 
 SECONDS = 15.0
-"""Processor seconds after which no further design is tried: the nearest found so far is then the answer."""
+"""Processor seconds after which no further design is tried; the nearest one so far is then the result."""
 
 KEYS = 4
-"""Keys of the longest set."""
+"""Number of keys of the longest set."""
 
 BEAM = 2
-"""Sets that longer ones grow from."""
+"""Number of sets from which longer ones grow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fixed:
-    """A design that passes, or the nearest to one.
+    """A design that passes, or the nearest one to passing.
 
     Attributes
     ----------
     design : Design
         With the changes.
-    asked : Design
-        As it was.
+    `asked` : Design
+        Original design.
     changes : mapping
-        Values by dotted key; empty where the design passes as it is, or where no change brings it nearer.
+        Values by dotted key; empty where the design passes unchanged, or where no change brings it nearer.
     judged : Judged or None
-        Of that design; None where it cannot be built, and nothing tried can.
+        Checks of that design; None where neither it nor any trial can be built.
     tried : int
         Designs that were tried.
     """
@@ -66,11 +67,11 @@ class Fixed:
 
     @property
     def binding(self) -> tuple[Check, ...]:
-        """Checks whose limits are not met by the nearest design: empty where it passes."""
+        """Checks whose limits the nearest design does not meet; empty where it passes."""
         return () if self.judged is None or self.passes else self.judged.failing or self.judged.tight
 
     def rows(self) -> list[list[str]]:
-        """Key, value as it was, and as it is, of each change."""
+        """Key, old value and new value of each change."""
         found = []
         for key, value in self.changes.items():
             section, name = key.split(".")
@@ -79,7 +80,7 @@ class Fixed:
         return found
 
     def __str__(self) -> str:
-        """Return what was found in one line."""
+        """Return the result in one line."""
         if self.passes:
             return f"{changes_text(self.changes)} passes" if self.changes else "passes as it is"
         if self.judged is None:
@@ -109,14 +110,14 @@ def fix(design: Design, progress: Progress | None = None) -> Fixed:
     Parameters
     ----------
     design : Design
-        May be one that cannot be built.
+        Design to change; it may be one that cannot be built.
     progress : callable or None
         Called with a stage's name and the part done, 0 … 1.
 
     Returns
     -------
     Fixed
-        Its `passes` says whether anything does.
+        Its `passes` is False if no trial passes.
     """
     trials = Trials(design, TRIALS, progress or silent, SECONDS)
     asked = trials.judged({})
@@ -139,7 +140,7 @@ def fix(design: Design, progress: Progress | None = None) -> Fixed:
 
 
 def _pruned(trials: Trials, changes: Changes) -> Changes:
-    """The same set without the keys that it passes without: a longer set may have grown past the need of its first ones."""
+    """Set of changes without unnecessary keys: the first keys of a longer set may have become unnecessary."""
     trials.most, trials.seconds = trials.most + len(changes), inf
     for key in changes:
         less = {
@@ -152,7 +153,7 @@ def _pruned(trials: Trials, changes: Changes) -> Changes:
 
 @dataclass(frozen=True, slots=True)
 class _Changed:
-    """A set of changes, how far it is from passing, and how much it changes."""
+    """A set of changes, its distance from passing, and its size."""
 
     changes: Changes
     bad: float
@@ -164,7 +165,7 @@ def _state(trials: Trials, changes: Changes) -> _Changed:
 
 
 def _unlike(states: Sequence[_Changed]) -> list[_Changed]:
-    """States of different changes, those that come to nothing left out."""
+    """States with different changes, those without a result left out."""
     found: list[_Changed] = []
     for state in states:
         if state.bad < inf and not any(state.changes == other.changes for other in found):
@@ -173,7 +174,7 @@ def _unlike(states: Sequence[_Changed]) -> list[_Changed]:
 
 
 def _grown(trials: Trials, state: _Changed) -> list[_Changed]:
-    """The state with one more key changed, in each way that may help."""
+    """States with one more changed key, for each lever that may help."""
     judged = trials.judged(state.changes)
     now = trials.design.replace(state.changes) if state.changes else trials.design
     failing = () if judged is None else judged.failing
@@ -182,7 +183,7 @@ def _grown(trials: Trials, state: _Changed) -> list[_Changed]:
     for lever in levers:
         if (
             lever.key in state.changes and lever.way != "shape"
-        ):  # a shape is tuned again for what was changed since
+        ):  # a shape is tuned again for the later changes
             continue
         changes = _pulled(trials, state.changes, lever, now, judged, failing)
         if changes is not None:
@@ -193,7 +194,7 @@ def _grown(trials: Trials, state: _Changed) -> list[_Changed]:
 def _pulled(
     trials: Trials, before: Changes, lever: Lever, now: Design, judged: Judged | None, failing: Sequence[Check]
 ) -> Changes | None:  # fmt: skip
-    """The nearest setting of a lever that mends all it may; else that of those tried which comes nearest to passing."""
+    """Nearest setting of a lever that mends all its checks, or else the trial that is nearest to passing."""
     mine = [c for c in failing if mends(lever, c)]
     values = settings(lever, now, judged, failing)
     if lever.way == "shape":

@@ -1,4 +1,4 @@
-"""What a window does to light in the middle of its field, by nine rays: fast enough to shape lenses by."""
+"""Errors of a window at the centre of its field, by nine rays: fast enough for the choice of lens shapes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from clacad.verification.light.law_checks import FIT_SCALE
 
 @dataclass(frozen=True, slots=True)
 class CentreErrors:
-    """Errors in the middle of the field, and along the axis ray.
+    """Errors at the centre of the field, and along the axis ray.
 
     Parameters
     ----------
     law, decollimation : float, radians
-        What the recipe leaves along the axis ray (`Window.residual`).
+        Residual of the recipe along the axis ray (`Window.residual`).
     eta : float
         Largest relative error of the change of exit slopes with entry slopes, over the directions of the fit of η.
     """
@@ -34,16 +34,16 @@ class CentreErrors:
     eta: float
 
     def lasting(self, design: Design) -> float:
-        """What no separation helps, over what the design allows; below 1 it is kept."""
+        """Errors that do not depend on the separation, over the design's limits; below 1 the limits are kept."""
         return max(self.law / design.check.law_rms, self.eta / design.check.eta)
 
     def shrinking(self, design: Design) -> float:
-        """What falls as pitch over separation, over what the design allows."""
+        """Errors that fall as pitch over separation, over the design's limits."""
         return self.decollimation / design.check.law_rms
 
 
 def centre_errors(window: Window, field: float) -> CentreErrors:
-    """Trace the middle of lens 1 in the middle of the field and about it.
+    """Trace the centre of lens 1 at the centre of the field and around it.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def centre_errors(window: Window, field: float) -> CentreErrors:
 
 
 def _eta_error(window: Window, field: float) -> float:
-    """Largest stretch of ∂(exit slope)/∂(asked exit slope) from 1; infinite where light does not get through."""
+    """Largest deviation of ∂(exit slope)/∂(required exit slope) from 1; infinite where light is lost."""
     step = tan(FIT_SCALE * field)
     slopes = np.array([(step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)]) + aperture_slope(window)
     direction = np.column_stack([slopes, np.ones(4)])

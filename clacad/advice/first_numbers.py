@@ -1,8 +1,8 @@
-"""Closed formulas that say, before anything is built, between which pitches and separations a wish can come true.
+"""Closed formulas for the ranges of pitch and separation in which a wish can be fulfilled.
 
-They are first numbers for the search (`clacad.advice.wish_search`), which builds and judges; nothing is promised by them.
-Sources: thin-lens relations and third-order sums as in Welford, *Aberrations of Optical Systems*; the pitch of least blur
-from the quarter-wave rule (wave-traced within 10 %).
+They are start values for the search (`clacad.advice.wish_search`), which builds and judges; they guarantee
+nothing. Sources: thin-lens relations and third-order sums as in Welford, *Aberrations of Optical Systems*;
+the pitch of least blur from the quarter-wave rule (wave-traced within 10 %).
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from clacad.sheet.feasibility import pitch_for_eye
 from clacad.verification.checks import NEAR
 
 MILLIMETRES = 1e3
-"""In a metre."""
+"""Millimetres per metre."""
 
 FRESNEL = 10.5
-"""Fresnel number that is aimed at; below 10 verify warns."""
+"""Target Fresnel number; below 10 verify warns."""
 
 FEWEST_CELLS = 5
-"""Across a sheet."""
+"""Least number of cells across a sheet."""
 
 SPHERICAL = 1.5
 """Rms error of a slab of spheres with eta = -1, over (pitch/separation)³."""
@@ -32,7 +32,7 @@ SPHERICAL = 1.5
 
 @dataclass(frozen=True, slots=True)
 class PitchBound:
-    """A length (millimetres) that a pitch is held against, and why."""
+    """Bound (millimetres) of a pitch, and its reason."""
 
     value: float
     why: str
@@ -40,14 +40,16 @@ class PitchBound:
 
 @dataclass(frozen=True, slots=True)
 class FormNumbers:
-    """What the formulas need of a form: its radii over (n - 1) f, and the thickness of the part over its separation."""
+    """Numbers of a form: its radii over (n - 1) f, and the thickness of the part over its separation."""
 
     radius: float
     thickness: float
 
 
 def shape_of(form: str, index: float) -> FormNumbers:
-    """Of biconvex lenses both faces share the power; a slab is n times its separation thick."""
+    """Numbers of a form: both faces of biconvex lenses share the power; a slab is n times its separation
+    thick.
+    """
     return FormNumbers(2.0 if form == "biconvex" else 1.0, index if form == "slab" else 0.0)
 
 
@@ -62,12 +64,16 @@ def powers(wish: Wish) -> list[float]:
 
 
 def returning(wish: Wish) -> float:
-    """Width of the light that comes back to the viewer from one cell, over the pitch: min(1, 1/|η|), the lesser axis."""
+    """Width of the light returned to the viewer from one cell, over the pitch: min(1, 1/|η|), the smaller
+    axis.
+    """
     return min(1.0, *(1.0 / abs(eta) for eta in wish.eta))
 
 
 def balanced_pitch(wish: Wish) -> float:
-    """√(λD/min(1, 1/|η|)), millimetres: a pixel looks as large as the diffraction of the light that comes back from it."""
+    """√(λD/min(1, 1/|η|)), millimetres: a pixel appears as large as the diffraction of the light returned
+    from it.
+    """
     return sqrt(wish.wavelength * MILLIMETRES * wish.distance / returning(wish))
 
 
@@ -80,7 +86,7 @@ def sharpest_pitch(wish: Wish, behind: float) -> float:
 
 
 def wanted_pitch(wish: Wish) -> PitchBound:
-    """The pitch that is wished, or the one that looks best, before anybody has to make it."""
+    """The wished pitch, or the one that looks best, before limits of manufacture."""
     if wish.pitch is not None:
         return PitchBound(wish.pitch, "as wished")
     if wish.object is not None:
@@ -94,7 +100,8 @@ def wanted_pitch(wish: Wish) -> PitchBound:
 def least_ratio(wish: Wish, error: float) -> float:
     """Separation over pitch at which spherical aberration alone makes this rms error (radians).
 
-    Lens i errs by the third power of its aperture over f_i, pitch x (1 - eta)/separation; lens 1 is seen through lens 2, 1/|eta|.
+    The error of lens i grows as the cube of its aperture over f_i, pitch x (1 - eta)/separation; that of lens
+    1 is seen through lens 2, by a factor 1/|eta|.
     """
     sphere = max(SPHERICAL * abs(1.0 - eta) ** 3 * (1.0 + 1.0 / abs(eta)) / 16.0 for eta in powers(wish))
     return float((sphere / error) ** (1.0 / 3.0))
@@ -111,7 +118,7 @@ def _sags(wish: Wish, radii: list[list[float]]) -> list[float]:
     """Height of each lens over its cell, over the pitch."""
     corner = (
         1.0 / 6.0 if wish.kind == "hexagonal" else 1.0 / 4.0
-    )  # square of the half width, the mean of all turns
+    )  # square of the half width, averaged over all directions
     return [sum(corner / (2.0 * r) for r in lens if isfinite(r)) for lens in radii]
 
 
@@ -158,9 +165,9 @@ def _fresnel_pitch(wish: Wish, ratio: float) -> float:
 def undistorted_conic(form: str, curved: str, index: float) -> float | None:
     """Conic constant of lens 2 at which light along the axis of an offset pair leaves by the law, to third order.
 
-    It meets lens 2 at the height d = δ f1 and leaves at δ/|η| = d/f2, if the slope of the face grows with the height as
-    Snell's law asks of a collimating face: tan τ = u + (1 + K) u³/2 at u = d/R2, and its exit slope (n − 1) u + c u³.
-    None for biconvex lenses, where the form of both faces shares the work.
+    It meets lens 2 at the height d = δ f1 and leaves at δ/|η| = d/f2, if the slope of the face grows with the
+    height as Snell's law requires of a collimating face: tan τ = u + (1 + K) u³/2 at u = d/R2, and its exit
+    slope (n − 1) u + c u³. None for biconvex lenses, where the form of both faces shares the work.
     """
     n = index
     if form == "biconvex":

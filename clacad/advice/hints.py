@@ -1,4 +1,4 @@
-"""What would mend each check that fails or warns: one key and its value, tried before it is said."""
+"""Hints that mend each check that fails or warns: one key and its value, tried before it is reported."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from clacad.design import Design
 from clacad.verification.checks import Check
 
 TRIALS = 60
-"""Designs that are tried at most: some ten seconds."""
+"""Largest number of designs that are tried: about 10 s."""
 
 SECONDS = 20.0
-"""Processor seconds after which `check` tries no more: designs with much tilt take seconds each."""
+"""Processor seconds after which `check` tries no more; strongly tilted designs take seconds each."""
 
 MOST = 3
-"""Ways that are told of each check."""
+"""Largest number of hints that are reported for each check."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hint:
-    """Keys to change, and what that does.
+    """Changed keys and their effect.
 
     Attributes
     ----------
     changes : mapping
         Values by dotted key.
     mends : tuple of Check
-        Of the design so changed: those that failed or warned and do so no more.
+        Checks that failed or warned and do so no more after the change.
     passes : bool
-        Whether verify of the design so changed will pass.
+        Whether verify of the changed design will pass.
     left : tuple of Check
-        Of the design so changed: those that fail, or warn and did not.
+        Checks of the changed design that fail, or that warn and did not before.
     """
 
     changes: Changes
@@ -70,17 +70,17 @@ class Hint:
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """A design judged, and for each check that fails or warns what would mend it.
+    """A judged design, with hints for each check that fails or warns.
 
     Attributes
     ----------
     judged : Judged
     hints : tuple of (Check, tuple of Hint)
-        The best first; none where no single key mends the check.
+        Hints for each check, the best first; none where no single key mends the check.
     tried : int
         Designs that were tried.
     sharper : Sharper or None
-        What would make light sharper and costs nothing, whether or not a check fails.
+        Change that makes light sharper at no cost, whether or not a check fails.
     """
 
     judged: Judged
@@ -108,7 +108,7 @@ class Advice:
 
 
 def advise(design: Design, progress: Progress | None = None, judged: Judged | None = None) -> Advice:
-    """Say of each check that fails or warns which one key would mend it, and to which value; each was tried.
+    """Find for each check that fails or warns a key and value that mend it; each was tried.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     progress : callable or None
         Called with a stage's name and the part done, 0 … 1.
     judged : Judged or None
-        Of the design, if it was judged already.
+        Checks of the design, if it was judged already.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
 def _settings_that_mend(
     trials: Trials, judged: Judged, lever: Lever, checks: Sequence[Check]
 ) -> list[Changes]:
-    """The nearest setting of a lever that mends all these checks, or else of each the nearest that mends it."""
+    """Nearest setting of a lever that mends all these checks, or else the nearest setting for each check."""
     values = settings(lever, trials.design, judged, checks)
     if lever.way == "shape":
         shaped = trials.shaped({}, values)
@@ -173,7 +173,7 @@ def _each_once(found: Sequence[Changes]) -> list[Changes]:
 
 
 def _hint(trials: Trials, before: Judged, changes: Changes) -> Hint:
-    """What a change that was tried does to every check."""
+    """Effect of a tried change on every check."""
     after = trials.judged(changes)
     assert after is not None  # it mended something
     mended = [c for c in (*before.failing, *before.warning) if settled(after, c)]
@@ -185,7 +185,7 @@ def _hint(trials: Trials, before: Judged, changes: Changes) -> Hint:
 
 
 def _breaks(judged: Judged, hint: Hint) -> bool:
-    """Whether a hint makes a check fail that did not: that is no advice."""
+    """Whether a hint makes another check fail; such a hint is not given."""
     failed = {(c.id, c.subject) for c in judged.failing}
     return not hint.passes and any((c.id, c.subject) not in failed for c in hint.left)
 
@@ -195,12 +195,12 @@ def _names(hint: Hint, check: Check) -> bool:
 
 
 def changes_text(changes: Changes) -> str:
-    """Return changed keys as they stand in a file: "lattice.pitch = 0.8 with lattice.count = [88, 101]"."""
+    """Return changed keys as written in a file: "lattice.pitch = 0.8 with lattice.count = [88, 101]"."""
     return " with ".join(f"{key} = {value_text(value)}" for key, value in changes.items())
 
 
 def outcome_text(checks: Sequence[Check]) -> str:
-    """Return what some checks measure against their limits: "law_rms 2.7 of 3 mrad, cover 1 of 1"."""
+    """Return measured values of checks with their limits: "law_rms 2.7 of 3 mrad, cover 1 of 1"."""
     said: dict[str, str] = {}
     for check in checks:
         value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)

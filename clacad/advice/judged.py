@@ -1,7 +1,9 @@
-"""What verify will say of a design: the same checks by the same functions, with fewer rays of the same bundles.
+"""Forecast of verify for a design: the same checks by the same functions, with fewer rays of the same
+bundles.
 
-Fewer rays move a number that is near its limit by a few hundredths of it (`tests/benchmarks/predictions.md` has the figures
-over random designs), so the verdict is verify's unless a check stands that near.
+With fewer rays, a number near its limit changes by a few per cent (figures over random designs:
+`tests/benchmarks/predictions.md`). The verdict is therefore that of verify unless a check is that near its
+limit.
 """
 
 from __future__ import annotations
@@ -18,18 +20,18 @@ from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
 
 RAYS, POINT_RAYS = 8192, 1024
-"""Of the main bundle, where verify sends 65536, and of each field point, where it sends 4096."""
+"""Rays of the main bundle (65536 in verify), and of each field point (4096 in verify)."""
 
 TIGHT = 0.03
-"""Part of its limit that a number measured by so few rays may be off."""
+"""Error of a number measured with so few rays, as a share of its limit."""
 
 SAME_RAYS = frozenset({"viewed", "field_throughput"})
-"""Checks that send as many rays here as in verify: their numbers are those of verify."""
+"""Checks that use the same number of rays as verify: their numbers are those of verify."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A design as built, and what its checks say; light is sent through it when it is first asked for.
+    """A design as built, with its checks; light is traced at the first access.
 
     Attributes
     ----------
@@ -52,7 +54,7 @@ class Judged:
 
     @cached_property
     def light(self) -> tuple[Check, ...]:
-        """The checks by light, through one cell of the exact surfaces."""
+        """Checks by light, through one cell of the exact surfaces."""
         found, _ = judge_light(self.design, self.window, RAYS, POINT_RAYS, remedies=self.remedies)
         return tuple(found)
 
@@ -73,19 +75,19 @@ class Judged:
 
     @property
     def tight(self) -> tuple[Check, ...]:
-        """Checks by light that pass so near to their limit that all the rays of verify may say otherwise."""
+        """Checks by light that pass so near their limit that the rays of verify may decide otherwise."""
         return tuple(c for c in self.light if c.state == "pass" and tight(c))
 
     @property
     def warning(self) -> tuple[Check, ...]:
-        """Warnings that the design does not allow; of its allowances that do nothing nothing is said."""
+        """Warnings that the design does not allow; unused allowances are not reported."""
         return tuple(
             c for c in self.checks if c.state == "warn" and "accepted" not in c.detail and c.id != "allowance"
         )
 
 
 def tight(check: Check) -> bool:
-    """Whether a measured number is within TIGHT of its limit; a count of mistakes (limit 0) is no such number."""
+    """Whether a measured number is within TIGHT of its limit; counts of mistakes (limit 0) are excluded."""
     if check.id in SAME_RAYS or not (
         isinstance(check.value, float) and isinstance(check.limit, float) and check.bundle and check.limit
     ):

@@ -1,4 +1,4 @@
-"""The shape of lenses that keeps light on the law where it goes off the axis: offset and tilted pairs."""
+"""Lens shapes that keep off-axis light on the law, for offset and tilted pairs."""
 
 from __future__ import annotations
 
@@ -16,34 +16,36 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.vignetting import aperture_slope
 
 ENOUGH = 0.9
-"""Part of the limits that the middle of the field may use."""
+"""Share of the limits that errors at the centre of the field may use."""
 
 WITHIN = 0.95
-"""Part of them beyond which a shape is not worth tracing."""
+"""Share of the limits beyond which a shape is not traced further."""
 
 SPREAD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.5, -0.5, 0.7, -0.7)
-"""Conic constants that are tried, from that of the closed formula."""
+"""Trial conic constants, relative to that of the closed formula."""
 
 FINE = (0.025, -0.025, 0.05, -0.05, 0.075, -0.075)
-"""Then about the best of those."""
+"""Finer trial values, relative to the best of `SPREAD`."""
 
 RATIO = 20.0
-"""Separation in pitches at which shapes are compared."""
+"""Separation (pitches) at which shapes are compared."""
 
 FARTHEST = 2.0
-"""Pitches by which light may meet lens 2 beside its vertex."""
+"""Largest distance (pitches) from its vertex at which light may hit lens 2."""
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Errors in the middle of the field over what the design allows: those that no separation helps, and the others."""
+    """Errors at the centre of the field over the design's limits: lasting ones, and those that a separation
+    reduces.
+    """
 
     lasting: float
     shrinking: float
 
     @property
     def cost(self) -> tuple[float, float]:
-        """Less is better: what is beyond enough first, then the separation that is needed."""
+        """Cost, smaller is better: first the excess over ENOUGH, then the required separation."""
         return max(0.0, self.lasting - ENOUGH), self.shrinking
 
 
@@ -55,11 +57,11 @@ class LensShapes:
     ----------
     wish : Wish
     pitch : float, millimetres
-        At which they are compared; nearly all the same at any.
+        Pitch at which they are compared; the result hardly depends on it.
     overrides : sequence of str
         "key=value" of the design, as with --set.
     refused : list of str
-        Gets a sentence for each form that is not worth tracing.
+        Receives a sentence for each form that is rejected without tracing.
     """
 
     wish: Wish
@@ -68,7 +70,7 @@ class LensShapes:
     refused: list[str] = field(default_factory=list)
 
     def variants(self) -> Iterator[tuple[Variant, float]]:
-        """What to try, the best first, each with the separation in pitches that it needs at least."""
+        """Candidate variants, the best first, each with its least separation in pitches."""
         for aperture in apertures(self.wish):
             for form, curved in FORMS:
                 if self.wish.form in ("any", form):
@@ -79,14 +81,16 @@ class LensShapes:
                         yield from ((one, needed) for one in self._for_the_eye(shaped))
 
     def _for_the_eye(self, variant: Variant) -> Iterator[Variant]:
-        """The variant, then for a stated eye with field lenses, and with cells aimed at it where the process makes steps."""
+        """The variant; for a stated eye also with field lenses, and with aimed cells where the process makes
+        steps.
+        """
         yield variant
         if self.wish.viewing is None:
             return
         sharp = variant
         if (
             variant.form == "slab" and variant.conic is None
-        ):  # lenses near one another are sharper so, at no cost
+        ):  # lenses close to each other are sharper with it, at no cost
             sharp = replace(variant, conic=round(-1.0 / index_of(self.wish) ** 2, 4))
             yield sharp
         if max(powers(self.wish)) < 0.0:
@@ -95,14 +99,16 @@ class LensShapes:
             yield replace(sharp, eye="aimed")
 
     def _straight(self, variant: Variant) -> Iterator[tuple[Variant, float]]:
-        """Spheres or ellipsoids first, then what has no distortion."""
+        """Spheres or ellipsoids first, then the conic without distortion."""
         yield variant, 0.0
         conic = undistorted_conic(variant.form, variant.curved, index_of(self.wish))
         if conic is not None:
             yield replace(variant, conic=round(conic, 3)), 0.0
 
     def _offset(self, variant: Variant) -> Iterator[tuple[Variant, float]]:
-        """The variant with the conic that keeps the law in the middle of the field and along the axis ray, if one does."""
+        """The variant with a conic that keeps the law at the field's centre and along the axis ray, if there
+        is one.
+        """
         try:
             x, y = aperture_slope(prescribe(self._design(replace(variant, aperture=1.0))))
         except DesignError as problem:
@@ -128,7 +134,9 @@ class LensShapes:
         )
 
     def _compared(self, variant: Variant) -> dict[float | None, Faults]:
-        """Faults by conic constant: of the ellipsoid, and unless that is good enough of those about the closed formula's."""
+        """Faults by conic constant: of the ellipsoid and, unless it suffices, of values near the closed
+        formula's.
+        """
         faults: dict[float | None, Faults] = {None: self._faults(variant)}
         start = undistorted_conic(variant.form, variant.curved, index_of(self.wish))
         if start is None or faults[None].cost <= (0.0, ENOUGH):

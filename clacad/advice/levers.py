@@ -1,8 +1,8 @@
-"""Which keys may mend which check, and the values of each that are worth a trial, nearest first.
+"""Levers: the keys that may mend each check, and their trial values, nearest first.
 
-The law, the material, the process and all of [check], the viewer too, stay as they are: they are what is asked, and so is each of
-`INTENTS` that a design states. What may change is how the pair that does it is built. A sheet of other cells keeps its size:
-`lattice.count` follows `lattice.pitch`.
+The law, the material, the process and all of [check], the viewer included, are requirements and stay fixed;
+so does each of `INTENTS` that a design states. Only the construction of the pair may change. A sheet with
+another pitch keeps its size: `lattice.count` follows `lattice.pitch`.
 """
 
 from __future__ import annotations
@@ -22,31 +22,33 @@ Changes = Mapping[str, Any]
 """Values by dotted key, as `Design.replace` takes them."""
 
 FARTHEST: Final = 8.0
-"""Factor on a length beyond which no trial goes."""
+"""Largest factor on a length in a trial."""
 
 STEP: Final = 1.07
-"""Ratio of neighbouring values of a length that is tried: they differ in the second digit."""
+"""Ratio of neighbouring trial values of a length: they differ in the second digit."""
 
 SHARES: Final = (0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0)
-"""Parts of the pitch that are tried for a length that may be 0."""
+"""Trial values, as shares of the pitch, of a length that may be 0."""
 
 CONICS: Final = (-0.5, -1.0, -1.5, -2.0, -2.5, -3.5)
-"""Conic constants that are tried; -1/n² and -n² lie among them for every glass."""
+"""Trial conic constants; -1/n² and -n² lie in their range for every glass."""
 
 CONIC_STEPS: Final = (0.25, 0.12, 0.06, 0.03)
-"""Steps about the best of them."""
+"""Steps around the best of `CONICS`."""
 
 ROOM: Final = 1.3
-"""A length that a process limits is also tried with this much more than the limit: from 1.25 on it is no longer near."""
+"""A length that a process limits is also tried at this factor of the limit: from 1.25 on it is no longer
+near.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Lever:
-    """One key and the direction it is moved in.
+    """One key and the direction of its change.
 
     key : str
     way : "up", "down", "word", "aim" or "shape"
-        A shape has no nearest value that does: too much is as bad as too little.
+        A shape has no nearest sufficient value: too much is as bad as too little.
     """
 
     key: str
@@ -73,10 +75,10 @@ _AIM = Lever("lattice.aperture", "aim")
 _FIELD_LENS = Lever("pair.field_lens", "word")
 
 INTENTS: Final = frozenset({"lattice.aperture", "body.border"})
-"""Keys that are left alone where the design states them: where its cells look, and its flange."""
+"""Keys that stay fixed where the design states them: the direction of its cells, and its flange."""
 
 MOST_AIMED: Final = 5000
-"""Cells of a sheet that is tried with its cells aimed: each is traced, a millisecond."""
+"""Largest number of cells of a sheet that is tried with aimed cells: tracing takes 1 ms per cell."""
 
 _LIGHT = (_RECIPE, _SPREAD, _SHAPE, _FINER, _TURNED, _APERTURE)
 _WHOLE = (_THICKER, _SPREAD, _FINER)
@@ -94,7 +96,9 @@ LEVERS: Final[Mapping[str, tuple[Lever, ...]]] = {
     "slope": _FLAT, "voxel": (_COARSER, _SEAM), "layer": (_CLOSER, _COARSER), "aspect": (_SPREAD, _SEAM, _FINER),
     "undercut": _FLAT, "viewed": (_FIELD_LENS, _CLOSER, _AIM),
 }  # fmt: skip
-"""Levers of each check, by its id: those that cost the part least come first. One without any is mended by none."""
+"""Levers of each check, by its id: those with the least cost to the part come first. A check without levers
+cannot be mended.
+"""
 
 UNBUILT: Final = (_SPREAD, _FINER, _THICKER, _THINNER, _LESS_SEAM, _RECIPE)
 """Levers of a design that cannot be built."""
@@ -108,17 +112,18 @@ _FORMS: Final[Mapping[str, tuple[str, ...]]] = {
     "pair.confocal": ("biconvex", "plano"), "pair.surface": ("plano", "slab"), "pair.curved": ("plano",),
     "pair.conic": ("biconvex", "plano", "slab"), "pair.web": ("biconvex",), "pair.thickness": ("biconvex", "plano"),
 }  # fmt: skip
-"""Forms that have the key, or take it without another one."""
+"""Forms that have the key, or accept it without another one."""
 
 
 _HELD: Final = ("pair.separation", "pair.thickness", "lattice.pitch", "lattice.aperture")
-"""Keys that `clacad optimise` holds: its faces are those of the pair with these values."""
+"""Keys that `clacad optimise` keeps fixed: its faces are those of the pair with these values."""
 
 
 def levers_of(design: Design, checks: Iterable[Check]) -> tuple[Lever, ...]:
     """Levers that may mend some of these checks in a design of this form, each once.
 
-    None touches an intent of the design, or undoes a search for its faces. No lever serves an eye that is only assumed: the check itself names what would serve it.
+    None changes an intent of the design, or undoes a search for its faces. No lever serves an eye that is
+    only assumed: the check itself names the remedies.
     """
     mended = [check for check in checks if check.id != "viewed" or check.state == "fail"]
     found = dict.fromkeys(lever for check in mended for lever in LEVERS.get(check.id, ()))
@@ -128,30 +133,30 @@ def levers_of(design: Design, checks: Iterable[Check]) -> tuple[Lever, ...]:
 
 
 def _is_held(lever: Lever, design: Design) -> bool:
-    """Whether a lever would undo a search for faces, or an intent: a key the design states to say what is asked."""
+    """Whether a lever would undo a search for faces, or change an intent: a key stated as a requirement."""
     section, name = lever.key.split(".")
     stated = lever.key in INTENTS and name in design.given.get(section, {})
     return stated or (design.pair.search is not None and lever.key in _HELD)
 
 
 def mends(lever: Lever, check: Check) -> bool:
-    """Whether a lever is one of those of a check."""
+    """Whether a lever is one of those for a check."""
     return lever in LEVERS.get(check.id, ())
 
 
 def settings(
     lever: Lever, design: Design, judged: Judged | None, checks: Iterable[Check]
 ) -> tuple[Changes, ...]:
-    """What may be tried of a lever, nearest to what the design has first.
+    """Trial settings of a lever, nearest to the design's value first.
 
     Parameters
     ----------
     lever : Lever
     design : Design
     judged : Judged or None
-        Of the design; None where it cannot be built.
+        Checks of the design; None where it cannot be built.
     checks : iterable of Check
-        That are to be mended: a length is also tried at what they ask for.
+        Checks to mend: a length is also tried at their limits.
     """
     if lever.way == "aim":
         return _aimed(design)
@@ -169,7 +174,7 @@ def settings(
 
 
 def _aimed(design: Design) -> tuple[Changes, ...]:
-    """Cells aimed at the eye of [check]; none where there are too many to be traced for a trial."""
+    """Setting of cells aimed at the eye of [check]; none where there are more than `MOST_AIMED` cells."""
     n1, n2 = design.lattice.count
     if design.check.viewer is None or n1 * n2 > MOST_AIMED:
         return ()
@@ -181,14 +186,14 @@ def _conic(x: float, y: float) -> Changes:
 
 
 def conics_about(changes: Changes, step: float) -> tuple[Changes, ...]:
-    """The same changes with the conic constant of one meridian a step less, and a step more."""
+    """Changes with the conic constant of one meridian decreased, and increased, by a step."""
     x, y = changes["pair.conic"]
     beside = ((x - step, y), (x + step, y), (x, y - step), (x, y + step))
     return tuple({**changes, **_conic(*one)} for one in beside)
 
 
 def _separations(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
-    """Of a slab that has its thickness instead, the thickness."""
+    """Settings of the separation, or of the thickness for a slab that states it instead."""
     if design.pair.separation is not None:
         return tuple({"pair.separation": value} for value in _ladder(design.pair.separation, way))
     thickness = design.pair.thicknesses
@@ -196,7 +201,7 @@ def _separations(design: Design, way: str, _: Judged | None) -> tuple[Changes, .
 
 
 def _pitches(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
-    """Both pitches of a rectangular lattice by one factor."""
+    """Settings of the pitch; both pitches of a rectangular lattice change by one factor."""
     old, found = design.lattice.pitch, []
     for new in _ladder(max(old), way):
         factor = new / max(old)
@@ -213,7 +218,7 @@ def _pitches(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
 
 
 def _lacking(design: Design, checks: Iterable[Check], lever: Lever) -> float:
-    """How much of a length the worst of some checks lacks, near to its limit no more."""
+    """Largest shortfall of a length among some checks, measured until the limit is no longer near."""
     found = [
         c.limit * ROOM - c.value for c in checks if mends(lever, c) and isinstance(c.value, float)
         and isinstance(c.limit, float) and c.unit == design.unit and isfinite(c.limit) and isfinite(c.value)
@@ -222,7 +227,7 @@ def _lacking(design: Design, checks: Iterable[Check], lever: Lever) -> float:
 
 
 def _thicknesses(design: Design, way: str, judged: Judged | None, lack: float) -> tuple[Changes, ...]:
-    """The word auto first, then numbers from what the lenses are now: in ratio, and by parts of what is lacking."""
+    """The word auto first, then numbers from the present thickness: by ratio, and by shares of the shortfall."""
     given = design.pair.thicknesses
     auto: tuple[Changes, ...] = () if given is None else ({"pair.thickness": "auto"},)
     if given is None and judged is not None:
@@ -247,7 +252,7 @@ _SCALED: Final = {
 
 
 def _lengths(lever: Lever, design: Design, checks: Iterable[Check]) -> list[float]:
-    """Values of a length that may be 0: parts of the pitch, and what a failing check of a length asks for."""
+    """Values of a length that may be 0: shares of the pitch, and the limits of failing checks of a length."""
     section, name = lever.key.split(".")
     present = getattr(getattr(design, section), name) or 0.0
     if lever.way == "down":
@@ -261,7 +266,7 @@ def _lengths(lever: Lever, design: Design, checks: Iterable[Check]) -> list[floa
 
 
 def _ladder(present: float, way: str) -> list[float]:
-    """Values from a length on, up or down, of two digits where those tell them apart."""
+    """Values from a length up or down, of two digits where those distinguish them."""
     found: list[float] = []
     factor = STEP
     while factor <= FARTHEST:
@@ -273,13 +278,15 @@ def _ladder(present: float, way: str) -> list[float]:
 
 
 def nice(value: float, count: int = 2) -> float:
-    """The nearest number of so few digits; a whole one as an int, so that it is written without a point."""
+    """Value rounded to `count` digits; a whole number becomes an int, so that it is written without a point."""
     rounded = float(f"{value:.{count - 1}e}")
     return int(rounded) if rounded.is_integer() and abs(rounded) < 1e6 else rounded
 
 
 def size_of(changes: Changes, design: Design) -> float:
-    """How much is changed, to choose among sets of as many keys: of a length the logarithm of its ratio, weighted."""
+    """Size of changes, for the choice among sets of equal length: for a length the weighted logarithm of its
+    ratio.
+    """
     total = 0.0
     for key, value in changes.items():
         section, name = key.split(".")
@@ -301,4 +308,6 @@ WEIGHTS: Final = {
     "pair.thickness": 0.3,
     "pair.field_lens": 0.6,
 }
-"""What a change of a key counts: other cells are other pixels, other faces other tools, another aperture another view."""
+"""Weight of a change of a key: other cells mean other pixels, other faces other tools, another aperture
+another view.
+"""

@@ -1,4 +1,4 @@
-"""Where a wish cannot come true: what stands in its way, and which wishes near it can."""
+"""Wishes that cannot be fulfilled: the binding limits, and similar wishes that can."""
 
 from __future__ import annotations
 
@@ -15,25 +15,27 @@ from clacad.design.sections import Outline
 from clacad.verification.checks import Check
 
 FEW = 2
-"""Wishes that are named."""
+"""Largest number of wishes that are named."""
 
 SEARCHES = 20
-"""Wishes that are tried."""
+"""Largest number of wishes that are tried."""
 
 SECONDS = 60.0
 """Processor seconds after which no further wish is tried."""
 
 REASONS = 4
-"""Reasons that are printed of what could not be built."""
+"""Largest number of printed reasons why designs could not be built."""
 
 FARTHER = (1.3, 2.0, 4.0, 8.0, 16.0)
-"""Distances of the eye that are tried, over the one that is wished; sheets are tried smaller by the same factors."""
+"""Trial distances of the eye over the wished one; sheets are reduced by the same factors."""
 
 PROCESSES = ("moulding", "diamond-turning", "greyscale", "sla", "two-photon", "none")
 
 
 def binding(search: Search) -> Iterator[str]:
-    """Which limits bind: the failing checks of the design that fails least, and what could not be built at all."""
+    """Binding limits: the failing checks of the design that fails least, and the reasons of designs not
+    built.
+    """
     yield f"no design was found that passes; {len(search.tried)} were built and judged"
     if search.tried:
         best = min(search.tried, key=lambda t: (len(t.judged.failing), _excess(t)))
@@ -45,7 +47,7 @@ def binding(search: Search) -> Iterator[str]:
 
 
 def nearest(search: Search) -> Iterator[str]:
-    """Wishes near this one that come true, each tried; a sentence for each."""
+    """Sentences on similar wishes that can be fulfilled, each tried."""
     found, begun, number = 0, process_time(), 0
     for ladder in _ladders(search):
         for words, wish in ladder:
@@ -69,7 +71,7 @@ def _warned(one: Tried) -> str:
 
 
 def _ladders(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
-    """Rows of wishes that ask for less and less, the least change first; of each row the first that comes true is named."""
+    """Rows of less and less demanding wishes; the first of each row that can be fulfilled is named."""
     wish = search.wish
     if wish.form != "any":
         yield [("form=any", replace(wish, form="any"))]
@@ -91,7 +93,7 @@ def _ladders(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
 
 
 def _for_the_eye(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
-    """The eye farther away, or a smaller sheet, where that can help a stated eye."""
+    """Rows with the eye farther away, or a smaller sheet, where that can help a stated eye."""
     wish = search.wish
     if wish.viewing is None or impossible(wish, search.limit):
         return
@@ -100,7 +102,7 @@ def _for_the_eye(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
 
 
 def _changed(wish: Wish, changes: Iterable[dict[str, Any]]) -> Iterator[tuple[str, Wish]]:
-    """The wish with some of its values changed, and the words that say so."""
+    """The wish with some changed values, and the words of the change."""
     for values in changes:
         changed = replace(wish, **values)
         yield _difference(wish, changed), changed
@@ -116,7 +118,7 @@ def _scaled(pair: tuple[float, float], part: float) -> tuple[float, float]:
 
 
 def _difference(before: Wish, after: Wish) -> str:
-    """The words that make one wish of another, those that return to their default too."""
+    """Words that turn one wish into another, including those that return to their default."""
     first, second = before.words(), after.words()
     values = {
         key: second.get(key, KEYS[key].default) for key in (*second, *(k for k in first if k not in second))
@@ -125,19 +127,19 @@ def _difference(before: Wish, after: Wish) -> str:
 
 
 def plain_words(wish: Wish) -> str:
-    """A wish as it would be typed after --for."""
+    """A wish as typed after --for."""
     return ", ".join(f"{key}={_plain(value)}" for key, value in wish.words().items())
 
 
 def _plain(value: Any) -> str:
-    """A value as a person types it: whole numbers without a point."""
+    """A value as typed: whole numbers without a point."""
     if isinstance(value, list):
         return f"[{', '.join(_plain(item) for item in value)}]"
     return repr(value).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
 def _excess(tried: Tried) -> float:
-    """How far failing numbers are beyond their limits, in limits."""
+    """Excess of failing numbers over their limits, in limits."""
     return sum(
         abs(check.value - check.limit) / abs(check.limit) if check.limit else 1.0
         for check in tried.judged.failing

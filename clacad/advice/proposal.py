@@ -1,4 +1,4 @@
-"""The answer to a wish: a design that passes, why its numbers are what they are, and its file; or why there is none."""
+"""Answer to a wish: a design that passes, the reasons for its numbers, and its file; or why there is none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from clacad.design import Design
 
 
 class NoSuchSheet(ValueError):
-    """A wish that no design that was tried fulfils; says which limit binds and which wishes near it come true."""
+    """No tried design fulfils the wish; the message gives the binding limits and similar wishes that can be
+    fulfilled.
+    """
 
     exit_status = 1
 
@@ -29,11 +31,11 @@ class Proposal:
     ----------
     wish : Wish
     chosen : Tried
-        The design, as judged, and what it was made of.
+        The design, as judged, and its variant and pitch.
     trades : tuple of Trade
         It and its neighbours.
     judgements : int
-        Designs that were built, traced and judged.
+        Number of designs that were built, traced and judged.
     """
 
     wish: Wish
@@ -48,12 +50,12 @@ class Proposal:
 
     @property
     def judged(self) -> Judged:
-        """What verify will say of it."""
+        """Forecast of verify for the design."""
         return self.chosen.judged
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why the numbers are what they are, and what they cost one another."""
+        """Reasons for the numbers, and their trade-offs."""
         one = self.chosen
         warnings = [f"warning {c.id}: {c.sentence}" for c in self.judged.warning]
         return (
@@ -76,7 +78,7 @@ class Proposal:
 
 
 def not_met(wish: Wish, design: Design) -> Iterator[str]:
-    """Sides of the sheet that are not a whole number of pitches, and what they are."""
+    """Sides of the sheet that differ from the wish because they are not a whole number of pitches."""
     if design.lattice.outline is not None:
         return
     cells = zip(("width", "height"), wish.size.size, design.lattice.count, design.lattice.pitch, strict=True)
@@ -86,7 +88,7 @@ def not_met(wish: Wish, design: Design) -> Iterator[str]:
 
 
 def _for_the_eye(found: Proposal) -> Iterator[str]:
-    """What serves the eye that is stated, and how much of its light obeys the law."""
+    """Construction that serves a stated eye, and the share of its light that obeys the law."""
     if found.wish.viewing is None:
         return
     share = next(check.value for check in found.judged.checks if check.id == "viewed")
@@ -106,8 +108,8 @@ def design_for(
 ) -> Proposal:
     """Find a design that fulfils a wish and passes verify.
 
-    Closed formulas say where to look; what is proposed was built, traced through one cell and judged by the checks that
-    verify uses, with its limits as they are. The same wish gives the same design.
+    Closed formulas give the search range. The proposal was built, traced through one cell and judged by the
+    checks and limits of verify. The same wish gives the same design.
 
     Parameters
     ----------
@@ -126,7 +128,7 @@ def design_for(
     DesignError
         The wish or an override cannot be read.
     NoSuchSheet
-        Nothing that was tried passes.
+        No tried design passes.
     """
     asked = wish if isinstance(wish, Wish) else read_wish(wish)
     search = Search(asked, name, tuple(overrides), progress or silent)

@@ -18,7 +18,7 @@ WIDTH = 118
 
 
 def file_text(wish: Wish, judged: Judged, reasons: Sequence[str], trades: Sequence[Trade]) -> str:
-    """TOML with comments; it loads as it stands."""
+    """Loadable TOML with comments."""
     lines = ["#:schema clacad.schema.json"]
     lines += _wrapped(f"Made for the wish {plain_words(wish)}.")
     words = sorted({check.id for check in judged.warning})
@@ -44,7 +44,7 @@ def _wrapped(text: str, first: str = "# ", rest: str = "# ") -> list[str]:
 
 
 def _keys(given: Any) -> Iterator[str]:
-    """The keys as written, each with what it means."""
+    """The keys as written, each with its meaning."""
     section = ""
     for line in to_toml(given).rstrip("\n").split("\n"):
         if line.startswith("["):

@@ -1,8 +1,8 @@
-"""Faces that cost nothing and are sharper: the conic constant −1/n² of a slab's lenses, where a design has ellipsoids.
+"""Sharper faces at no cost: the conic constant −1/n² of a slab's lenses, where a design has ellipsoids.
 
 A slab's lens focuses inside the material, where an ellipsoid of conic constant −1/n² along the axis has no spherical
-aberration at all: parallel light meets in one point. The tool, the radii and the heights stay what they are within a
-micrometre, so nothing has to be searched or paid for.
+aberration: parallel light is focused in one point. The tool, the radii and the heights stay the same within
+1 µm, so the change needs no search and costs nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from clacad.base.digits import digits
 CHANGES: Final[Changes] = {"pair.surface": "biconic"}
 
 WORTH: Final = 0.9
-"""Part of the error that is left, at most, where it is advised."""
+"""Largest share of the error that may remain for the change to be advised."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Sharper:
 
 
 def sharper(judged: Judged, trials: Trials) -> Sharper | None:
-    """What would cost nothing, if the design is a slab of ellipsoids and light through it says so."""
+    """Change at no cost, if the design is a slab of ellipsoids and the traced error falls enough."""
     pair = judged.design.pair
     if pair.form != "slab" or pair.given or pair.surface != "ellipsoid" or pair.depth is not None:
         return None
@@ -67,5 +67,5 @@ def sharper(judged: Judged, trials: Trials) -> Sharper | None:
 
 
 def _law_rms(judged: Judged) -> float:
-    """Rms error to the law (radians); NaN where too little light says so."""
+    """Rms error to the law (radians); NaN where there is too little light."""
     return next((c.value for c in judged.checks if c.id == "law_rms" and isinstance(c.value, float)), nan)

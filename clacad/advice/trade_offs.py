@@ -1,4 +1,4 @@
-"""What other sizes would give: each one built, traced and judged like the design itself."""
+"""Trade-offs of other sizes: each is built, traced and judged like the design itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from clacad.sheet.feasibility.pitch_for_eye import ARC_MINUTE
 
 @dataclass(frozen=True, slots=True)
 class Trade:
-    """One row: a design and what is gained and lost by it. Lengths in millimetres, angles in radians.
+    """One design with its gains and losses. Lengths in millimetres, angles in radians.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Trade:
     rms : float
         Error of the law, traced.
     diffraction, pixel : float
-        λ over the width of the light that comes back from one cell, and the pitch, as the viewer sees them.
+        λ over the width of the light returned from one cell, and the pitch, as the viewer sees them.
     field : float
         Half angle in which the sheet shows the law.
     seen : float
@@ -35,7 +35,7 @@ class Trade:
     step, sag : float
         Highest step between neighbours, and greatest height of a lens.
     verdict : str
-        "passes", or what fails or warns.
+        "passes", or the checks that fail or warn.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Trade:
 
 
 def trade_offs(wish: Wish, chosen: Judged) -> tuple[Trade, ...]:
-    """The design itself, then half and twice its pitch and a smaller and a larger separation, each at its own price."""
+    """The design itself, then half and twice its pitch, and a smaller and a larger separation."""
     pitch, separation = min(chosen.design.lattice.pitch), chosen.window.thin.separation
     rows = [_row("this design", wish, chosen)]
     for name, p, s in (
@@ -120,7 +120,7 @@ UNITS = ("", "mm", "mm", "mm", "mrad rms", "mrad", "mrad", "+- deg", "mm", "um",
 
 
 def rows_of(trades: Sequence[Trade]) -> list[tuple[str, ...]]:
-    """The rows as text, two of heading first."""
+    """The rows as text, after two heading rows."""
     return [HEAD, UNITS, *(_texts(trade) for trade in trades)]
 
 
@@ -135,7 +135,7 @@ def _texts(t: Trade) -> tuple[str, ...]:
 
 
 def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
-    """What the numbers say of each other, for this wish."""
+    """Sentences on the relations between the numbers, for this wish."""
     wave = wish.wavelength * MILLIMETRES
     fine, sharp = wish.distance * ARC_MINUTE, wave / (ARC_MINUTE * returning(wish))
     found = [

@@ -1,4 +1,6 @@
-"""Trials: a design with some keys changed, built and judged, each only once; and the nearest value of a lever that does."""
+"""Trials: changed designs, each built and judged only once; search for the nearest sufficient value of a
+lever.
+"""
 
 from __future__ import annotations
 
@@ -15,29 +17,29 @@ from clacad.design import Design, DesignError
 from clacad.verification.checks import Check, wrong
 
 Wish = Callable[[Judged], bool]
-"""Whether a trial does what is wanted of it."""
+"""Predicate that returns whether a trial is sufficient."""
 
 STAGE = "trying changed keys"
 
 
 class NoMoreTrials(Exception):
-    """As many designs were tried as may be, or for as long."""
+    """The limit on the number or the time of trials is reached."""
 
 
 @dataclass(eq=False)
 class Trials:
-    """Designs tried, by what was changed.
+    """Tried designs by their changes.
 
     Parameters
     ----------
     design : Design
-        As asked.
+        Design before any change.
     most : int
-        Trials that may be made.
+        Largest number of trials.
     progress : callable
         Called with the stage and the part of the trials made.
     seconds : float
-        Processor seconds after which none is begun.
+        Processor seconds after which no trial is begun.
     """
 
     design: Design
@@ -48,7 +50,7 @@ class Trials:
     _begun: float = field(default_factory=process_time)
 
     def judged(self, changes: Changes) -> Judged | None:
-        """The design with some keys changed, judged; None where it is no design or cannot be built.
+        """The design with some changed keys, judged; None where it is invalid or cannot be built.
 
         Raises
         ------
@@ -70,10 +72,10 @@ class Trials:
         return _name(changes) in self.made
 
     def nearest(self, before: Changes, settings: Sequence[Changes], wish: Wish) -> Changes | None:
-        """The first of a lever's settings, laid over changes made before, that does what is wished; None if none is found.
+        """First of a lever's settings, added to earlier changes, that is sufficient; None if none is found.
 
-        Lengths are tried in growing strides and then halved back: where a lever does at last what is wished and no farther
-        setting undoes it, that is the nearest one.
+        Settings are tried in growing strides, then by bisection. The result is the nearest one if no farther
+        setting is insufficient again.
         """
 
         def does(k: int) -> bool:
@@ -92,7 +94,9 @@ class Trials:
         return None
 
     def shaped(self, before: Changes, settings: Sequence[Changes]) -> Changes | None:
-        """The conic that comes nearest to passing, first of some settings, then of finer ones about it; None if none can be built."""
+        """The conic that is nearest to passing, among some settings and then finer ones; None if none can be
+        built.
+        """
         bad, best = min(
             ((self._bad({**before, **one}), k) for k, one in enumerate(settings)), default=(inf, 0)
         )
@@ -114,7 +118,7 @@ def _name(changes: Changes) -> str:
 
 
 def found_in(judged: Judged, check: Check) -> Check | None:
-    """The same check of another trial; light is only sent through it where the check is one by light."""
+    """The corresponding check of another trial, which is traced only for a check by light."""
     of_rules = next((c for c in judged.rules if (c.id, c.subject) == (check.id, check.subject)), None)
     if of_rules is not None:
         return of_rules
@@ -122,24 +126,28 @@ def found_in(judged: Judged, check: Check) -> Check | None:
 
 
 def settled(judged: Judged, check: Check) -> bool:
-    """Whether a check that failed or warned does neither in a trial, nor has nothing to say there."""
+    """Whether a trial mends a check: it passes clearly, warns instead of failing, is allowed, or no longer
+    applies.
+    """
     now = found_in(judged, check)
     if now is None:
-        return True  # a body or step that is there no more
+        return True  # a body or step that no longer exists
     if now.state == "pass" and tight(now):
         return False
     return now.state == "pass" or "accepted" in now.detail or (check.state == "fail" and now.state == "warn")
 
 
 def badness(judged: Judged | None, design: Design) -> float:
-    """How far a trial is from passing: 0 where it surely does; each failing check counts 0.5 and up to 1 for its distance."""
+    """Distance of a trial from passing: 0 if it surely passes; each failing check counts 0.5 plus up to 1 by
+    its excess.
+    """
     if judged is None:
         return inf
     return sum(0.5 + _beyond(check, design) for check in wrong(judged.checks)) + 0.1 * len(judged.tight)
 
 
 def _beyond(check: Check, design: Design) -> float:
-    """How far a check is beyond its limit, 0 … 1."""
+    """Excess of a check over its limit, 0 … 1."""
     if not (isinstance(check.value, float) and isinstance(check.limit, float)):
         return 1.0
     scale = max(abs(check.limit), abs(check.value) if check.relation == "<=" else 0.0)

@@ -1,6 +1,6 @@
-"""A wish: what a sheet shall do, how large it is, from where it is looked at, and who makes it of what.
+"""Wishes: the law of a sheet, its size, the viewing distance, the process and the material.
 
-Read with the same kinds of value as a design file, so that units, ranges and messages are the same.
+A wish is read with the value kinds of a design file, so that units, ranges and messages are the same.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from clacad.design.sections import Outline
 from clacad.optics.material.catalogue import find, names
 
 UNIT: Final = Unit("mm", LENGTHS["mm"])
-"""Of bare lengths in a wish, and of the design that is made of it."""
+"""Unit of bare lengths in a wish, and of the resulting design."""
 
 ASSUMED_VIEWING: Final = 1000.0
-"""Millimetres from which a sheet is assumed to be looked at where the wish states no viewer."""
+"""Assumed viewing distance (millimetres) where the wish states no viewer."""
 
 _LENGTH = Quantity("length", "a length > 0", above=0.0)
 
@@ -55,19 +55,19 @@ KEYS: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "hexagonal")), "pattern of the cells", "square"),
     "field": Key(CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)),
 }  # fmt: skip
-"""What a wish says: reader, meaning and default of each word."""
+"""Words of a wish, with reader, meaning and default of each."""
 
 SYNONYMS: Final = {
     "offset": "delta", "tilt": "euler", "turn": "euler", "size": "width", "diameter": "circle", "outline": "circle",
     "round": "circle", "distance": "viewing", "viewer": "viewing", "eye": "viewing", "from": "viewing", "lattice": "kind",
     "made": "process", "border": "flange", "n": "index", "glass": "material", "lambda": "wavelength", "period": "pitch",
 }  # fmt: skip
-"""What people call a word of a wish elsewhere."""
+"""Other names of the words of a wish."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What is wished for. Lengths in millimetres.
+    """Requirements on a sheet. Lengths in millimetres.
 
     Parameters
     ----------
@@ -77,20 +77,20 @@ class Wish:
     viewing : float or None, length
         Distance of the eye before the sheet; None: no eye is stated, and none is judged.
     object : float or None, length
-        Distance behind the sheet of what shall be seen sharply; None: nothing in particular.
+        Distance behind the sheet of the object that must be sharp; None: no particular distance.
     process, material : str
     form : {"any", "slab", "plano", "biconvex"}
     kind : {"square", "hexagonal"}
         Pattern of the cells.
     field : float, radians
-        Half angle of the cone of light in which the law shall hold.
+        Half angle of the cone of light in which the law must hold.
     index : float or None
         Instead of the material.
     wavelength : float, metres
     pitch : float or None, length
         Size of a cell; None: the one that looks best.
     flange : float or None, length
-        Width of the land round the cells.
+        Width of the land around the cells.
     holes : int or None
         Number of mounting holes in the flange.
     """
@@ -114,7 +114,7 @@ class Wish:
 
     @property
     def distance(self) -> float:
-        """Distance of the eye that is stated, or else assumed, millimetres."""
+        """Stated or else assumed distance of the eye, millimetres."""
         return ASSUMED_VIEWING if self.viewing is None else self.viewing
 
     @property
@@ -124,12 +124,12 @@ class Wish:
 
     @property
     def steps(self) -> bool:
-        """Whether neighbouring lens faces meet at different heights whatever the lenses are."""
+        """Whether there are steps between neighbouring lens faces for any lens shape."""
         turned = (self.euler[0] + self.euler[2]) % 90.0 != 0.0
         return self.euler[1] != 0.0 or (self.eta[0] != self.eta[1] and (turned or self.kind == "hexagonal"))
 
     def words(self) -> dict[str, Any]:
-        """The wish as it would be written: what differs from the defaults, lengths as bare millimetres."""
+        """The wish as written: values that differ from the defaults, lengths as bare millimetres."""
         shape = "circle" if self.size.shape == "circle" else "width"
         size = self.size.size[0] if self.size.size[0] == self.size.size[1] else list(self.size.size)
         eta = self.eta[0] if self.eta[0] == self.eta[1] else list(self.eta)
@@ -148,19 +148,19 @@ def _word_of(name: str, value: Any) -> Any:
 
 
 def angle_text(radians_: float) -> str:
-    """An angle as it would be written: in degrees where that is the same number."""
+    """An angle as written: in degrees where that is exact."""
     text = f"{degrees(radians_):g}"
     return f"{text} deg" if radians(float(text)) == radians_ else f"{radians_!r} rad"
 
 
 def wavelength_text(metres: float) -> str:
-    """A wavelength as it would be written: in nanometres where that is the same number."""
+    """A wavelength as written: in nanometres where that is exact."""
     text = f"{1e9 * metres:g} nm"
     return text if PAIR["wavelength"].kind.read(text, UNIT) == metres else f"{metres!r} m"
 
 
 _TEXTS: Final = {"field": angle_text, "wavelength": wavelength_text}
-"""Writers of the values that carry a unit."""
+"""Writers of values with a unit."""
 
 
 def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
@@ -246,7 +246,9 @@ def read_wish(words: Mapping[str, Any]) -> Wish:
 
 
 def workable_material(process: str, wanted: str, wavelength: float) -> str:
-    """Give the wanted material if the process works it, else the first of the table that it works at a wavelength (metres)."""
+    """The wanted material if the process works it, else the first in the table for the process and wavelength
+    (m).
+    """
     rules = profile(process)
     if rules.works(find(wanted)):
         return wanted
@@ -254,7 +256,7 @@ def workable_material(process: str, wanted: str, wavelength: float) -> str:
 
 
 def _converted(words: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
-    """Values that could be read, and what is wrong with the others."""
+    """Values that could be read, and the mistakes of the others."""
     found: dict[str, Any] = {}
     mistakes: list[Mistake] = []
     for name, value in words.items():
@@ -269,7 +271,7 @@ def _converted(words: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]
 
 
 def _broken_rules(found: Mapping[str, Any]) -> list[Mistake]:
-    """What the rules of designs say of the law and the material."""
+    """Mistakes of the law and the material by the rules of designs."""
     homes = {"eta": "law.eta", "delta": "law.delta", "euler": "law.euler", "wavelength": "pair.wavelength"}
     homes |= {} if "index" in found else {"material": "pair.material"}
     values = {
@@ -286,7 +288,7 @@ def _broken_rules(found: Mapping[str, Any]) -> list[Mistake]:
 
 
 def _exclusions(words: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[Mistake]:
-    """Words that exclude or need one another."""
+    """Mistakes of words that exclude or require each other."""
     if "index" in words and "material" in words:
         yield Mistake(
             "CL112", "index and material exclude each other", "index", "--for", allowed="one of the two"

@@ -1,4 +1,5 @@
-"""From a wish to a design that passes: closed formulas say where to look, designs are built, traced and judged there.
+"""Search for a design that fulfils a wish: closed formulas give the range; designs there are built and
+judged.
 
 Nothing is random: the same wish gives the same design.
 """
@@ -54,27 +55,29 @@ RATIOS = (
     68.0,
     80.0,
 )
-"""Separations in pitches that are tried."""
+"""Trial separations, in pitches."""
 
 STEPS = 6
-"""Of `RATIOS` upwards from the closed formula's."""
+"""Number of `RATIOS` tried, from that of the closed formula up."""
 
 MOST_JUDGED = 40
-"""Designs that are judged for one wish."""
+"""Largest number of designs that are judged for one wish."""
 
 MOST_SECONDS = 60.0
-"""Processor seconds after which no further design is judged: lenses with much tilt take seconds each."""
+"""Processor seconds after which no further design is judged; strongly tilted lenses take seconds each."""
 
 UNFILLED = 0.02
-"""Part of a side that whole cells may leave free before the pitch is chosen to fill it."""
+"""Largest share of a side that whole cells may leave free; above it, the pitch is chosen to fill the side."""
 
 SURE = 0.95
-"""Part of the limit of `viewed` that thin lenses must keep for a design to be judged: real ones keep a few hundredths more or less."""
+"""Share of the limit of `viewed` that thin lenses must reach for a design to be judged; real lenses differ by
+a few per cent.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tried:
-    """A design that was judged; `pitch` says why it is what it is."""
+    """A judged design; `pitch` holds its pitch bound with the reason."""
 
     variant: Variant
     ratio: float
@@ -89,7 +92,7 @@ class Tried:
 
 @dataclass
 class Search:
-    """What was tried for a wish.
+    """State of the search for a wish.
 
     Parameters
     ----------
@@ -101,7 +104,7 @@ class Search:
     progress : callable
     tried : list of Tried
     refused : list of str
-        Why others could not be built, or had no pitch.
+        Reasons why other designs could not be built, or had no pitch.
     seconds : float
         Processor seconds after which no further design is judged.
     """
@@ -117,7 +120,7 @@ class Search:
 
     @property
     def over(self) -> bool:
-        """Whether as many designs were judged as may be, or for as long."""
+        """Whether the limit on the number or the time of judgements is reached."""
         return len(self.tried) >= MOST_JUDGED or process_time() - self._begun > self.seconds
 
     def run(self) -> Tried | None:
@@ -147,7 +150,9 @@ class Search:
         for ratio in RATIOS[start : start + STEPS]:
             one = self._judged(variant, ratio)
             if one is not None and [check.id for check in one.judged.failing] == ["viewed"]:
-                found = self._nearer(variant, ratio, needed)  # lenses farther apart see less still
+                found = self._nearer(
+                    variant, ratio, needed
+                )  # a larger separation gives an even smaller share
                 break
             if one is not None and one.good:
                 found = one
@@ -159,7 +164,7 @@ class Search:
             return found
         for ratio in reversed(
             [r for r in RATIOS[:start] if r >= needed]
-        ):  # the formula may have been too careful
+        ):  # the formula may have been too conservative
             one = self._judged(variant, ratio)
             if (
                 one is None
@@ -172,7 +177,9 @@ class Search:
         return found
 
     def _nearer(self, variant: Variant, ratio: float, needed: float) -> Tried | None:
-        """The greatest separation below one, in steps of a tenth, at which a stated eye is served; None once something else fails."""
+        """Largest smaller separation, in steps of a tenth, that serves a stated eye; None once something else
+        fails.
+        """
         while (ratio := round_to(0.9 * ratio, 2)) >= max(needed, RATIOS[0], least_untangled(self.wish)):
             one = self._judged(variant, ratio)
             if one is None or one.good:
@@ -185,7 +192,9 @@ class Search:
         return avoidable(one, self.wish) > avoidable(other, self.wish)
 
     def _first(self, variant: Variant, needed: float) -> int | None:
-        """Index into `RATIOS` to begin at: as large as the law asks, or smaller for a stated eye; None where none serves it."""
+        """Start index into `RATIOS`: as large as the law requires, or smaller for a stated eye; None where
+        none serves it.
+        """
         least = max(needed, least_untangled(self.wish))
         wanted = max(least, least_ratio(self.wish, self._sharp(wanted_pitch(self.wish).value)))
         start = next((k for k, ratio in enumerate(RATIOS) if ratio >= wanted), len(RATIOS) - 1)
@@ -206,17 +215,19 @@ class Search:
 
     @cached_property
     def limit(self) -> float:
-        """Share of the light of a stated eye that must obey the law, as the overrides leave it."""
+        """Required share of the light of a stated eye that obeys the law, with the overrides."""
         return built(self.wish, Variant("slab"), 1.0, RATIOS[-1], self.name, self.overrides).check.viewed
 
     def _thin_share(self, variant: Variant, ratio: float) -> tuple[float, str]:
-        """Share of the eye's light that meets its partner, thin lenses, over the whole sheet; 0 and why where there is no sheet."""
+        """Share of the eye's light that hits its partner, for thin lenses over the whole sheet; 0 and a
+        reason if no sheet.
+        """
         bound = self.pitch_at(variant, ratio)
         if bound is None:
             return 0.0, self.refused.pop()
         try:
             design = self._built(variant, bound, ratio)
-            if variant.eye == "aimed":  # where lenses 2 lie in their cells moves no border
+            if variant.eye == "aimed":  # positions of lenses 2 in their cells move no border
                 design = design.replace({"pair.offset": "paraxial"})
             return thin_share(prescribe(design), viewer_of(design)), ""
         except DesignError as problem:
@@ -232,7 +243,9 @@ class Search:
         return built(self.wish, variant, self._rounded(bound), ratio, self.name, self.overrides)
 
     def _rounded(self, bound: PitchBound) -> float:
-        """A pitch of two digits, none below the bound, or one that fills the sheet; one that is wished stays as it is."""
+        """A pitch of two digits, not below the bound, or one that fills the sheet; a wished pitch is
+        unchanged.
+        """
         if self.wish.pitch is not None:
             return bound.value
         pitch, side = round_to(bound.value, 2, up=True), min(self.wish.size.size)
@@ -243,11 +256,11 @@ class Search:
         return floor(1e4 * side / count + 1e-6) / 1e4
 
     def _sharp(self, pitch: float) -> float:
-        """Rms error (radians) that nobody sees: the angle of a pixel, but never beyond the limit."""
+        """Invisible rms error (radians): the angle of a pixel, but never beyond the limit."""
         return min(0.8 * 3e-3, pitch / self.wish.distance)
 
     def _judged(self, variant: Variant, ratio: float) -> Tried | None:
-        """The design at this separation, at the pitch that is wanted or the nearest one that the process allows."""
+        """The design at this separation, at the wanted pitch or the nearest one that the process allows."""
         bound = self.pitch_at(variant, ratio)
         if bound is None or self.over:
             return None
@@ -266,9 +279,9 @@ class Search:
         return one
 
     def _fault(self, design: Design, window: Window) -> str:
-        """What cannot pass by all the rays of a judgement; "" where nothing is known."""
+        """Known reason why a design cannot pass, found before the full trace; "" where there is none."""
         left = max(window.residual.values(), default=0.0)
-        if left > design.check.law_rms:  # fails whatever light does in the field
+        if left > design.check.law_rms:  # fails regardless of the rest of the field
             return f"along the axis ray {1e3 * left:.3g} mrad are left of the law"
         if self.wish.viewing is None:
             return ""
@@ -276,7 +289,7 @@ class Search:
         return self._too_little(share) if share < SURE * self.limit else ""
 
     def pitch_at(self, variant: Variant, ratio: float) -> PitchBound | None:
-        """The pitch that is wished, or looks best, or the nearest that can be made; None where none can."""
+        """The pitch that is wished or looks best, or the nearest one that can be made; None where none can."""
         if self.wish.pitch is not None:
             return wanted_pitch(self.wish)
         shape = shape_of(variant.form, index_of(self.wish))
@@ -294,13 +307,15 @@ class Search:
 
 
 def least_untangled(wish: Wish) -> float:
-    """Separation in pitches below which faces that lean by theta, p tan(theta) high in a cell, reach into the other array."""
+    """Separation in pitches below which faces tilted by theta, p tan(theta) high in a cell, reach the other
+    array.
+    """
     lean = radians(wish.euler[1])
     return abs(tan(lean)) / max(abs(cos(lean)), 1e-9)
 
 
 def impossible(wish: Wish, limit: float) -> list[str]:
-    """Why no design can fulfil a wish, by closed forms; empty where one may.
+    """Reasons by closed forms why no design can fulfil a wish; empty where one may.
 
     Parameters
     ----------
@@ -325,12 +340,12 @@ def impossible(wish: Wish, limit: float) -> list[str]:
 
 
 def returned_share(wish: Wish) -> float:
-    """Share of the light of an eye that meets its partner at most: 1/|eta| in each meridian where |eta| > 1."""
+    """Largest share of the light of an eye that hits its partner: 1/|eta| in each meridian where |eta| > 1."""
     return prod(min(1.0, 1.0 / abs(eta)) for eta in wish.eta)
 
 
 def avoidable(tried: Tried, wish: Wish) -> float:
-    """How much there is against a design that passes: warnings that come not from the wish alone, and being bulky."""
+    """Penalty of a design that passes: warnings that are not due to the wish alone, and bulk."""
     rules = profile(wish.process)
     inherent = {"wall", "draft"} if wish.steps and (rules.wall < inf or rules.draft > 0.0) else set()
     if not wish.straight and rules.wall < inf:

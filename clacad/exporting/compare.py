@@ -1,4 +1,4 @@
-"""Hold a mesh file that was read back against the design: closed, volume, extent, 1,000 points a face."""
+"""Compare a mesh file that was read back with the design: closed, volume, extent, 1,000 points per face."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from clacad.solid.marks import Pocket
 from clacad.storage.errors import FileDisagrees
 
 SAMPLES = 6000
-"""Facets looked at closely in a file; about 1,000 and more on each optical face."""
+"""Number of facets sampled from a file; at least about 1,000 lie on each optical face."""
 
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """What the mesher says of what it wrote.
+    """Properties of a written mesh, as the mesher reports them.
 
     Parameters
     ----------
     facets : int
-        With every instance counted.
+        Number of facets; every instance is counted.
     sag_error : float
         Largest distance of facets from the exact surface, design units.
     merge : float
@@ -55,7 +55,7 @@ class Promise:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the file was found to be, design units; `checks` names what was compared and agreed."""
+    """Measured properties of a file, design units; `checks` names the comparisons that passed."""
 
     volume: float
     volume_exact: float | None
@@ -65,7 +65,7 @@ class Verdict:
 def compare_mesh(
     mesh: FileMesh, window: Window, promise: Promise, name: str, volume: Integral | None = None
 ) -> Verdict:
-    """Compare a file with the design it is said to be made from.
+    """Compare a file with the design from which it was made.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def compare_mesh(
     Raises
     ------
     FileDisagrees
-        With the first difference found, as a sentence with both numbers.
+        The message states the first difference found, with both numbers.
     """
     scale = (mesh.unit if mesh.unit is not None else 1e-3) / window.unit
     sample = _Sample.of(mesh)
@@ -103,14 +103,14 @@ def compare_mesh(
 
 
 def rounding(window: Window, single: bool) -> float:
-    """Largest height a coordinate can be off by rounding alone, slopes up to 10 allowed for (length)."""
+    """Largest height error (length) due to rounding of coordinates, for slopes up to 10."""
     x0, x1, y0, y1 = whole_extent(window)
     reach = max(abs(v) for v in (x0, x1, y0, y1, *window.z_range))
     return reach * (2.0**-24 if single else 2.0**-50) * 12.0
 
 
 def _compare_box(found: Measure, window: Window, promise: Promise, slack: float, name: str) -> None:
-    """Compare where a file ends on every side with where the design does."""
+    """Compare the bounding box of a file with that of the design."""
     x0, x1, y0, y1 = whole_extent(window)
     least = least_extent(window)
     pairs = [
@@ -136,12 +136,15 @@ def _compare_box(found: Measure, window: Window, promise: Promise, slack: float,
 
 @dataclass(eq=False, slots=True)
 class _Sample:
-    """SAMPLES facets of a mesh at random, always the same ones for one file, taken as they pass where none is repeated.
+    """Random sample of SAMPLES facets of a mesh, the same for each reading of a file.
+
+    The facets are collected while they are streamed, unless a part is repeated.
+
 
     chosen : (n,) ints, ascending
-        Their numbers, every place of a part counted.
+        Indices of the sampled facets; every place of a part is counted.
     passed : int
-        Facets that have passed.
+        Number of facets streamed so far.
     """
 
     chosen: Ints
@@ -150,7 +153,7 @@ class _Sample:
 
     @classmethod
     def of(cls, mesh: FileMesh) -> _Sample:
-        """Choose from so many facets as the file stands for."""
+        """Choose indices from all facets of the file, instances included."""
         count = mesh.facet_count
         return cls(
             np.unique(np.random.default_rng(0).integers(0, max(1, count), size=min(SAMPLES, 2 * count))),
@@ -159,7 +162,7 @@ class _Sample:
         )
 
     def passing(self, corners: Floats) -> Floats:
-        """Take what is chosen of the next facets (k, 3, 3), and give these on."""
+        """Collect the sampled facets among the next ones (k, 3, 3); return all of them unchanged."""
         first, last = np.searchsorted(self.chosen, [self.passed, self.passed + len(corners)])
         self.found.append(corners[self.chosen[first:last] - self.passed])
         self.passed += len(corners)
@@ -196,7 +199,7 @@ def _compare_places(mesh: FileMesh, window: Window, scale: float, name: str) -> 
 def _compare_shape(
     facets: Floats, window: Window, promise: Promise, slack: float, name: str
 ) -> tuple[float, float]:
-    """Compare sampled facets with the exact faces; returns the chord volume and its standard error.
+    """Compare sampled facets with the exact faces; return the chord volume and its standard error.
 
     For a surface of second order the mean height of chord over arc is 3/4 of that at the centroid.
     """
@@ -225,9 +228,10 @@ def _compare_shape(
 
 
 def _off_surface(facets: Floats, side: Floats, window: Window, promise: Promise, slack: float) -> Floats:
-    """Distance (n, 4) of the corners and the middle of each facet from the nearest face that looks its way.
+    """Distance (n, 4) of the corners and the middle of each facet from the nearest face of the same
+    orientation.
 
-    side : (n,) +1 where a facet looks towards +z, −1 towards −z, 0 where it is no optical one (its distance is infinite)
+    side : (n,) +1 where a facet faces +z, −1 where it faces −z, 0 where it is not optical (infinite distance)
     """
     middle = facets.mean(axis=1)
     points = np.concatenate([facets, middle[:, None]], axis=1)
@@ -250,12 +254,12 @@ def _pitch(window: Window) -> float:
 
 def _compare_volume(found: Measure, window: Window, promise: Promise, chord: tuple[float, float], slack: float,
                     volume: Integral, name: str) -> float:  # fmt: skip
-    """Compare the enclosed volume with the exact integral; chords may take or add what the samples say."""
+    """Compare the enclosed volume with the exact integral, allowing for the sampled chord volume."""
     exact, error = volume.value + promise.added, volume.error
     x0, x1, y0, y1 = whole_extent(window)
     faces = 2 * len(window.bodies)
     area = (x1 - x0) * (y1 - y0) * faces
-    # Every sampled facet stands for facets/samples of the file; five standard errors of that estimate.
+    # Every sampled facet represents facets/samples of the file; allow five standard errors of that estimate.
     room = found.facets * (chord[0] + 5.0 * chord[1]) * 1.1 + area * (slack * 0.1 + promise.merge * 1e-2)
     room += error + 1e-12 * abs(exact) + _outline_room(window)
     if found.volume <= 0.0 or abs(found.volume - exact) > room:
@@ -266,7 +270,7 @@ def _compare_volume(found: Measure, window: Window, promise: Promise, chord: tup
 
 
 def _outline_room(window: Window) -> float:
-    """Volume a polygon may lose against a round outline."""
+    """Volume by which a polygon may be smaller than a round outline."""
     from clacad.sheet.lattice import Circle
 
     if not isinstance(window.outline, Circle):

@@ -1,8 +1,8 @@
-"""Parts that stand many times: every place compared with the lattice; nothing is expanded.
+"""Repeated parts of a mesh file: every place is compared with the lattice without expanding the instances.
 
-A sheet of 40,000 cells of 130,000 facets is 5e9 facets to a reader that writes every cell out, and 130,000 facets and
-40,000 places to one that does not; in a file that holds rows of cells, and one of them, 400 places. Rows that fill the
-lattice are compared as rows; of those that do not every place is looked at.
+A sheet of 40,000 cells of 130,000 facets has 5e9 facets when every cell is expanded. Without expansion it has
+130,000 facets and 40,000 places, or 400 places in a file that stores one row and one cell. Rows that fill
+the lattice are compared as rows; otherwise every place is compared.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import WALL, Body, Face, Window
 
 COVERED = 0.02
-"""Share of a cell's area that a part's facets must lie over to stand for that cell; lenses without land may be small."""
+"""Least share of a cell's area that a part's facets must cover to represent that cell; lenses may be small."""
 
 SPILT = 1e-6
 """Share of a cell's area below which facets over it are slivers on its border."""
 
 SURE = 4.0
-"""What rows are off, times this, is more than any place is off the middle of all: those are not farther from one another
-than twice as much, along each axis."""
+"""Factor on the row error that bounds the residual of any place from the mean position error of all places.
+Along each axis, the position errors of two places differ by at most twice the row error.
+"""
 
 Cell = tuple[int, int]
 Side = tuple[int, int]
@@ -44,18 +45,18 @@ Side = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class PartPlaces:
-    """Where the places of one object stand on the lattice.
+    """Places of one object on the lattice.
 
     Parameters
     ----------
     parts : tuple of Part
         Meshes that share the places.
     cells : mapping
-        Cells (k, 2) that the object covers where it stands first, by body and side.
+        Cells (k, 2) that the object covers at its first place, by body and side.
     step : (m, 2) ints
-        Index steps from there to each place; whole ones, the nearest.
+        Nearest whole index steps from the first place to each place.
     off : (m,) lengths, design units
-        Largest distance of a corner of its box from where it would be on the lattice, turned as most are.
+        Largest distance of a corner of its box from its lattice position, in the orientation of most places.
     spills : bool
         Whether facets reach into cells that it does not cover.
     """
@@ -78,7 +79,7 @@ class PartPlaces:
 
     @property
     def worst(self) -> tuple[float, Cell]:
-        """How far the place that is farthest off is off, design units, and the cell under it."""
+        """Largest distance of a place from the lattice (design units), and its cell."""
         number = int(np.argmax(self.off))
         i, j = next(iter(self.cells.values()))[0] + self.step[number]
         return float(self.off[number]), (int(i), int(j))
@@ -93,12 +94,12 @@ class RowPlaces:
     parts : tuple of Part
         Meshes that share the places.
     sides : tuple of (body, side)
-        Where it has facets.
+        Sides on which it has facets.
     rows, columns : (m, 2), (n, 2) ints
-        Cell that the first of each row stands over, and index steps from there to the others of a row.
+        Cell of the first place of each row, and index steps from there to the other places of a row.
     worst : (length, (i, j))
-        What the row that is farthest off, and the place in a row that is, are off together: no place is farther, but by
-        rounding; and the cell where they meet.
+        Sum of the largest row error and the largest error within a row, and the cell where both apply. No
+        place has a larger error, except for rounding.
     """
 
     parts: tuple[Part, ...]
@@ -120,29 +121,29 @@ class RowPlaces:
 
 
 def _only_cell(cells: dict[Side, Ints], spills: bool) -> Cell | None:
-    """The cell over which an object has facets on all sides where it has any; None if it has them over others, too."""
+    """The one cell that an object covers on all its sides; None if it covers other cells too."""
     found = np.unique(np.concatenate(list(cells.values())), axis=0)
     return (int(found[0, 0]), int(found[0, 1])) if len(found) == 1 and not spills else None
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Every place of a file against the lattice.
+    """Comparison of every place of a file with the lattice.
 
     Parameters
     ----------
     places : tuple of PartPlaces or RowPlaces
     count : int
-        PartPlaces that were compared.
+        Number of places that were compared.
     worst : float, design units
     worst_cell : (i, j) or None
-        Cell of the place that is farthest off.
+        Cell of the place with the largest error.
     limit : float, design units
         Rounding of the places' coordinates to float32.
     missing, doubled, outside : lists of (i, j)
-        Cells that no place stands over, that more than one does, and places beside the sheet; the first few.
+        Cells without a place, cells with several places, and places outside the sheet; the first few.
     faults : (int, int, int)
-        How many of each.
+        Number of each of the three.
     """
 
     places: tuple[PartPlaces, ...] | tuple[RowPlaces, ...]
@@ -157,12 +158,12 @@ class Standing:
 
     @property
     def sound(self) -> bool:
-        """Whether every place stands on a cell of the lattice, and each cell has one."""
+        """Whether every place lies on a cell of the lattice, and each cell has exactly one."""
         return self.worst <= self.limit and not any(self.faults)
 
     @property
     def words(self) -> str:
-        """What was found, in words with numbers."""
+        """Text of the result, with numbers."""
         found = []
         for cells, number, what in zip(
             (self.missing, self.doubled, self.outside), self.faults,
@@ -187,7 +188,7 @@ def _one(what: str, cell: Cell) -> str:
 
 
 def standing(mesh: FileMesh, window: Window, factor: float) -> Standing | None:
-    """Compare every place of the parts that stand for cells with the lattice; None where there are none.
+    """Compare every place of the parts that represent cells with the lattice; None where there are none.
 
     Parameters
     ----------
@@ -210,14 +211,15 @@ def standing(mesh: FileMesh, window: Window, factor: float) -> Standing | None:
 
 
 def placing_room(window: Window) -> float:
-    """Distance (length) a place may be off by rounding to float32 alone."""
+    """Largest error (length) of a place due to rounding to float32."""
     reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
     return 2.0**-23 * reach
 
 
 def _in_rows(mesh: FileMesh, window: Window, factor: float, limit: float) -> tuple[RowPlaces, ...]:
-    """The repeated parts of a file whose rows fill the lattice, each within the limit; none if any does not, or two stand
-    for the same lenses.
+    """Repeated parts of a file whose rows fill the lattice, each within the limit.
+
+    Empty if any part does not fill it, or if two parts represent the same lenses.
     """
     found: list[RowPlaces] = []
     for parts in objects(mesh):
@@ -230,7 +232,7 @@ def _in_rows(mesh: FileMesh, window: Window, factor: float, limit: float) -> tup
 
 
 def _row_places(parts: list[Part], window: Window, factor: float) -> RowPlaces | None:
-    """One repeated part in rows that fill the lattice; None if that cannot be told by its rows."""
+    """One repeated part in rows that fill the lattice; None if its rows do not show this."""
     places, lattice = parts[0].places, window.lattice
     if not places.in_rows or (len(places.inner), len(places.outer)) != lattice.count:
         return None
@@ -277,9 +279,11 @@ def _stand(parts: list[Part], window: Window, factor: float) -> PartPlaces | Non
 
 
 def _steps(centre: Floats, basis: Floats, first: int) -> tuple[Ints, Floats]:
-    """Whole index steps (m, 2) of centres (m, 3) from number `first`, and what is left (m, 3) against most of them."""
+    """Whole index steps (m, 2) of centres (m, 3) from number `first`, and their residuals (m, 3) from the
+    majority.
+    """
     u = np.linalg.solve(basis.T, (centre[:, :2] - centre[first, :2]).T).T
-    # where most stand between two whole steps: the mean of the phases, which one stray place hardly moves
+    # phase of the majority between two whole steps: a mean of phases, which one stray place hardly changes
     phase = np.angle(np.exp(2j * np.pi * u).mean(axis=0)) / (2.0 * np.pi)
     step = np.rint(u - phase)
     step -= step[first]
@@ -332,7 +336,7 @@ def _lying(corners: Floats, window: Window) -> Iterator[tuple[Side, Ints, Floats
 def _covering(
     found: Sequence[PartPlaces], mesh: FileMesh, window: Window, factor: float
 ) -> tuple[list[Cell], list[Cell], list[Cell], tuple[int, int, int]]:
-    """Cells without a place, cells with several, and places beside the sheet: the first few, and how many."""
+    """Cells without a place, cells with several, and places outside the sheet: the first few, and the counts."""
     lattice = window.lattice
     whole = {number for number in range(len(window.bodies)) if not _stands_once(mesh, window, number, factor)}
     missing, doubled, outside = [_NONE], [_NONE], [_NONE]
@@ -352,7 +356,7 @@ def _covering(
 
 
 def _stands_once(mesh: FileMesh, window: Window, body: int, factor: float) -> bool:
-    """Whether a part that stands once reaches into a body: then it may be the cell that is missed."""
+    """Whether an unrepeated part reaches into a body and may therefore be the missing cell."""
     low, high = body_range(window, window.bodies[body])
     for part in mesh.parts:
         if not part.repeated and part.facet_count:
@@ -378,7 +382,7 @@ def _indices(numbers: Ints) -> Ints:
 
 
 def owner(body: Body, face: Face) -> int:
-    """Array whose grid a face is looked at in: its own, or its body's other face's for a plane."""
+    """Array whose grid is used for a face: its own, or for a plane that of the body's other face."""
     if face.array is not None:
         return face.array
     other = body.back if face is body.front else body.front

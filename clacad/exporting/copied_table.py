@@ -1,4 +1,4 @@
-"""The table of cells that a design names, copied beside the files that were made from it."""
+"""Copy of a design's cell table, next to the files that were exported from it."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ FORMAT = "cell-table"
 
 
 def copied_table(design: Design, stage: Stage) -> list[FileRecord]:
-    """Copy the table into the stage; its entry for the manifest, none of a design without a table.
+    """Copy the table into the stage; return its manifest entry, or none for a design without a table.
 
     Raises
     ------
     FileDisagrees
-        It has changed since the design was read.
+        The table has changed since the design was read.
     """
     spec = design.law_spec.varying
     if spec is None or spec.table is None:

@@ -1,4 +1,4 @@
-"""Writing files: one format a module, one atomic writer for all of them, nothing published unread."""
+"""Export of a design's files: one atomic writer for all formats; every file is read back before publication."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def export(
     pcurves: bool = True, saddle_bevel: float = 0.0, gpu_instancing: bool = False, grey_levels: int = 64,
     role: AskedRole = None, paper: Literal["a4", "a3", "a2"] = "a3", fused: bool = False,
 ) -> Manifest:  # fmt: skip
-    """Write a design's files into a folder: all at once, each read back and compared with the design first.
+    """Write a design's files into a folder. Each is read back and compared before all are published together.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def export(
     Raises
     ------
     DesignError, BadRequest, UnknownFormat, LimitRefused, ExportRefused, CannotWrite, NotPossible, FileDisagrees, WorkerDied
-        Nothing was published; the message says why, and what would do.
+        Nothing was published; the message gives the reason and a remedy.
     ExportIncomplete
         Some formats failed; the others were published.
     """

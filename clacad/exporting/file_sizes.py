@@ -1,4 +1,4 @@
-"""Bytes of a file before it is written: by drawing up a small part of its text and scaling."""
+"""Estimated bytes of a file before it is written: a small part of its text is generated and scaled."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from clacad.base.types import Floats
 
 SAMPLE = 6_000
-"""Facets or places whose text is drawn up; the rest is taken to be like them."""
+"""Number of facets or places whose text is generated; the rest is assumed to be similar."""
 
 
 OWN_CELLS = 1.15
-"""Length of the text of cells that differ over that of equal ones: they share no parameter curves."""
+"""Text length of a non-uniform sheet over that of a uniform one: its cells share no parameter curves."""
 
 
 # -- 3MF -------------------------------------------------------------------------------------------
@@ -47,14 +47,14 @@ def threemf_bytes(meshes: Meshes, quads: int) -> int:
             continue
         piece = replace(weld(body, corners, np.zeros_like(corners)), normals=None)
         text = "".join(threemf.mesh_lines(piece, 1, millimetres(meshes.window.unit))).encode()
-        # one stream for all bodies, as in the file: a second body that is like the first takes little room
+        # one stream for all bodies, as in the file: a second body similar to the first compresses well
         size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))
         total += size * part.facets_about / len(corners)
     return int(total)
 
 
 def threemf_place_bytes(window: Window) -> int:
-    """Bytes of a 3MF file that say where the repeated cells of each body stand."""
+    """Bytes of a 3MF file for the positions of the repeated cells of each body."""
     arrays = (next(f.array for f in (b.front, b.back) if f.array is not None) for b in window.bodies)
     return int(
         sum(
@@ -114,7 +114,7 @@ def png_bytes(window: Window, per_cell: int) -> int:
     for body, face, label in structured_faces(window):
         map_ = height_map(window, body, face, label, per_cell)
         rows = min(map_.height, 8 * per_cell)  # rows of cells repeat: what deflate learns in a few, it knows
-        # of cells that differ it learns nothing, and the first rows are as good as any
+        # in a non-uniform sheet nothing repeats, and the first rows are representative
         strip = replace(map_, height=rows)
         packer = zlib.compressobj(6)
         size = sum(
@@ -125,7 +125,9 @@ def png_bytes(window: Window, per_cell: int) -> int:
 
 
 def table_bytes(window: Window) -> int:
-    """Size of the two files of the surface table: the JSON drawn up, the CSV by its first row of cells."""
+    """Size of the two files of the surface table: the JSON generated in full, the CSV from its first row of
+    cells.
+    """
     from clacad.formats.maps.pose_table import pose_lines, surface_table
     from clacad.storage.atomic import canonical_json
 
@@ -159,18 +161,18 @@ def mask_bytes(window: Window) -> int:
 
 
 def pov_bytes(window: Window) -> int:
-    """Size of the POV-Ray scene, drawn up as it is: its loops do not grow; 0 for a sheet it cannot hold."""
+    """Size of the POV-Ray scene, generated in full: its loops do not grow; 0 for a sheet it cannot hold."""
     from clacad.formats.pov.pov_scene import pov_lines
     from clacad.storage.errors import ExportError
 
     try:
         return sum(len(line.encode()) + 1 for line in pov_lines(window, None))
-    except ExportError:  # said when it is written, so that the other formats still come out
+    except ExportError:  # reported at writing, so that the other formats are still made
         return 0
 
 
 def prescription_bytes(window: Window, name: str) -> int:
-    """Size of the prescription of one telescopelet, drawn up as it is; 0 for one that optiland cannot hold."""
+    """Size of the prescription of one telescopelet, generated in full; 0 for one that optiland cannot hold."""
     import json
 
     from clacad.formats.sequential.optiland_json import optiland_document
@@ -181,12 +183,12 @@ def prescription_bytes(window: Window, name: str) -> int:
         return sum(len(line) + 2 for line in zmx_lines(window))
     try:
         return len(json.dumps(optiland_document(window), indent=1).encode()) + 1
-    except ExportError:  # said when it is written, so that the other formats still come out
+    except ExportError:  # reported at writing, so that the other formats are still made
         return 0
 
 
 def xyz_bytes(window: Window, per_cell: int) -> int:
-    """Size of the point files: the points of one cell of each face as they are, times the cells."""
+    """Size of the point files: the text of one cell of each face, times the number of cells."""
     from clacad.formats.maps.sag import point_lines, structured_faces
 
     row = window.lattice.row(window.lattice.count[1] // 2)
@@ -208,7 +210,7 @@ def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: boo
     n1, n2 = window.lattice.count
     if max(n1, n2) <= 8:
         return step_text_length(window, mode, pcurves)
-    if not window.uniform:  # as many cells like the one farthest out, each written out
+    if not window.uniform:  # the same number of cells like the outermost one, each written out
         like = like_cell(window, outer_cells(window)[0])
         return int(OWN_CELLS * step_bytes(like, "fused", pcurves))
     if isinstance(window.outline, Plate):
@@ -237,7 +239,7 @@ EDGE_BYTES = 1900
 def _plate_step_bytes(
     window: Window, plate: Plate, mode: Literal["fused", "instanced"], pcurves: bool
 ) -> int:
-    """Size of the STEP file of a plate: that of its cells, as many in a plain sheet, and its edges."""
+    """Size of the STEP file of a plate: that of as many cells in a plain sheet, and that of its edges."""
     cells = window.lattice.cell_count
     side = max(1, round(cells**0.5))
     plain = window.with_cells((side, max(1, round(cells / side))))

@@ -1,6 +1,6 @@
-"""What an export will cost, told before any work.
+"""Forecast of the cost of an export before any work.
 
-Facets and the bytes of STL and TIFF are exact, other bytes are good to 20 %, seconds and memory are ranges.
+Facets and the bytes of STL and TIFF are exact, other bytes are within 20 %, seconds and memory are ranges.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 DRAWING = 400_000
-"""Bytes of DXF and PDF together, about; views are drawn to a fixed number of points."""
+"""Approximate bytes of DXF and PDF together; views are drawn with a fixed number of points."""
 
 LETTER_POINTS = 30
-"""Points of the outline of a letter, about."""
+"""Approximate number of points of the outline of a letter."""
 
 
 def forecast(
@@ -51,8 +51,8 @@ def forecast(
     meshes : Meshes
     formats : sequence of str
     quads : int or mapping
-        Facet grid a cell side for the mesh formats, of all or of each.
-    asked : Request
+        Facet grid per cell side for the mesh formats: one for all, or one per format.
+    `asked` : Request
         Options of STEP and GDSII.
     """
     grids = dict.fromkeys(formats, quads) if isinstance(quads, int) else quads
@@ -62,7 +62,7 @@ def forecast(
 
 
 def timed(rows: Sequence[Forecast]) -> list[Forecast]:
-    """Rows with the seconds they will take on this machine, by what it took before."""
+    """Rows with their seconds on this machine, from its recorded times."""
     rates = Rates.here()
     spans = [rates.span(row.task, row.modelled) for row in rows]
     return [replace(row, seconds=(span.low, span.high)) for row, span in zip(rows, spans, strict=True)]
@@ -105,7 +105,7 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
 
 
 def _forecast_prescription(window: Window, name: str) -> Forecast:
-    """Price of one telescopelet for a lens-design program: small, whatever the sheet."""
+    """Price of one telescopelet for a lens-design program: small for any sheet."""
     from clacad.exporting.file_sizes import prescription_bytes
 
     memory = (400_000_000, 2_000_000_000) if name == "optiland" else (80_000_000, 200_000_000)
@@ -114,7 +114,9 @@ def _forecast_prescription(window: Window, name: str) -> Forecast:
 
 
 def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
-    """Price of a mesh format with letters: its own, four facets a point of their outlines, and OCC's start."""
+    """Price of a mesh format with letters: that of the format, four facets per outline point, and OCC's
+    start.
+    """
     from clacad.solid.marks import mark_text
 
     window = meshes.window
@@ -154,7 +156,7 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int, in_one_node: bool = 
     places = window.lattice.cell_count * len(window.bodies) if instanced else 0
     listed = RoughSheet.of_window(window).listed if instanced and name == "3mf" else places
     facets = held * window.lattice.cell_count if instanced else held
-    # Half a vertex a facet, and more where walls and rims give corners normals of their own.
+    # Half a vertex per facet, and more where walls and rims split vertices by their normals.
     vertices = held * (0.5 + 1.9 / max(quads, 2))
     nodes = 0
     if name == "ply":
@@ -186,14 +188,14 @@ def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast
 
 
 def own_cells_note(window: Window) -> str:
-    """What it costs a file that the cells of a sheet differ; "" where they are alike."""
+    """Note on the extra cost of a file of a non-uniform sheet; "" for a uniform sheet."""
     if window.uniform:
         return ""
     return f"every cell differs: {window.lattice.cell_count:,} are written out, none can be repeated"
 
 
 def pov_note(window: Window) -> str:
-    """What it costs a scene for POV-Ray that the cells of a sheet differ; "" where they are alike."""
+    """Note on the extra cost of a POV-Ray scene of a non-uniform sheet; "" for a uniform sheet."""
     if window.uniform:
         return ""
     cells = window.lattice.cell_count
@@ -209,7 +211,7 @@ def pov_note(window: Window) -> str:
 
 
 def _of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
-    """The row of a mesh with what it costs that cells differ."""
+    """Row of a mesh format with the extra cost of a non-uniform sheet."""
     if window.uniform:
         return row
     bodies = sum(any(f.change is not None for f in (body.front, body.back)) for body in window.bodies)
@@ -221,7 +223,7 @@ def step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> 
     """Forecast a STEP file from its mode and its bytes."""
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
-        each = 250_000 if window.uniform else 50_000  # cells that differ are described one after another
+        each = 250_000 if window.uniform else 50_000  # non-uniform: cells are described one by one
         memory = (400_000_000, 900_000_000 + each * columns)
     else:
         written_out = columns if window.lattice.outline is not None else 0  # else rows stay rows

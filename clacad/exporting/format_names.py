@@ -1,4 +1,4 @@
-"""Which formats there are, and of what kind: words only, known before anything that writes them is loaded."""
+"""Names and kinds of the export formats, available before any writer is loaded."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ FORMATS = (
     "baffle", "frame", "pins", "coupon", "marked", "marked-stl", "marked-3mf", "zmx", "optiland",
     "drawing",
 )  # fmt: skip
-"""Words by which formats are asked for."""
+"""Names of the formats, as requested."""
 
 MESHES = ("stl", "stl-parts", "marked-stl", "3mf", "ply", "glb", "marked-3mf")
-"""Formats of facets: what they are good for depends on how fine they are."""
+"""Formats of facets: their role depends on the facet grid."""
 
 STL_FORMATS = ("stl", "stl-parts", "marked-stl")
-"""Streams of facets, each with corners of its own."""
+"""Streams of facets without shared vertices."""
 
 WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
 """Facets of shared vertices."""
 
 REPEATING = ("3mf", "glb")
-"""Formats that hold one cell and where it stands, where the sheet is nothing but equal cells."""
+"""Formats that store one cell and its positions if the sheet is `tessellations.instanceable`."""
 
 FUSABLE = ("step", *REPEATING)
-"""Formats that `fused` decides about."""
+"""Formats to which `fused` applies."""
 
 MARKED_MESHES = ("marked-stl", "marked-3mf")
 """Meshes with their name and an arrow engraved in the border."""
@@ -47,17 +47,17 @@ OF_ANY_CELLS = (
     "step", "brep", "stl", "stl-parts", "3mf", "ply", "glb", "tiff", "png", "xyz", "table", "mask", "gds", "pov",
     "frame", "marked", "marked-stl", "marked-3mf", "drawing",
 )  # fmt: skip
-"""Formats that hold sheets whose cells differ; the others hold one cell, or a few of its equals."""
+"""Formats that hold non-uniform sheets; the others hold one cell, or a few copies of it."""
 
 
 OF_STRAIGHT_ARRAYS = ("gds", "pov")
-"""Of these the formats that do not hold an array which is turned."""
+"""Those of `OF_ANY_CELLS` that do not hold a rotated array."""
 OF_ONE_SIZE = ("pov",)
-"""Those that do not hold lenses of many sizes."""
+"""Those of `OF_ANY_CELLS` that do not hold lenses of many sizes."""
 
 
 def refuse_other_cells(window: Window, format: str) -> None:
-    """Refuse a format that holds equal cells only, for a window whose cells differ.
+    """Refuse a format that holds uniform sheets only, for a window of a non-uniform sheet.
 
     Raises
     ------
@@ -73,12 +73,12 @@ def refuse_other_cells(window: Window, format: str) -> None:
 
 
 def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
-    """Give the formats asked for, each once, in the order asked.
+    """Requested formats without duplicates, in the order requested.
 
     Raises
     ------
     UnknownFormat
-        With the nearest word and the list.
+        A format is unknown; the message gives the nearest name and the list.
     """
     unknown = [name for name in asked if name not in FORMATS]
     if unknown or not asked:

@@ -1,4 +1,4 @@
-"""One entry a format: write into the private folder, read back, compare with the design, tell what it is."""
+"""Table of the formats' writers: write into the private folder, read back, compare, describe the file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 OPTILAND_SECONDS = 600.0
-"""After which a process that loads optiland and traces a few rays is given up."""
+"""Time limit (s) of the process that loads optiland and traces a few rays."""
 
 
 # -- meshes --------------------------------------------------------------------------------------
@@ -45,7 +45,7 @@ def _stl_parts(job: Job) -> list[FileRecord]:
 
 
 def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
-    """Write some bodies of the sheet as one STL file, read it back once, compare, and take its hash on the way."""
+    """Write some bodies of the sheet as one STL file, read it back once, compare, and hash while reading."""
     from clacad.exporting.compare import compare_mesh
     from clacad.formats.mesh.stl import read_stl, write_stl
     from clacad.storage.overheard import Overheard
@@ -70,7 +70,7 @@ def _mesh_facts(
     job: Job, facets: int, volume: float, exact: float | None, names: Sequence[str], unit: str = "mm",
     repeated: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
-    """Facts of a mesh file; `repeated`: it holds one cell, and the sheet is not meshed to say so."""
+    """Facts of a mesh file; `repeated`: it holds one cell, and the whole sheet is not meshed."""
     mesh = job.tessellation.cell if repeated else job.tessellation.mesh
     scale = job.scale * {"mm": 1.0, "m": 1e-3}[unit]
     cube = scale**3
@@ -84,7 +84,7 @@ def _mesh_facts(
 
 
 def _saddle_facts(job: Job, saddles: int, scale: float) -> dict[str, Any]:
-    """How many saddles a mesh has, and what was done about them; `scale`: file units per design unit."""
+    """Number of saddles of a mesh and their treatment; `scale`: file units per design unit."""
     bevel = job.request.saddle_bevel * scale
     if not saddles:
         return {"saddles": 0}
@@ -149,7 +149,7 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
     verdict = compare_mesh(read_mesh(path), job.window, promise, name, volume_sum(job.integrals, job.bodies))
     unit = "m" if kind == "glb" else "mm"
     facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies, unit, repeated)
-    if repeated:  # cells side by side that share no vertex: nothing touches within one
+    if repeated:  # neighbouring cells share no vertex, and nothing touches within one
         facts = {key: value for key, value in facts.items() if not key.startswith("saddle")} | {"saddles": 0}
         bevel = job.request.saddle_bevel * job.scale * (1e-3 if unit == "m" else 1.0)
         facts |= {"saddle_policy": "bevel", "saddle_bevel": bevel} if promise.bevel else {}
@@ -309,7 +309,7 @@ def _zmx(job: Job) -> list[FileRecord]:
 
 
 def _optiland(job: Job) -> list[FileRecord]:
-    """Written here, read back and traced by optiland in a process of its own."""
+    """Write the optiland file; optiland reads it back and traces it in a separate process."""
     import numpy as np
 
     from clacad.formats.sequential import optiland_json

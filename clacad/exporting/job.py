@@ -1,4 +1,4 @@
-"""What every format needs to write its files, and the record of a file that was written."""
+"""Inputs that every format needs to write its files, and the record of a written file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What every format needs: the window, the place to write, the meshes, the worker.
+    """Inputs of every format: the window, the folder, the meshes, the worker.
 
     Parameters
     ----------
@@ -37,10 +37,10 @@ class Job:
     tessellation : Tessellation
     worker : Worker
     request : Request
-        What was asked.
+        Options of the export.
     progress : callable
     design : Design
-        As asked; the window has the cells that are written.
+        Design as requested; the window has the cells that are written.
     """
 
     window: Window
@@ -70,7 +70,7 @@ class Job:
     def record(self, path: Path, format: str, unit: str = "mm", bodies: Sequence[str] | None = None,
                facts: Mapping[str, Any] | None = None, checks: tuple[str, ...] = ("shape",),
                heard: Overheard | None = None) -> FileRecord:  # fmt: skip
-        """Describe a file that was written and agreed; `heard`: its bytes as they were read back."""
+        """Describe a file that was written and passed its checks; `heard`: its hash from reading it back."""
         flush(path)
         whose = self.bodies if bodies is None else tuple(bodies)
         digest = file_hash(path) if heard is None else heard.hexdigest()

@@ -1,8 +1,9 @@
-"""Forecast of the light through a file's facets: what makes a mesh a master or a preview, known before it is written.
+"""Forecast of the light through a file's facets, which decides whether a mesh is a master or a preview.
 
-The rays of the checks go through one telescopelet of the very tessellation that will be written. The error of facets
-falls as their size (k/m at m quads a cell side, in quadrature with the exact surfaces' own), so a few coarse grids
-tell where to look, and the grid that is looked for is traced itself. This is the only place in `export` that traces.
+The rays of the checks go through one telescopelet of the tessellation that will be written. The error of
+facets falls with their size: k/m at m quads per cell side, in quadrature with the error of the exact
+surfaces. A few coarse grids therefore show where to search; the chosen grid is traced itself. No other
+module of `exporting` traces.
 """
 
 from __future__ import annotations
@@ -43,28 +44,28 @@ if TYPE_CHECKING:
 
 
 POWERS = (4, 8, 16, 32, 64, 128, 256, 512, 1024)
-"""Facet grids a cell side that "auto" chooses from."""
+"""Facet grids per cell side from which "auto" chooses."""
 
 RAYS = 16384
 POINT_RAYS = 1024
-"""Rays over the field, and of each of its nine points."""
+"""Number of rays over the field, and from each of its nine points."""
 
 SAFE = 0.95
-"""Part of a limit that is aimed at: other cells and more rays find a few per cent more."""
+"""Target as a share of a limit: other cells and more rays give errors a few per cent larger."""
 
 PROBE, FINE = 16, 64
-"""Grids from which the errors of others follow."""
+"""Grids from which the errors of other grids are computed."""
 
 NEAR = 1.25
-"""A grid whose formula gives up to so many times what is aimed at is traced before it is passed over."""
+"""A grid whose formula error is at most this multiple of the target is traced before it is rejected."""
 
 CLOSE = 0.04
-"""The formula's own error, relative: closer to the limit only a trace tells."""
+"""Relative error of the formula; closer to the limit than that, the grid must be traced."""
 
 
 @dataclass(frozen=True, slots=True)
 class LightLimits:
-    """What light through a file may do, plain numbers.
+    """Limits of the light through a file.
 
     Parameters
     ----------
@@ -75,7 +76,8 @@ class LightLimits:
     offset : float, slope
         Error of the slope that leaves along the axis of the lenses.
     defocus : float
-        Shift of array 2 along the sheet's normal that would make up for the facets, over the distance of the lenses.
+        Shift of array 2 along the sheet's normal that compensates the facets, over the distance of the
+        lenses.
     """
 
     rms: float
@@ -86,7 +88,7 @@ class LightLimits:
 
     @staticmethod
     def of(design: Design) -> LightLimits:
-        """Those of a design."""
+        """Limits of a design."""
         return LightLimits(*design.check.of_light)
 
 
@@ -111,11 +113,11 @@ class Grade:
     defocus: float
 
     def within(self, limits: LightLimits, part: float = 1.0) -> bool:
-        """Whether every number is known and within `part` of its limit."""
+        """Whether every number is known and is at most `part` times its limit."""
         return not self.beyond(limits, part)
 
     def beyond(self, limits: LightLimits, part: float = 1.0) -> tuple[str, ...]:
-        """Limits that are not kept, by their keys in a design file."""
+        """Exceeded limits, by their keys in a design file."""
         pairs = (
             ("law_rms", self.rms, limits.rms), ("law_bias", self.bias, limits.bias), ("eta", self.stretch, limits.stretch),
             ("delta", self.offset, limits.offset), ("confocality", self.defocus, limits.defocus),
@@ -129,12 +131,12 @@ class Grader:
     Parameters
     ----------
     meshes : Meshes
-        Where the tessellations come from; what is meshed here is there to be written.
+        Source of the tessellations; meshes made here are kept for writing.
     limits : LightLimits
     field : float, radians
         Half angle of the cone of test rays.
     centre : "axis" or "normal"
-        Its middle.
+        Centre of the cone.
     """
 
     def __init__(self, meshes: Meshes, limits: LightLimits, field: float, centre: str = "axis") -> None:
@@ -144,11 +146,11 @@ class Grader:
 
     @staticmethod
     def of(meshes: Meshes, design: Design) -> Grader:
-        """With the limits and the field of a design's checks."""
+        """Grader with the limits and the field of a design's checks."""
         return Grader(meshes, LightLimits.of(design), design.check.field, design.check.field_centre)
 
     def grade(self, quads: int) -> Grade:
-        """Trace the tessellation of so many quads a cell side."""
+        """Trace the tessellation of `quads` quads per cell side."""
         if quads not in self._grades:
             self._grades[quads] = self._light.grade(quads, self._bodies(quads))
         return self._grades[quads]
@@ -163,11 +165,11 @@ class Grader:
 
     @cached_property
     def _like(self) -> Meshes:
-        """Meshes of the cell by which a sheet is judged whose cells differ."""
+        """Meshes of the cell by which a non-uniform sheet is judged."""
         return Meshes(self._light.window)
 
     def law_rms(self, quads: int) -> float:
-        """Rms direction error (radians) that follows from the coarse grids, without a trace of this one."""
+        """Rms direction error (radians) by the formula of the coarse grids, without tracing this grid."""
         if quads in self._grades:
             return self._grades[quads].rms
         slope, rounding = self._constants
@@ -175,11 +177,13 @@ class Grader:
 
     @cached_property
     def _constants(self) -> tuple[float, float]:
-        """Error of facets times their number a side, and of heights in steps over it (radians)."""
+        """Error of facets times quads per cell side, and error of height steps over quads per cell side
+        (radians).
+        """
         coarse, fine = (self._excess(quads) for quads in (PROBE, FINE))
         if FINE * fine <= PROBE * coarse:
             return FINE * fine, 0.0
-        # (a/16)² + (16 b)² and (a/64)² + (64 b)²: heights in steps turn fine facets the more
+        # (a/16)² + (16 b)² and (a/64)² + (64 b)²: height steps tilt fine facets more than coarse ones
         ratio = (FINE / PROBE) ** 2
         square = max(0.0, ratio * fine**2 - coarse**2) / (ratio - 1.0 / ratio)
         rounding = sqrt(square) / FINE if square > 0.0 else 0.0
@@ -190,7 +194,7 @@ class Grader:
         return sqrt(max(0.0, rms**2 - self._light.exact**2)) if isfinite(rms) else nan
 
     def least(self, most: int = POWERS[-1]) -> int | None:
-        """Smallest power of two, 4 … `most`, whose own traced grade is within SAFE of the limits; None: there is none."""
+        """Smallest power of two, 4 … `most`, whose traced grade is within SAFE times the limits, or None."""
         for quads in POWERS:
             if quads > most:
                 break
@@ -199,8 +203,9 @@ class Grader:
         return None
 
     def foreseen(self) -> int | None:
-        """As `least`, without meshing anything finer than needed to say it: grids above 64 are traced only where
-        the formula cannot tell.
+        """Result of `least` with as little fine meshing as possible.
+
+        Grids above 64 are traced only where the formula does not decide.
         """
         aim = SAFE * self.limits.rms
         for quads in POWERS:
@@ -216,7 +221,7 @@ class Grader:
         return None
 
     def _worth_tracing(self, quads: int) -> bool:
-        """Whether a grid may be within the limits at all; never with surfaces that are not."""
+        """Whether a grid may be within the limits; False if the exact surfaces are not."""
         if not (self._light.exact <= self.limits.rms and self._light.exact_bias <= self.limits.bias):
             return False
         return self.law_rms(quads) <= NEAR * SAFE * self.limits.rms
@@ -228,8 +233,10 @@ class Grader:
 
 
 def _judged_cell(window: Window, field: float, centre: str) -> Window:
-    """A sheet of one cell, that of the sheet's middle; where cells differ, of those whose lenses stand farthest out the one
-    whose light leaves farthest from the law.
+    """A sheet of one cell: the central cell, or the worst candidate cell of a non-uniform sheet.
+
+    Candidates are the central cell and those with the most displaced lenses; the worst has the largest rms
+    error to the law.
     """
     from clacad.tracing.trace import trace
 
@@ -245,7 +252,7 @@ def _judged_cell(window: Window, field: float, centre: str) -> Window:
 
 
 class _Light:
-    """Rays of the checks over one cell, and what the law and the exact surfaces do to them."""
+    """Rays of the checks over one cell, with their directions by the law and by the exact surfaces."""
 
     def __init__(self, window: Window, field: float, centre: str) -> None:
         self.window, self._field, self._centre = _judged_cell(window, field, centre), field, centre
@@ -286,7 +293,7 @@ class _Light:
         return self._bias(lambda lit: trace(self.window, lit.rays, path="numpy"))
 
     def grade(self, quads: int, bodies: tuple[FacetBody, ...]) -> Grade:
-        """Send the rays through facets."""
+        """Trace the rays through facets."""
         from clacad.tracing.triangles.telescopelet_facets import trace_facets
 
         seen = trace_facets(bodies, self.rays)
@@ -311,11 +318,11 @@ class _Light:
         return change_with_shift(self.window, (0, 0), self.rays)
 
     def _both(self, seen: TraceResult) -> Bools:
-        """Rays (n,) that get through, and through the exact surfaces too."""
+        """Rays (n,) that pass both the facets and the exact surfaces."""
         return np.asarray((seen.fate == Fate.ALIVE) & (self._truth.fate == Fate.ALIVE))
 
     def _defocus(self, seen: TraceResult) -> float:
-        """Shift of array 2 that would make up for the facets, over the distance between the lenses, worse axis."""
+        """Shift of array 2 that compensates the facets, over the distance between the lenses, worse axis."""
         both = self._both(seen) & np.isfinite(self._change[:, 0])
         if both.sum() < FEWEST:
             return nan
@@ -345,7 +352,7 @@ def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = T
     bevel : float, length
         Width of the bevels at saddles, which are no optical faces.
     apart : bool
-        Whether each body was meshed about the centre of its own array's cell; otherwise the mesh stands in the sheet.
+        Whether each body was meshed about the centre of its own array's cell; otherwise in sheet coordinates.
     """
     from clacad.tracing.triangles.telescopelet_facets import FacetBody, facet_face, on_land
 

@@ -1,7 +1,7 @@
-"""What is refused before any work, because it cannot end well: cells, facets, bytes, memory, disk.
+"""Limits on cells, facets, bytes, memory and disk, checked before any work.
 
-Cells and facets are counted in integers, so a design of 10^18 lenslets is refused as fast as one of 10^8. Every
-refusal says the number, the limit and two ways to get under it.
+Cells and facets are counted in integers, so a design of 10^18 lenslets is refused as fast as one of 10^8.
+Every refusal gives the number, the limit and two ways to stay below it.
 """
 
 from __future__ import annotations
@@ -27,17 +27,19 @@ if TYPE_CHECKING:
 MOST_FACETS = 50_000_000
 MOST_BYTES = 2_000_000_000
 MOST_CELLS = 10_000_000
-"""Lenslets of one array; every format that lists cells one by one ends within minutes below this."""
+"""Largest number of lenslets of one array; below it, formats that list cells one by one finish within
+minutes.
+"""
 MEMORY_SHARE = 0.8
 QUADS = (64, 32, 16, 8, 4)
-"""Facet grids a cell side that "auto" chooses from, finest first."""
+"""Facet grids per cell side from which "auto" chooses, finest first."""
 
 MOST_WELDED = 8_000_000
-"""Facets up to which a mesh is welded into shared vertices in memory."""
+"""Largest number of facets that are welded into shared vertices in memory."""
 
 
 def refuse_uncountable(design: Design) -> None:
-    """Refuse a design of more lenslets than anything here goes through one by one; integer arithmetic only.
+    """Refuse a design of more than `MOST_CELLS` lenslets; integer arithmetic only.
 
     Raises
     ------
@@ -48,14 +50,14 @@ def refuse_uncountable(design: Design) -> None:
 
 
 def refuse_early(design: Design, formats: Sequence[str], quads: Mapping[str, Quads]) -> None:
-    """Refuse a design whose mere count of lenslets is beyond every limit; integer arithmetic only.
+    """Refuse a design whose count of lenslets alone exceeds the limits; integer arithmetic only.
 
     Parameters
     ----------
     design : Design
     formats : sequence of str
     quads : mapping
-        Format → facet grid asked for; the coarsest counts where nothing was, or "auto".
+        Format → requested facet grid; the coarsest is used if none or "auto" was requested.
 
     Raises
     ------
@@ -78,7 +80,7 @@ def refuse_early(design: Design, formats: Sequence[str], quads: Mapping[str, Qua
 
 
 def refuse_cells(n1: int, n2: int) -> None:
-    """Refuse more lenslets than anything here goes through one by one.
+    """Refuse more than `MOST_CELLS` lenslets.
 
     Raises
     ------
@@ -95,7 +97,9 @@ def refuse_cells(n1: int, n2: int) -> None:
 def _refuse_facets(
     format: str, facets: int, quads: int, count: tuple[int, int], at_least: bool = True
 ) -> None:
-    """Refuse an STL of more facets or bytes than the limits; `count`: cells each way, for the way out."""
+    """Refuse an STL of more facets or bytes than the limits; `count`: cells each way, for the suggested
+    remedy.
+    """
     size = 84 + 50 * facets
     if facets <= MOST_FACETS and size <= MOST_BYTES:
         return
@@ -115,12 +119,12 @@ def _refuse_facets(
 
 
 def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> int:
-    """Least number of quads a cell side whose rms slope error is at most the one asked for (radians).
+    """Least number of quads per cell side whose rms slope error is at most the requested one (radians).
 
     Raises
     ------
     LimitRefused
-        The files would pass the limits; the message says what they allow.
+        The files would exceed the limits; the message gives the slope error that they allow.
     """
     from clacad.exporting.tessellations import one_cell
     from clacad.mesh import forecast_quads
@@ -136,19 +140,19 @@ def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> 
 
 
 def facets_at_least(window: Window, quads: int) -> int:
-    """Bound from below on the facets, before any mesh is made: half the grid, should a lens not fill its cell."""
+    """Lower bound on the facets before any mesh is made: half the grid, as a lens may not fill its cell."""
     from clacad.sheet.grid_steps import lens_squares
 
     return lens_squares(window, quads) * window.lattice.cell_count
 
 
 def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -> None:
-    """Hold a forecast against the limits: facets, bytes a file, free memory, free disk.
+    """Compare a forecast with the limits: facets, bytes per file, free memory, free disk.
 
     Raises
     ------
     LimitRefused
-        With the number, the limit, and two ways to get under it.
+        The message gives the number, the limit, and two ways to stay below it.
     """
     memory, disk = free_memory(), free_disk(folder)
     for row in rows:
@@ -221,7 +225,7 @@ def _smaller(row: Forecast, window: Window) -> str:
 
 
 def free_memory() -> int:
-    """Bytes of memory that could be had now; a container's limit counts."""
+    """Bytes of available memory; a container's limit is respected."""
     available = 1 << 62
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
@@ -240,7 +244,7 @@ def free_memory() -> int:
 
 
 def worker_memory() -> int:
-    """Address space of a worker, bytes: what is free, but never less than OCC itself maps."""
+    """Address space of a worker, bytes: the free memory, but never less than OCC itself maps."""
     return max(4_000_000_000, int(MEMORY_SHARE * free_memory()))
 
 
@@ -256,12 +260,12 @@ def free_disk(folder: Path) -> int:
 
 
 def count_text(n: int) -> str:
-    """Number for a person: 12,345 or 1.2e18."""
+    """Number as text: 12,345 or 1.2e18."""
     return f"{n:,}" if n < 10**10 else f"{Decimal(n):.3g}"  # an int may be too large for a float
 
 
 def size_text(n: int | float | Decimal) -> str:
-    """Bytes for a person: 1.5 GB."""
+    """Bytes as text: 1.5 GB."""
     n = Decimal(n)
     for unit in ("bytes", "kB", "MB", "GB", "TB", "PB"):
         if n < 1000 or unit == "PB":

@@ -1,4 +1,4 @@
-"""The manifest: what was written, from which design, and what each file was found to be."""
+"""The manifest of an export: its files, their design, and the measured properties of each file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class FileRecord:
-    """One file of an export; what does not apply to a format is left out of the manifest.
+    """One file of an export; facts that do not apply to its format are left out of the manifest.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class FileRecord:
         fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true ones),
         left_out (sentences: what the format cannot hold), objects and instances (meshes; of each object).
     checks : tuple of str
-        What was compared with the design, and agreed, when the file was read back.
+        Comparisons with the design that passed when the file was read back.
     role : mapping
         What the file is for: role, role_declared; of meshes forecast_law_rms (radians; None: too little light gets
         through), forecast_beyond (keys of the limits not kept), role_overstated (declared a
@@ -65,7 +65,7 @@ class FileRecord:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What `export` returns: the folder and the manifest in it.
+    """Result of `export`: the folder and the manifest in it.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Manifest:
 
     @property
     def files(self) -> tuple[Mapping[str, Any], ...]:
-        """Entries of the files, each a mapping with name, sha256, bytes, format and what was found."""
+        """Entries of the files, each a mapping with name, sha256, bytes, format and measured facts."""
         return tuple(self.document["files"])
 
     def path(self, format: str) -> Path:
@@ -117,9 +117,9 @@ def document(design: Design, window: Window, records: Sequence[FileRecord], opti
         As written; its count may be smaller than the design's.
     records : sequence of FileRecord
     options : mapping
-        What was asked of this export.
+        Options of this export.
     versions : mapping
-        Programs the bytes depend on.
+        Versions of the programs that the bytes depend on.
     counts : mapping
         "pieces" and "holes" of each body.
     """
@@ -170,8 +170,8 @@ def _scaled(value: Any, scale: float) -> Any:
 def carried_over(folder: Path, new: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Entries of an earlier export of the same design into the same folder that the new one did not rewrite.
 
-    They are listed again when design, window and versions are the same and the files are untouched; so
-    `--format step` and then `--format stl` end as one set.
+    Entries are kept when design, window and versions are the same and the files are unchanged. `--format
+    step` followed by `--format stl` therefore gives one set.
     """
     old = read_manifest(folder)
     if old is None:

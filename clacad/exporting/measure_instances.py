@@ -1,4 +1,4 @@
-"""A mesh file measured: a part that stands many times once for each way it is turned; nothing is expanded."""
+"""Measurement of a mesh file without expansion: a repeated part is measured once per orientation."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds_and_ends
 
 MOST_KINDS = 16
-"""Different turns and scales of one part that are measured one by one; a sheet needs one."""
+"""Largest number of orientations and scales of one part that are measured; a sheet needs one."""
 
 
 def measure_mesh(
     mesh: FileMesh, factor: float, passing: Callable[[Floats], Floats] = lambda corners: corners
 ) -> Measure:
-    """Measure a file in design units; a part that stands many times once for each way it is turned.
+    """Measure a file in design units; a repeated part is measured once per orientation.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def measure_mesh(
     factor : float
         Design units per file unit.
     passing : callable
-        Given, and giving on, the corners (k, 3, 3) of the parts that stand once, file unit.
+        Receives and returns the corners (k, 3, 3) of the unrepeated parts, file unit.
     """
     single = [part for part in mesh.parts if not part.repeated]
     return joined([
@@ -36,7 +36,7 @@ def measure_mesh(
 
 
 def measure_repeated(mesh: FileMesh, factor: float) -> Measure:
-    """Measure the parts that stand many times; closed where each of them is closed by itself.
+    """Measure the repeated parts; the result is closed if each of them is closed by itself.
 
     Parts that share one list of places are one object, as a GLB mesh of several primitives is.
     """
@@ -48,13 +48,13 @@ def measure_repeated(mesh: FileMesh, factor: float) -> Measure:
                 imbalance = [(a + b) % (1 << 64) for a, b in zip(imbalance, one.imbalance, strict=True)]
                 found.append(_with(one, (0, 0)))
         found.append(Measure(0, (imbalance[0], imbalance[1]), 0.0, 0.0, (np.inf,) * 3, (-np.inf,) * 3))
-    # an object that is open is not closed by another that is open the other way about
+    # an open object is not closed by another with the opposite gap
     whole = joined([_with(one, (0, 0)) for one in found])
     return _with(whole, next((one.imbalance for one in found if one.imbalance != (0, 0)), (0, 0)))
 
 
 def objects(mesh: FileMesh) -> list[list[Part]]:
-    """The parts that stand many times, those with the very same places together."""
+    """Repeated parts, grouped by identical lists of places."""
     found: dict[int, list[Part]] = {}
     for part in mesh.parts:
         if part.repeated:
@@ -63,7 +63,7 @@ def objects(mesh: FileMesh) -> list[list[Part]]:
 
 
 def joined(measures: Sequence[Measure]) -> Measure:
-    """Measures of several meshes taken as one."""
+    """Combined measures of several meshes."""
     if not measures:
         return measure(())
     low = np.min([one.low for one in measures], axis=0)
@@ -76,9 +76,9 @@ def joined(measures: Sequence[Measure]) -> Measure:
 
 
 def _measures(part: Part, factor: float) -> Iterator[Measure]:
-    """Measure a part for each way it is turned, times the places where it stands so."""
+    """Measure a part for each orientation, times the number of its places in that orientation."""
     for number, (linear, times, first, last) in enumerate(kinds_and_ends(part)):
-        if number == MOST_KINDS:  # turned in every way there is: its places fail by themselves
+        if number == MOST_KINDS:  # too many orientations: the comparison of its places fails anyway
             break
         turn = linear * factor
         one = measure(

@@ -1,4 +1,4 @@
-"""What `check` says that an export with default settings would cost."""
+"""Cost of an export with default settings, as `check` reports it."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 ROUGH_GRID = 8
-"""Quads a cell side of a 3MF that no design chooses them for."""
+"""Quads per cell side of a 3MF file when there is no design to choose them."""
 
 
 def outlook(window: Window, design: Design | None = None) -> list[dict[str, Any]]:
     """Forecast the common formats for `check`: what an export with default settings would cost.
 
-    With its design the facet grids are those that the export chooses, which takes a mesh of one cell. Without it nothing is
-    meshed or drawn up, and grids are coarse. Sizes are rough (`rough_sizes`); what an export would write to the byte, its
-    `--dry-run` says. Each row is `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
+    With a design, the facet grids are those that the export chooses, which takes a mesh of one cell. Without
+    one, nothing is meshed or generated, and the grids are coarse. Sizes are rough (`rough_sizes`);
+    `export --dry-run` reports closer sizes. Each row is `Forecast.to_dict()` with "refused": None, or the
+    sentence of the refusal.
     """
     try:
         n1, n2 = window.lattice.count
         refuse_cells(int(n1), int(n2))
-    except LimitRefused as refusal:  # said, not counted: counting facets walks along the outline
+    except LimitRefused as refusal:  # reported without counting: counting facets walks along the outline
         return [{"format": name, "refused": str(refusal)} for name in ("step", "stl", "3mf")]
     sheet, mode = RoughSheet.of_window(window), chosen_mode(window, "auto")
     rows = [step_row(window, mode, about(sheet.step_bytes(mode == "fused")))]
@@ -47,7 +48,7 @@ def outlook(window: Window, design: Design | None = None) -> list[dict[str, Any]
 
 
 def _outlook_of_meshes(sheet: RoughSheet, window: Window, design: Design | None) -> list[Forecast]:
-    """Rows of STL and 3MF: as an export of a design would choose them, or roughly on a coarse grid."""
+    """Rows of STL and 3MF: with the grids that an export of the design chooses, or roughly on a coarse grid."""
     times, places = (sheet.cells, sheet.listed) if sheet.repeats else (1, 0)
     if design is None:
         quads, stl = ROUGH_GRID, sheet.facets(ROUGH_GRID) * sheet.cells
@@ -68,7 +69,7 @@ def _outlook_of_meshes(sheet: RoughSheet, window: Window, design: Design | None)
 
 
 def about(number: int) -> int:
-    """Two digits of a number that is known no better."""
+    """A number rounded to two digits, its known accuracy."""
     return int(float(f"{number:.1e}"))
 
 

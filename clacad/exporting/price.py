@@ -1,4 +1,4 @@
-"""The forecast of one format: its size, facets, seconds and memory."""
+"""Forecast of one format: its size, facets, seconds and memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """The price of one format.
+    """Price of one format.
 
     Parameters
     ----------
@@ -20,21 +20,21 @@ class Forecast:
     exact : bool
         Whether `bytes` is exact; otherwise within 20 %.
     facets : int or None
-        Of the sheet: with every instance counted.
+        Facets of the sheet; every instance is counted.
     quads : int or None
     modelled : float
-        Processor seconds on the machine whose constants the models hold.
+        Processor seconds on the reference machine of `costs`.
     memory : (low, high) bytes
     seconds : (low, high)
         Processor seconds on this machine.
     stored : int or None
-        Facets the file holds; fewer than `facets` where it repeats a cell.
+        Facets that the file stores; fewer than `facets` where it repeats a cell.
     places : int
-        Bytes of where the repeated cells stand.
+        Bytes of the positions of the repeated cells.
     prospect : Prospect or None
         The file's role and the light through it.
     note : str
-        What makes this file dearer than one of equal cells; "" where nothing does.
+        Reason why this file costs more than that of a uniform sheet; "" if it does not.
     """
 
     format: str
@@ -52,7 +52,7 @@ class Forecast:
 
     @property
     def task(self) -> str:
-        """Name under which the seconds of this format are noted."""
+        """Name under which the seconds of this format are recorded."""
         return f"export {self.format}"
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Facets a cell side of every format of an export, and the role each file gets by them."""
+"""Facets per cell side of every format of an export, and the resulting role of each file."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 COARSEST = 4
-"""Facets of a declared preview of which nothing else was said."""
+"""Facets per cell side of a declared preview without a requested grid."""
 
 COUNTED = (8, 16)
-"""Grids whose facets are counted; those of others follow."""
+"""Grids whose facets are counted; the facets of other grids are computed from them."""
 
 TRACED = 256
-"""Finest grid that is meshed only to tell a role; beyond it the formula of the coarser ones speaks."""
+"""Finest grid that is meshed only to decide a role; above it, the formula of the coarser grids is used."""
 
 
 class Sizes:
-    """Facets and bytes of the mesh formats at any grid, counted on two coarse ones."""
+    """Facets and bytes of the mesh formats at any grid, extrapolated from two coarse grids."""
 
     def __init__(self, meshes: Meshes) -> None:
         self.meshes = meshes
         self._rows: dict[tuple[str, int], Forecast] = {}
 
     def facets(self, format: str, quads: int) -> int:
-        """Facets that a file of a format stores, about; those of one cell where the format repeats it."""
+        """Approximate number of facets that a file stores; those of one cell where the format repeats it."""
         square, linear = self._cell if self.meshes.repeats(format) else self._sheet
         return int(square * quads * quads + linear * quads)
 
     def bytes(self, format: str, quads: int) -> int:
-        """Size of the file, about, from one that is small enough to be drawn up."""
+        """Approximate size of the file, scaled from a file that is small enough to be generated."""
         drawn = min(quads, FINE if self.meshes.repeats(format) else COUNTED[1])
         row = self._drawn(format, drawn)
         facets = self.facets(format, quads)
@@ -59,11 +59,11 @@ class Sizes:
         return facets <= limits.MOST_WELDED and self.bytes(format, quads) <= limits.MOST_BYTES
 
     def finest(self, format: str) -> int:
-        """Finest grid of "auto" that fits, or the coarsest there is."""
+        """Finest grid of "auto" that fits, or the coarsest grid if none fits."""
         return max((quads for quads in POWERS if self.fits(format, quads)), default=POWERS[0])
 
     def _drawn(self, format: str, quads: int) -> Forecast:
-        """Forecast of a file on a coarse grid, drawn up once."""
+        """Forecast of a file on a coarse grid, computed once."""
         from clacad.exporting.forecast import forecast
 
         if (format, quads) not in self._rows:
@@ -81,13 +81,13 @@ class Sizes:
 
 @dataclass(frozen=True, slots=True)
 class Needed:
-    """What a master of one format would take.
+    """Grid and size of a master of one format.
 
     quads : int, a cell side
     bytes : int
-        Of the file, about.
+        Approximate size of the file.
     fits : bool
-        Whether an export would write it without being forced.
+        Whether an export would write it without `force`.
     """
 
     quads: int
@@ -96,7 +96,7 @@ class Needed:
 
 
 def masters(grader: Grader, formats: Sequence[str]) -> dict[str, Needed]:
-    """Facets and bytes of a master in each mesh format; empty where no grid up to 1024 makes one."""
+    """Grid and bytes of a master in each mesh format; empty where no grid up to 1024 is fine enough."""
     quads, sizes = grader.foreseen(), Sizes(grader.meshes)
     if quads is None:
         return {}
@@ -104,22 +104,23 @@ def masters(grader: Grader, formats: Sequence[str]) -> dict[str, Needed]:
 
 
 def _law_of_growth(coarse: int, fine: int) -> tuple[float, float]:
-    """Facets a cell side squared, and a cell side, from those of the two grids that are counted."""
+    """Facets per quads squared, and per quads, from the facet counts of two grids."""
     small, large = COUNTED
     square = (fine / large - coarse / small) / (large - small)
     return square, coarse / small - small * square
 
 
 def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> dict[str, int]:
-    """Facet grid of each mesh format: as asked, by slope error, or by the light through it.
+    """Facet grid of each mesh format: as requested, by slope error, or by the light through it.
 
-    Where nothing was asked it is the coarsest grid that makes a master within the limits of facets and bytes. Where none
-    does, it is the finest within the limits, up to `FINE`: a preview. A declared preview is as coarse as can be.
+    Without a request it is the coarsest grid that makes a master within the limits of facets and bytes. If
+    there is none, it is the finest grid within the limits, up to `FINE`: a preview. A declared preview has
+    the coarsest grid.
 
     Raises
     ------
     LimitRefused
-        The facets that a slope error takes do not fit.
+        The facets for the requested slope error exceed the limits.
     """
     chosen: dict[str, int] = {}
     sizes = Sizes(grader.meshes)
@@ -142,11 +143,11 @@ def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> di
 
 @dataclass(frozen=True, slots=True)
 class DefaultMesh:
-    """A mesh file that an export writes of which nothing is asked but its format.
+    """A mesh file of an export with default options.
 
     quads : int, a cell side
     facets, bytes : int
-        Facets it stores and its size, about.
+        Approximate number of stored facets and size.
     """
 
     quads: int
@@ -155,7 +156,7 @@ class DefaultMesh:
 
 
 def default_meshes(design: Design, window: Window, formats: Sequence[str]) -> dict[str, DefaultMesh]:
-    """Mesh files of an export of which nothing is asked but formats: the grids that `export` itself chooses."""
+    """Mesh files of an export with default options, with the grids that `export` chooses."""
     from clacad.exporting.request import DEFAULTS
     from clacad.exporting.tessellations import Meshes
 
@@ -168,13 +169,15 @@ def default_meshes(design: Design, window: Window, formats: Sequence[str]) -> di
 
 
 def by_default(request: Request, format: str) -> bool:
-    """Whether neither facets nor a preview were asked of a mesh format: the light through it decides both."""
+    """Whether neither grid nor preview was requested of a mesh format; the light through it then decides
+    both.
+    """
     said = request.quads.get(format) is not None or request.slope_error != "auto"
     return format in MESHES and not said and request.role.get(format) is not Role.PREVIEW
 
 
 def _master(grader: Grader, sizes: Sizes, format: str) -> int | None:
-    """Coarsest grid that makes a master of a format within the limits; None: there is none."""
+    """Coarsest grid that makes a master of a format within the limits, or None."""
     finest = sizes.finest(format)
     if finest > FINE:
         least = grader.foreseen()
@@ -184,9 +187,9 @@ def _master(grader: Grader, sizes: Sizes, format: str) -> int | None:
 
 
 def with_prospects(grader: Grader, rows: Sequence[Forecast], request: Request) -> list[Forecast]:
-    """Rows of a forecast with the role of each file, and what the light through it will do.
+    """Rows of a forecast with the role of each file and the forecast of the light through it.
 
-    A preview whose facets were chosen by default is a declared one: nobody asked for a master of that format.
+    A preview whose facets were chosen by default counts as declared: no master of that format was requested.
     """
     sizes = Sizes(grader.meshes)
     return [replace(row, prospect=_prospect(grader, sizes, row, request)) for row in rows]
@@ -210,7 +213,7 @@ def _prospect(grader: Grader, sizes: Sizes, row: Forecast, request: Request) -> 
 
 
 def _light(grader: Grader, quads: int) -> tuple[float, tuple[str, ...]]:
-    """Forecast rms (radians), and the limits that light is forecast not to keep."""
+    """Forecast rms (radians), and the limits that the light is forecast to exceed."""
     if quads > TRACED:
         rms = grader.law_rms(quads)
         return rms, () if rms <= grader.limits.rms else ("law_rms",)

@@ -1,8 +1,7 @@
-"""What cannot be made is refused before the first byte: the reasons of all formats at once.
+"""Refusals of an export before its first byte, with the reasons of all formats together.
 
-Each format that asks more of a design than a shape says here what stands against it: an extra that is not installed, a
-gap, a border, a line of text that has no room. Limits of size, and bodies that cannot be built, are met while the price
-is worked out; they are gathered here too.
+Formats with special requirements check them here: an installed extra, a gap, a border, room for a line of
+text. Limits of size, and bodies that cannot be built, are found by the forecast and collected here too.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Refusals:
-    """Why formats are refused, gathered until all have been asked."""
+    """Refusals of formats, collected until all formats have been checked."""
 
     def __init__(self) -> None:
         self._found: dict[str, Exception] = {}
@@ -36,7 +35,7 @@ class Refusals:
 
     @contextmanager
     def of(self, *formats: str) -> Iterator[None]:
-        """Keep the refusal that is met within, as that of some formats; a mistake of our own goes on up."""
+        """Keep a refusal raised in the block as that of some formats; program errors propagate."""
         try:
             yield
         except (ExportError, ValueError) as error:
@@ -51,7 +50,7 @@ class Refusals:
         Raises
         ------
         ExportError, ValueError
-            The refusal, if there is one only; else `NotPossible` with all of them, or what all of them are.
+            The refusal, if there is only one; else their common type, or `NotPossible`, with all of them.
         """
         by_text: dict[str, list[str]] = {}
         for name, error in self._found.items():
@@ -67,19 +66,19 @@ class Refusals:
 
 
 def _line(formats: list[str], text: str) -> str:
-    """A refusal with the formats it is of, where it does not begin with them."""
+    """Text of a refusal, prefixed with its formats unless it already begins with them."""
     named = ", ".join(formats)
     return text if text.startswith((f"{named}:", f"format {named}")) else f"{named}: {text}"
 
 
 def require_possible(window: Window, format: str, asked: Request, worker: Worker) -> None:
-    """Refuse a format that a design cannot have; only a long line of text on little room needs the worker.
+    """Refuse a format that is impossible for a design; only long text in a small space needs the worker.
 
     Raises
     ------
     NotPossible, NoFixture, LimitRefused, CannotBuild
     CellsDiffer
-        The format holds sheets of equal cells only.
+        The format holds uniform sheets only.
     WorkerDied
         The letters could not be drawn.
     """
@@ -92,7 +91,7 @@ def require_possible(window: Window, format: str, asked: Request, worker: Worker
 
 
 def _gds(window: Window, asked: Request, _worker: Worker) -> None:
-    """The package that writes it, and levels that its layers tell apart."""
+    """Require the package that writes GDSII, and levels that its layers distinguish."""
     from clacad.formats.maps.gds import grey_cell, require_gdstk
     from clacad.formats.maps.sag import structured_faces
 
@@ -102,7 +101,7 @@ def _gds(window: Window, asked: Request, _worker: Worker) -> None:
 
 
 def _mask(window: Window, _asked: Request, _worker: Worker) -> None:
-    """One outline for the lenses of a face."""
+    """Require one outline for the lenses of a face."""
     from clacad.formats.maps.mask import aperture
     from clacad.formats.maps.sag import structured_faces
 
@@ -112,14 +111,14 @@ def _mask(window: Window, _asked: Request, _worker: Worker) -> None:
 
 
 def _baffle(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Walls, and a gap for them."""
+    """Require walls, and a gap for them."""
     from clacad.exporting.fixtures import baffle_meshes
 
     baffle_meshes(window)
 
 
 def _frame(window: Window, _asked: Request, worker: Worker) -> None:
-    """Two plates with flat borders, a gap, and room for the name."""
+    """Require two plates with flat borders, a gap, and room for the name."""
     from clacad.exporting.fixtures.frame import frame_spec, mark_lines
     from clacad.solid.marks import mark_text
 
@@ -128,14 +127,14 @@ def _frame(window: Window, _asked: Request, worker: Worker) -> None:
 
 
 def _pins(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Two plates with pin holes, a gap, and land for the shoulders."""
+    """Require two plates with pin holes, a gap, and land for the shoulders."""
     from clacad.exporting.fixtures.shoulder_pins import pin_spec
 
     pin_spec(window)
 
 
 def _marks(window: Window, _asked: Request, worker: Worker) -> None:
-    """A border with room for the name."""
+    """Require a border with room for the name."""
     from clacad.solid.marks import mark_place, mark_text
 
     for place, body in [(mark_place(window, body), body) for body in window.bodies]:
@@ -143,32 +142,32 @@ def _marks(window: Window, _asked: Request, worker: Worker) -> None:
 
 
 def _marked(window: Window, asked: Request, worker: Worker) -> None:
-    """A border with room for the name, and bodies that the kernel takes."""
+    """Require a border with room for the name, and bodies that OCC accepts."""
     _marks(window, asked, worker)
     _solids(window, "marked")
 
 
 def _brep(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Bodies that the kernel takes."""
+    """Require bodies that OCC accepts."""
     _solids(window, "BREP")
 
 
 def _coupon(window: Window, _asked: Request, _worker: Worker) -> None:
-    """A patch of a few cells that is a solid."""
+    """Require a patch of a few cells that is a solid."""
     from clacad.exporting.fixtures.coupon import PATCH_CELLS
 
     _solids(window.with_cells(PATCH_CELLS), "coupon")
 
 
 def _drawing(_window: Window, _asked: Request, _worker: Worker) -> None:
-    """The packages that write it."""
+    """Require the packages that write DXF and PDF."""
     from clacad.formats.drawing.dxf import require_drawing
 
     require_drawing()
 
 
 def _zmx(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Faces that its surfaces hold."""
+    """Require faces that Zemax surfaces can hold."""
     from clacad.formats.sequential.zmx import zmx_lines
 
     for _ in zmx_lines(window):
@@ -176,7 +175,7 @@ def _zmx(window: Window, _asked: Request, _worker: Worker) -> None:
 
 
 def _optiland(window: Window, _asked: Request, _worker: Worker) -> None:
-    """The package that reads it back, and faces that its surfaces hold."""
+    """Require optiland, which reads the file back, and faces that its surfaces can hold."""
     from clacad.formats.sequential.optiland_json import optiland_document, require_optiland
 
     require_optiland()
@@ -184,7 +183,7 @@ def _optiland(window: Window, _asked: Request, _worker: Worker) -> None:
 
 
 def _solids(window: Window, what: str) -> None:
-    """Bodies of no more cells than OCC takes, of faces that can be described."""
+    """Require at most the number of cells that OCC takes, and faces that can be described."""
     from clacad.exporting.file_sizes import step_bytes
     from clacad.exporting.fixtures.fixture_files import refuse_many
 
@@ -193,7 +192,9 @@ def _solids(window: Window, what: str) -> None:
 
 
 def _require_room(text: str, width: float, height: float, worker: Worker) -> None:
-    """Room for a line of text (mm): as a rule its number of letters tells; where it does not, they are drawn."""
+    """Require room for a line of text (mm): estimated from its number of letters, or else measured by drawing
+    it.
+    """
     from clacad.solid.marks import surely_fits
 
     if not surely_fits(text, width, height):
@@ -207,4 +208,4 @@ _NEEDS: Mapping[str, Callable[[Window, Request, Worker], None]] = {
     "gds": _gds, "mask": _mask, "baffle": _baffle, "frame": _frame, "pins": _pins, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
     "brep": _brep, "coupon": _coupon, "drawing": _drawing, "optiland": _optiland, "zmx": _zmx,
 }  # fmt: skip
-"""Format → what refuses it; formats of a mere shape are refused by their price alone."""
+"""Format → its check; other formats are refused by their forecast alone."""

@@ -1,6 +1,6 @@
 """The options of an export, declared once: the command line, the API and the manifest read them here.
 
-Quads and roles are asked for as one value for all files, or as one a format.
+Quads and roles are requested as one value for all files, or as one per format.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from clacad.storage.errors import BadRequest, LimitRefused
 
 Quads = int | Literal["auto"]
 AskedQuads = Quads | Mapping[str, Quads] | None
-"""Facets a cell side: of every mesh format, or one a format; None: see `export`."""
+"""Facets per cell side: one for every mesh format, or one per format; None: see `Request`."""
 
 AskedRole = str | Mapping[str, str] | None
-"""Role declared: of every file that has optics, or one a format."""
+"""Declared role: one for every file that has optics, or one per format."""
 
 ROLES = ("master", "preview")
 """Words by which an export declares a role."""
@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """How one option of an export is asked for on the command line, and what is allowed.
+    """Command-line form and allowed values of one export option.
 
     Parameters
     ----------
@@ -40,13 +40,13 @@ class Option:
         As typed; of a switch that is on by default, with its opposite.
     help : str
     metavar : str or None
-        What stands for the value in the help.
+        Placeholder of the value in the help.
     words : tuple of str
-        All that are allowed; empty: any text that its reader takes.
+        Allowed words; empty: any text that the option's reader accepts.
     least, most : int or None
         Range of a whole number.
     rare : bool
-        Kept in the manifest only where something else than the default was asked for.
+        Recorded in the manifest only if it differs from the default.
     """
 
     flag: str
@@ -59,14 +59,14 @@ class Option:
 
 
 def _declared(default: Any, option: Option) -> Any:
-    """Field of `Request` with its default and how it is asked for."""
+    """Field of `Request` with its default and command-line form."""
     made = {"default_factory": dict} if default is dict else {"default": default}
     return field(**made, metadata={"option": option})
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What was asked of an export.
+    """Options of an export.
 
     Parameters
     ----------
@@ -78,22 +78,23 @@ class Request:
         telescopelet for lens-design programs; optiland needs the extra `optiland`), drawing
         (DXF and PDF, needs the extras `dxf` and `pdf`).
     slope_error : float or "auto"
-        Wanted rms angle between facets and surface, radians; "auto" chooses the facets of each format by the light
-        through them, as `quads` "auto" does, but writes a preview of at most 64 quads a cell side where no master
-        stays within the limits, and declares it one. Files declared previews are left out.
+        Wanted rms angle between facets and surface, radians; "auto" chooses the facets of each format by the
+        light through them, as `quads` "auto" does. If no master stays within the limits, it writes a declared
+        preview of at most 64 quads per cell side. Files declared previews are left out.
     quads : mapping; of `export` also int, "auto" or None
-        Facet grid a cell side of each mesh format, as in {"3mf": "auto", "stl": 4}; asked for as one, of all. Overrides
-        `slope_error`. "auto" is the smallest power of two from 4 to 1024 through which light is forecast to meet the
-        design's limits (within 95 %), if such a file stays within the limits of facets and bytes; else the finest
-        that does. Formats that repeat one cell (3MF, GLB) are held to the limits by the one they store.
+        Facet grid per cell side of each mesh format, as in {"3mf": "auto", "stl": 4}; a single value applies
+        to all. Overrides `slope_error`. "auto" is the smallest power of two from 4 to 1024 through which
+        light is forecast to meet the design's limits (within 95 %), if such a file stays within the limits of
+        facets and bytes; else the finest that does. For formats that repeat one cell (3MF, GLB), the limits
+        apply to the stored cell.
     step : "auto", "fused" or "instanced"
         auto is fused up to 2,500 cells.
     cells : (a, b) or None
         The same design with another count, centred.
     overwrite : bool
-        Replace files that no export of ours owns.
+        Replace files that are in no manifest of clacad.
     force : bool
-        Pass the limits on facets, bytes and memory.
+        Ignore the limits on facets, bytes and memory.
     step_schema : "ap242" or "ap214"
         Application protocol of STEP files.
     pcurves : bool
@@ -107,15 +108,15 @@ class Request:
     grey_levels : int
         GDSII: number of layers from the lowest to the highest point of a face.
     role : mapping; of `export` also "master", "preview" or None
-        What the files of each format are for, as in {"stl": "preview"}; asked for as one, of all. Not declared: a mesh
-        is a master where the light through it is forecast within the design's limits, else a preview, which counts as
-        declared where `quads` and `slope_error` were left out too. A preview declared here has 4 quads a cell side
-        where nothing else is said of it. Everything else with optics is a master.
+        Role of the files of each format, as in {"stl": "preview"}; a single value applies to all. An
+        undeclared mesh is a master if the light through it is forecast within the design's limits, else a
+        preview. That preview counts as declared if `quads` and `slope_error` were left out too. A preview
+        declared here has 4 quads per cell side unless specified. Everything else with optics is a master.
     paper : "a4", "a3" or "a2"
         Sheets of the drawing.
     fused : bool
         One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB, which otherwise
-        repeat one cell where the sheet is nothing but equal cells.
+        repeat one cell of a uniform sheet without border.
     """
 
     formats: tuple[str, ...] = _declared(("step", "stl"), Option(
@@ -166,12 +167,12 @@ class Request:
     ))  # fmt: skip
 
     def __post_init__(self) -> None:
-        """Let `fused` decide about STEP.
+        """Apply `fused` to the STEP mode.
 
         Raises
         ------
         BadRequest
-            Fused and instanced are asked for at once, or fused of formats that it says nothing of.
+            Fused and instanced are requested together, or fused for formats to which it does not apply.
         """
         if self.fused and set(self.formats) <= set(FORMATS) - set(FUSABLE):
             raise BadRequest(
@@ -185,7 +186,7 @@ class Request:
             object.__setattr__(self, "step", "fused")
 
     def to_dict(self) -> dict[str, Any]:
-        """Options as the manifest keeps them; those that few ask for only where they were asked for."""
+        """Options as the manifest records them; rare ones only if they differ from the default."""
         plain = {
             "formats": list(self.formats), "slope_error": self.slope_error, "quads": dict(self.quads) or None,
             "step": self.step, "cells": None if self.cells is None else list(self.cells),
@@ -197,10 +198,10 @@ class Request:
 
 
 OPTIONS: Mapping[str, Option] = {one.name: one.metadata["option"] for one in fields(Request)}
-"""Field of `Request` → how it is asked for."""
+"""Field of `Request` → its command-line form."""
 
 DEFAULTS = Request()
-"""An export of which nothing was said."""
+"""Export request with all defaults."""
 
 
 # -- one value for all files, or one a format ------------------------------------------------------
@@ -213,7 +214,7 @@ def assignments(text: str) -> list[tuple[str, str]] | None:
 
 
 def asked_quads(asked: AskedQuads, formats: Sequence[str]) -> dict[str, Quads]:
-    """Facet grid asked for of each mesh format that is exported.
+    """Requested facet grid of each exported mesh format.
 
     Raises
     ------
@@ -224,7 +225,7 @@ def asked_quads(asked: AskedQuads, formats: Sequence[str]) -> dict[str, Quads]:
 
 
 def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
-    """Role declared of each format that is exported.
+    """Declared role of each exported format.
 
     Raises
     ------
@@ -236,7 +237,7 @@ def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
 
 @dataclass(frozen=True, slots=True)
 class _Asked(Generic[T]):
-    """What is asked for format by format: its name, how a value is read, which formats have it, what others lack."""
+    """Per-format option: its name, its value's reader, the formats that have it, and what other formats lack."""
 
     name: str
     read: Callable[[object], T]
@@ -245,7 +246,7 @@ class _Asked(Generic[T]):
 
 
 def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[str, T]:
-    """Value of each format that is exported, in the order exported: one for all that have it, or as each was named."""
+    """Value of each exported format, in export order: one for all formats that have the option, or as named."""
     if asked is None:
         return {}
     if not isinstance(asked, Mapping):
@@ -260,7 +261,9 @@ def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[
 
 
 MOST_QUADS = 8192
-"""Facets along a cell side: one array of its corners is half a gigabyte then, and forecasts hold a few."""
+"""Largest number of facets along a cell side; one array of the corners then takes 0.5 GB, forecasts hold a
+few.
+"""
 
 
 def _grid(value: object) -> Quads:

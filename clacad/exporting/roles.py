@@ -1,8 +1,9 @@
-"""What a file is for: parts are made from a master, a preview is looked at, a scan was measured, the rest is other.
+"""Role of a file: master (parts are made from it), preview (for viewing), scan (measured), or other.
 
-Parts are made from an optical master, so light through it must obey the law. A preview is for looking, quoting and fit
-checks. A scan is a measured surface: judged, never called fit for making. Everything else (baffle, frame, pins, coupon,
-pictures' scenes) carries no light of the law, or is made into no part (a prescription for a lens-design program, a drawing).
+Parts are made from an optical master, so light through it must obey the law. A preview is for viewing,
+quoting and fit checks. A scan is a measured surface: it is verified, but never approved for production.
+Everything else (baffle, frame, pins, coupon, pictures' scenes) carries no light of the law, or is made into
+no part (a prescription for a lens-design program, a drawing).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 
 class Role(StrEnum):
-    """What a file is for; the words stand in manifests and reports."""
+    """Role of a file; manifests and reports use these words."""
 
     MASTER = "optical-master"
     PREVIEW = "shape-preview"
@@ -26,7 +27,7 @@ WORDS: Mapping[str, Role] = {
     "master": Role.MASTER, "preview": Role.PREVIEW, "scan": Role.SCAN,
     "optical-master": Role.MASTER, "shape-preview": Role.PREVIEW,
 }  # fmt: skip
-"""Words by which a role is declared; nobody declares "other"."""
+"""Words by which a role is declared; "other" cannot be declared."""
 
 NOT_OPTICAL = frozenset(
     {
@@ -54,20 +55,20 @@ def role_of(format: str) -> Role:
 
 @dataclass(frozen=True, slots=True)
 class Prospect:
-    """The role a file is given, and what the light through it is forecast to do.
+    """Role of a file, and the forecast of the light through it.
 
     Parameters
     ----------
     role : Role
     declared : bool
-        Whether the role was asked for; otherwise the forecast decided.
+        Whether the role was requested; otherwise the forecast decided.
     quads : int or None
-        Facet grid a cell side; None: the file has no facets, and the rest says nothing.
+        Facet grid per cell side; None: the file has no facets, and the following values are unused.
     law_rms : float or None, radians
         Rms direction error to the law; None where too little light gets through.
     limit : float, radians
     beyond : tuple of str
-        Limits of the design that light is forecast not to keep, by their keys.
+        Limits of the design that the light is forecast to exceed, by their keys.
     master_quads, master_bytes : int or None
         Facets, and size of the file, that a master of this format would take; None: no grid up to 1024 makes one.
     """
@@ -83,7 +84,7 @@ class Prospect:
 
     @property
     def overstated(self) -> bool:
-        """Declared a master though light through it is forecast beyond the limits."""
+        """Whether it is declared a master although the light is forecast beyond the limits."""
         return self.role is Role.MASTER and bool(self.beyond)
 
     def entry(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What an export will take, from the design's own numbers: said before anything is meshed to forecast it closely."""
+"""Rough time of an export from the design's numbers, available before the meshing for the full forecast."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from clacad.exporting.request import Request
 
 AUTOMATIC = 128
-"""Facet grid that "auto" is taken to choose; it is traced, and those below it."""
+"""Facet grid that "auto" is assumed to choose; it and the coarser grids are traced."""
 
 ROUGH = 2.0
-"""Factor by which such a forecast may be off on a machine whose rates are known."""
+"""Error factor of the rough forecast on a machine whose rates are known."""
 
 
 def rough_span(design: Design, request: Request) -> Span:
@@ -48,7 +48,7 @@ def rough_span(design: Design, request: Request) -> Span:
 
 
 def _grid(design: Design, request: Request, name: str) -> int:
-    """Facet grid of a format: as asked, or about what will be chosen."""
+    """Facet grid of a format: as requested, or approximately the one that will be chosen."""
     asked = request.quads.get(name)
     if asked == "auto":
         return AUTOMATIC

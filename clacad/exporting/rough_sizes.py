@@ -1,7 +1,7 @@
-"""Facets and bytes of files from a sheet's own numbers, at once: nothing is meshed and no text drawn up.
+"""Rough facets and bytes of files from a sheet's numbers, without meshing or generating text.
 
-Facets and meshes are good to 40 %, of grids above 32 to a tenth; instanced STEP to a fifth, fused STEP, whose walls hang on how
-neighbours stand against one another, to a factor of two.
+Facets and mesh sizes are within 40 %, for grids above 32 within 10 %. Instanced STEP is within 20 %. Fused
+STEP, whose walls depend on the relative position of neighbours, is within a factor of two.
 """
 
 from __future__ import annotations
@@ -16,17 +16,19 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 FUSED_CELL = {"straight": 4700, "hexagonal": 7200, "tilted": 15_000}
-"""Bytes of a lenslet and body in a fused STEP file: walls of lenslets that lean are wavy."""
+"""Bytes per lenslet and body in a fused STEP file; walls of tilted lenslets are wavy."""
 
 FEW, PLACES, LINE = 10_000, (1.0, 3.2), 12.0
-"""Cells up to which, and beyond which, a place in a 3MF file takes so many bytes, deflated; bytes of a row of many places."""
+"""Cell count that separates small from large 3MF files; deflated bytes per place in each; bytes per row of
+places.
+"""
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 @dataclass(frozen=True, slots=True)
 class RoughSheet:
-    """What the sizes of a sheet's files hang on.
+    """Numbers that determine the sizes of a sheet's files.
 
     Attributes
     ----------
@@ -38,9 +40,9 @@ class RoughSheet:
     count : (n1, n2)
     hexagonal : bool
     tilted : bool
-        Lenslets lean, so that neighbours do not meet at their borders.
+        Lenslets are tilted, so that neighbours do not join at their borders.
     repeats : bool
-        Whether the sheet is nothing but equal cells side by side.
+        Whether the sheet is uniform, without an outline or land between cells and outline.
     cylinders : bool
         Every lenslet is a cylinder along its cell, which takes one step of the grid that way.
     """
@@ -56,7 +58,7 @@ class RoughSheet:
 
     @staticmethod
     def of_design(design: Design) -> RoughSheet:
-        """Before the design is made."""
+        """Numbers of a design before it is prescribed."""
         form, lattice = design.pair.form, design.lattice
         n1, n2 = (int(n) for n in lattice.count)
         return RoughSheet(
@@ -67,7 +69,7 @@ class RoughSheet:
 
     @staticmethod
     def of_window(window: Window) -> RoughSheet:
-        """From the sheet as built."""
+        """Numbers of the sheet as built."""
         lattice = window.lattice
         n1, n2 = (int(n) for n in lattice.count)
         lenses = [face for face in window.faces if face.array is not None]
@@ -78,11 +80,13 @@ class RoughSheet:
         )  # fmt: skip
 
     def facets(self, quads: int) -> int:
-        """Of one cell of all bodies: two triangles a square of the grid of each lens, and some for the walls of tilted ones."""
+        """Facets of one cell of all bodies: two per square of each lens grid, and some for walls of tilted
+        lenses.
+        """
         return self.lenses * (self._lens(quads) + (4 * quads if self.tilted else 0))
 
     def piece(self, quads: int) -> int:
-        """Of one cell with its sides, which is what formats repeat; a flat back is cut into a fan."""
+        """Facets of one cell with its sides, as formats repeat it; a flat back is divided into a fan."""
         flat = 4 if self.lenses == self.bodies > 1 else 0
         return self.lenses * self._lens(quads) + (8 + flat) * quads * self.bodies
 
@@ -92,21 +96,23 @@ class RoughSheet:
 
     @property
     def listed(self) -> int:
-        """Places that a 3MF file lists and whoever reads it keeps: all, or of a large sheet its rows and the cells of one."""
+        """Places that a 3MF file lists and its reader keeps: all, or for a large sheet its rows and one row's
+        cells.
+        """
         from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
 
         in_rows = self.repeats and self.cells > FLAT_LIMIT
         return self.bodies * (sum(self.count) if in_rows else self.cells)
 
     def step_bytes(self, fused: bool) -> int:
-        """Of a STEP file."""
+        """Bytes of a STEP file."""
         if not fused:
             return self.bodies * (20_000 + 500 * sum(self.count))
         kind = "tilted" if self.tilted else "hexagonal" if self.hexagonal else "straight"
         return self.lenses * FUSED_CELL[kind] * self.cells // 2
 
     def threemf_bytes(self, quads: int) -> int:
-        """Of a 3MF file."""
+        """Bytes of a 3MF file."""
         from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
 
         if not self.repeats:

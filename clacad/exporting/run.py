@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
-"""What the worker loads while the parent still prepares the work."""
+"""Modules that the worker loads while the parent prepares the work."""
 
 
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
@@ -84,15 +84,15 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
 
 
 def forecast_rows(design: Design, request: Request, out: Path | None = None) -> list[Forecast]:
-    """What an export would cost, format by format; writes nothing.
+    """Cost of an export, format by format; writes nothing.
 
     Parameters
     ----------
     design : Design
     request : Request
     out : Path or None
-        The folder it would write to: what `export` would refuse is refused here too, sizes unless forced. None: rows of
-        any size, and of files that the design cannot have, are told.
+        The target folder: the refusals of `export` apply here too, those of size unless forced. None: rows of
+        any size, and of files that the design cannot have, are returned.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
 
 
 def refuse_impossible(design: Design, request: Request) -> None:
-    """Refuse formats that a design cannot have, and a mere count beyond the limits, before anything else is worked out.
+    """Refuse impossible formats, and a cell count beyond the limits, before any other work.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def refuse_impossible(design: Design, request: Request) -> None:
 
 
 def _refuse_by_count(design: Design, formats: tuple[str, ...], request: Request) -> None:
-    """Refuse what no format can be for the mere number of its lenslets, before the design is even made."""
+    """Refuse formats by the number of lenslets alone, before the design is prescribed."""
     if request.force:
         return
     limits.refuse_uncountable(design)
@@ -142,7 +142,7 @@ def _refuse_by_count(design: Design, formats: tuple[str, ...], request: Request)
 def _impossible(
     design: Design, window: Window, formats: tuple[str, ...], request: Request, worker: Worker
 ) -> Refusals:
-    """What the design, or the number of its lenslets, makes impossible."""
+    """Formats that the design, or its number of lenslets, makes impossible."""
     refused = Refusals()
     for name in formats:
         with refused.of(name):
@@ -155,9 +155,9 @@ def _impossible(
 def _forecast(
     design: Design, meshes: Meshes, formats: tuple[str, ...], request: Request, where: tuple[Path, Worker] | None
 ) -> list[Forecast]:  # fmt: skip
-    """Rows of all formats; what is refused is refused, all at once, before the light through the meshes is forecast.
+    """Rows of all formats; all refusals are raised together, before the light through the meshes is forecast.
 
-    where : folder that is written to, and what draws letters there is hardly room for; None: nothing is refused
+    where : target folder, and the worker that draws letters with little room; None: nothing is refused
     """
     if where is not None:
         require_folder(where[0])
@@ -220,7 +220,7 @@ def _produced(
 ) -> tuple[list[FileRecord], dict[str, ExportError], dict[str, float]]:
     """Make every format; one that fails leaves nothing behind and does not stop the others.
 
-    What each took is noted beside what its row of the forecast says, for the next forecast.
+    The time of each is recorded with its forecast, for later forecasts.
     """
     rates = Rates.here()
     records: list[FileRecord] = []
@@ -252,13 +252,13 @@ def _with_role(record: FileRecord, row: Forecast) -> FileRecord:
 
 
 def _used(worker: Worker) -> float:
-    """Processor seconds so far, the worker's among them; elapsed ones where the system does not tell."""
+    """Processor seconds so far, the worker's included; elapsed seconds where the system does not report them."""
     pid = worker.pid
     return time.process_time() + (0.0 if pid is None else seconds_of(pid, time.monotonic()))
 
 
 def _failure(name: str, error: Exception) -> ExportError:
-    """What stopped one format, as an error with a sentence and a status; a mistake of our own goes on up."""
+    """Failure of one format, as an error with a sentence and an exit status; program errors propagate."""
     if isinstance(error, ExportError):
         return error
     if isinstance(error, MemoryError):

@@ -1,4 +1,4 @@
-"""STEP through the worker: write, read back with OCC, hold against the design."""
+"""STEP through the worker: write, read back with OCC, compare with the design."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ SHAPE_LIMIT = 1e-7
 VOLUME_LIMIT = 1e-9
 """Largest relative difference of volumes beyond what merged steps explain."""
 FITTED = 1e-7
-"""How closely OCC fits the parameter curves that a file leaves out: its own least tolerance (mm)."""
+"""Fit error of parameter curves that a file omits and OCC recomputes: OCC's least tolerance (mm)."""
 TOLERANCE = 3e-7
-"""Gaps that OCC finds between exact edges and faces, by its own least tolerance of 1e-7 (mm)."""
+"""Gaps that OCC finds between exact edges and faces (mm), with its least tolerance of 1e-7 mm."""
 SECONDS = 3600.0
 
 
@@ -38,7 +38,7 @@ def step_record(job: Job) -> FileRecord:
     WorkerDied
         OCC crashed, or ran out of memory or time.
     FileDisagrees
-        The file holds something else than the design.
+        The file differs from the design.
     """
     name = f"{job.stem}.step"
     path = job.stage.path(name)
@@ -83,14 +83,14 @@ def _stated(error: float) -> float | None:
 def write(
     window: Window, path: str, mode: Mode, schema: Schema = "AP242", pcurves: bool = True
 ) -> dict[str, Any]:
-    """Write in the worker; OCC is not needed, but its memory and time are."""
+    """Write in the worker, for its limits of memory and time; OCC is not needed."""
     from clacad.formats.step.step_files import write_step
 
     return write_step(window, path, mode, schema, pcurves)
 
 
 def read(path: str, window: Window, place: SheetPlace | None = None) -> dict[str, Any]:
-    """Read in the worker, with OCC where the file is of a size it can take; `place`: one sheet of several in it."""
+    """Read in the worker, with OCC if the file is not too large; `place`: one sheet of several in the file."""
     from clacad.formats.step.read_back import read_brep, read_step
 
     return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window, place=place)
@@ -98,7 +98,7 @@ def read(path: str, window: Window, place: SheetPlace | None = None) -> dict[str
 
 def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral | None, name: str
                  ) -> tuple[str, ...]:  # fmt: skip
-    """Compare what was read back with what was written and with the design; the checks that were made.
+    """Compare the file as read back with the written facts and the design; return the checks that were made.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
 
 
 def _compare_solids(written: dict[str, Any], found: dict[str, Any], name: str) -> None:
-    """Compare what OCC finds with what was written: solids, faces, and gaps between edges and faces."""
+    """Compare OCC's solids, faces, and gaps between edges and faces with the written ones."""
     for key in ("solids", "faces"):
         if found[f"kernel_{key}"] != written[key]:
             raise FileDisagrees(
@@ -158,9 +158,9 @@ def _compare_volume(written: dict[str, Any], found: dict[str, Any], window: Wind
     x0, x1, y0, y1 = whole_extent(window)
     area = (x1 - x0) * (y1 - y0) * scale**2 * 2 * len(window.bodies)
     want = exact.value * scale**3
-    # The heights themselves are doubles: far from the origin they are coarse.
+    # Heights are doubles: far from the origin their spacing is coarse.
     coarse = 2.0 * float(np.spacing(max(abs(z) for z in window.z_range) * scale)) * area
-    # OCC that fits its own curves gains or loses so much along the borders of cells and of islands in them.
+    # Volume error along the borders of cells and of islands in them, when OCC fits its own curves.
     fitted = 0.0 if written["pcurves"] else 8.0 * FITTED / (min(window.lattice.pitch) * scale)
     room = (
         coarse

@@ -1,4 +1,4 @@
-"""From the sheet's mesh to what each format writes: streams of facets, or welded pieces with exact normals."""
+"""Meshes as the formats write them: streams of facets, or welded pieces with exact normals."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 MERGE_STEPS = 5.0
-"""Levels a vertex may lie off its surface: half a level by rounding, a merged cluster's half width at a border."""
+"""Largest distance of a vertex from its surface, in levels: 0.5 by rounding, the rest by merging at borders."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tessellation:
-    """A window, its mesh, and the mesh of one cell where one cell tells all.
+    """A window, its mesh, and the mesh of one cell, which is sufficient for a uniform sheet.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Tessellation:
 
     @cached_property
     def cell(self) -> Mesh:
-        """Mesh of one cell alone: what instanced formats repeat."""
+        """Mesh of one cell alone, which instanced formats repeat."""
         from clacad.mesh import tessellate
 
         return tessellate(one_cell(self.window), quads=self.quads, saddle_bevel=self.saddle_bevel)
@@ -66,7 +66,7 @@ class Tessellation:
         return tessellate(self.window.with_cells((1, 1)), quads=self.quads, saddle_bevel=self.saddle_bevel)
 
     def promise(self, instanced: bool, single: bool, bodies: Sequence[str] | None = None) -> Promise:
-        """What a file of this mesh, or of some of its bodies, must be found to be."""
+        """Expected properties of a file of this mesh, or of some of its bodies."""
         mesh = self.cell if instanced else self.mesh
         times = self.window.lattice.cell_count if instanced else 1
         chosen = [
@@ -106,18 +106,20 @@ class Tessellation:
 
 
 class Meshes:
-    """The tessellations of one window that were asked for, each made once; `fused`: no format repeats a cell."""
+    """Tessellations of one window, each made once on request; `fused`: no format repeats a cell."""
 
     def __init__(self, window: Window, saddle_bevel: float = 0.0, fused: bool = False) -> None:
         self.window, self._bevel, self._fused = window, saddle_bevel, fused
         self._made: dict[int, Tessellation] = {}
 
     def at(self, quads: int) -> Tessellation:
-        """Tessellation with so many quads a cell side."""
+        """Tessellation with `quads` quads per cell side."""
         return self._made.setdefault(quads, Tessellation(self.window, quads, self._bevel))
 
     def facets(self, quads: int) -> int:
-        """Facets of the whole sheet without expanding them: exactly, or of cells that differ from a sample of them."""
+        """Facets of the whole sheet without expansion: exact, or estimated from a sample of a non-uniform
+        sheet.
+        """
         return sum(body.facets_about for body in self.at(quads).mesh.bodies)
 
     def welded(self, quads: int, format: str) -> int:
@@ -125,7 +127,7 @@ class Meshes:
         return self.at(quads).cell.facet_count if self.repeats(format) else self.facets(quads)
 
     def repeats(self, format: str) -> bool:
-        """Whether a file of a format holds one cell and where it stands."""
+        """Whether a file of a format stores one cell and its positions."""
         return format in REPEATING and not self._fused and instanceable(self.window)
 
 
@@ -134,10 +136,10 @@ def _array(body: Body) -> int:
 
 
 def instanceable(window: Window) -> bool:
-    """Whether the sheet is nothing but equal cells side by side.
+    """Whether the sheet consists of copies of one cell and nothing else.
 
-    Not with land between the cells and an outline, and not for a body whose two arrays are displaced
-    against one another: there one cell of one face looks at pieces of several of the other.
+    False with land between the cells and an outline. False for a body whose two arrays are displaced relative
+    to each other: there one cell of one face is opposite parts of several cells of the other.
     """
     in_columns = all(
         len({window.shifts[f.array] for f in (b.front, b.back) if f.array is not None}) == 1
@@ -178,8 +180,8 @@ def weld(body: Body, corners: Floats, normals: Floats) -> Piece:
 def _same_rows(words: np.ndarray[Any, np.dtype[np.uint64]]) -> tuple[Ints, Ints]:
     """First row of each kind of row (k,), in the order they come, and the kind of every row (n,).
 
-    Vertices numbered as the facets meet them compress and cache better than sorted ones. Rows are told apart by a
-    hash; rows of one hash that differ make it fall back on sorting the rows themselves.
+    Vertices numbered in the order of the facets compress and cache better than sorted ones. Rows are
+    distinguished by a hash; if different rows share a hash, the rows themselves are sorted.
     """
     key = words[:, 0].copy()
     for column in words.T[1:]:

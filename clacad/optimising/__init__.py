@@ -1,8 +1,8 @@
-"""Which faces should be cut: a search for those that keep best to the law, within the walls of the workshop.
+"""Optimisation of lens faces: search for those with the least error to the law, within manufacturing limits.
 
-The least squares themselves live with the mathematics (`clacad.optics.fit`); here is what may change, what must hold,
-and the design file that comes of it. Nothing of the law, the lattice, the separation or the thickness is free: a larger
-separation would lessen the error for ever, as the cube of pitch over separation.
+`clacad.optics.fit` has the least squares; the modules here have the unknowns, the constraints and the
+resulting design file. Law, lattice, separation and thickness are fixed: a larger separation would reduce the
+error without limit, as the cube of pitch over separation.
 """
 
 from __future__ import annotations

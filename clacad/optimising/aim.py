@@ -1,10 +1,11 @@
-"""What a search makes small: the error over one field or several, of the perfect part or of parts as they are made.
+"""Objective of a search: the error over one field or several, of the perfect part or of parts as made.
 
-Made parts: to first order an error e of a part, of standard deviation σ, adds σ² |∂r/∂e|² to the expected square of the
-residuals r. So the slopes that `clacad.verification.tolerance` gives every tolerance of the design, times σ, stand below
-the residuals of the perfect part, and least squares find the least expected error of both together; they are central
-differences over ±σ. Roughness moves no direction, and is left out. What turns or tilts an array
-is taken at the cell farthest from the middle, where it does most; everything else does the same to all cells.
+Parts as made: to first order an error e of a part, of standard deviation σ, adds σ² |∂r/∂e|² to the expected
+square of the residuals r. The slopes of `clacad.verification.tolerance` for every tolerance of the design,
+times σ, are therefore appended to the residuals of the perfect part. Least squares then minimise the expected
+error. The slopes are central differences over ±σ. Roughness changes no direction and is left out. Rotation
+and tilt of an array are evaluated at the cell farthest from the centre, where their effect is largest; other
+errors affect all cells equally.
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ from clacad.verification.tolerance.perturbations import SIGMAS
 from clacad.verification.tolerance.study import NO_TOLERANCES, NoTolerances
 
 RAYS = 1024
-"""Rays of a search, for each field."""
+"""Number of rays of a search, for each field."""
 
 FEW = 256
-"""Of them those that slopes of tolerances are taken with: a slope changes slowly over the cell."""
+"""Number of these rays used for the slopes of tolerances, which change slowly over the cell."""
 
 FEWEST = 4
-"""Rays that must be left for every unknown: with fewer the faces are bent to the rays and not to the field."""
+"""Least number of remaining rays per unknown; with fewer, the faces fit the rays instead of the field."""
 
 SMALLEST = 1e-3
-"""Part of a field of too little light down to which one with enough is looked for."""
+"""Smallest share of a field that is searched for enough light."""
 
 LARGEST_PART = 4.0
 """Largest part of the field that may have a weight."""
@@ -53,14 +54,14 @@ WHOLE: Weights = ((1.0, 1.0),)
 
 @dataclass(frozen=True)
 class Aim:
-    """What is asked of a search.
+    """Objective of a search, as requested.
 
     field : radians
         Half angle of the cone of rays.
     weights : tuple of (part of the field, weight)
-        Cones of rays, and how much the square of each one's error counts.
+        Cones of rays, and the weight of the square of each cone's error.
     tolerances : bool
-        Whether parts as made are meant, with the [tolerances] of the design.
+        Whether the objective is that of parts as made, with the [tolerances] of the design.
     """
 
     field: float
@@ -78,12 +79,12 @@ class Aim:
 
 @dataclass(frozen=True, eq=False)
 class AimedRays:
-    """An aim at a design: the rays, and what may go wrong.
+    """Objective of a search for one design: the rays and the errors of parts as made.
 
     lights : tuple of (AskedLight, root of its share of the weights)
-    errors : tuple of (Parameter, σ, centre (2,) of the cell it is looked at in)
+    errors : tuple of (Parameter, σ, centre (2,) of the cell in which it is evaluated)
     few : AskedLight
-        The rays that slopes of tolerances are taken with: of the cone of largest weight.
+        Rays for the slopes of tolerances, from the cone of largest weight.
     """
 
     lights: tuple[tuple[AskedLight, float], ...]
@@ -92,14 +93,14 @@ class AimedRays:
 
     @staticmethod
     def of(aim: Aim, design: Design, window: Window, unknowns: int = 1) -> AimedRays:
-        """The target of an aim at a design whose window, to start from, is built, for a search of so many unknowns.
+        """Objective for a design, its built start window and the number of unknowns.
 
         Raises
         ------
         DesignError
             Of a field too little light reaches its partner cell to fix the unknowns.
         NoTolerances
-            The design states none, and made parts are asked for.
+            The design states no tolerances, and parts as made are requested.
         """
         total = sum(weight for _, weight in aim.weights)
         lights = tuple(
@@ -130,7 +131,7 @@ class AimedRays:
         return np.asarray(0.5 * (ends[0] - ends[1]))
 
     def _beside(self, name: str, size: float) -> AskedLight:
-        """The rays, which come over cell 1 wherever it stands."""
+        """Rays over cell 1 at its displaced position."""
         if not name.startswith("decentre.1."):
             return self.few
         aside = size * np.array([name.endswith("x"), name.endswith("y"), 0.0])
@@ -139,7 +140,7 @@ class AimedRays:
 
 
 def _errors(design: Design, window: Window) -> Iterator[tuple[Parameter, float, Floats]]:
-    """What may go wrong by how much (standard deviation), and the cell in which it is looked at."""
+    """Errors of parts as made, their standard deviations, and the cells in which they are evaluated."""
     of_sigma = SIGMAS if design.tolerances.distribution == "normal" else sqrt(3.0)
     stated = [error for error in parameters(design, window) if not error.one_sided]
     if not stated:
@@ -151,7 +152,7 @@ def _errors(design: Design, window: Window) -> Iterator[tuple[Parameter, float, 
 
 
 def kept_light(window: Window, field: float, design: Design, fewest: int = 1) -> AskedLight:
-    """The rays of a search: those of a cell and a cone that reach the partner cell through ideal lenses.
+    """Rays of a search: those over a cell and a cone that reach the partner cell through ideal lenses.
 
     Raises
     ------

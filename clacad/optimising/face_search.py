@@ -1,4 +1,4 @@
-"""A search on its way: residuals of trial faces, and the best within the walls so far."""
+"""State of a search: residuals of trial faces, and the best faces within the walls so far."""
 
 from __future__ import annotations
 
@@ -22,31 +22,33 @@ from clacad.optimising.unknowns import Unknowns
 from clacad.sheet.window import Window
 
 TIE = 1e-9
-"""Residual (radians) of a conic constant of 1: enough to hold one that light does not feel, too little to be felt."""
+"""Residual (radians) of a conic constant of 1: enough to fix one that light does not determine, too little to
+affect the others.
+"""
 
 WORTH = 0.9
-"""Part of the error that must be left, at most, for terms of sixth or eighth order to stay."""
+"""Largest share of the error that may remain for terms of sixth or eighth order to be kept."""
 
 HIGHER = ("a6", "a8")
-"""Orders that are tried last, one after the other."""
+"""Orders that are tried last, in sequence."""
 
 LEAST_GAIN = 1e-3
-"""Part of the start's error by which faces must be better to be written."""
+"""Least reduction of the error, as a share of the start's error, for faces to be written."""
 
 TOLD = 0.9
-"""Part of the last error told at which the history gets another line."""
+"""Share of the last recorded error at which the history gets another line."""
 
 Progress = Callable[[int, float], None]
-"""Told the evaluations so far and the best rms error (radians)."""
+"""Receives the number of evaluations so far and the best rms error (radians)."""
 
 
 class OutOfTime(Exception):
-    """The seconds that a search was given are over."""
+    """The time limit of a search has expired."""
 
 
 @dataclass(frozen=True, eq=False)
 class Best:
-    """The best within the walls so far: unknowns (k,), rms error, the evaluation it came from, and what went before."""
+    """Best result within the walls so far: unknowns (k,), rms error, its evaluation, and earlier history."""
 
     vector: Floats
     rms: float
@@ -55,7 +57,7 @@ class Best:
 
     @property
     def history(self) -> tuple[tuple[int, float], ...]:
-        """What was told, and this."""
+        """Recorded history, and this result."""
         here = (self.evaluation, self.rms)
         return self.told if self.told[-1] == here else (*self.told, here)
 
@@ -82,21 +84,21 @@ class FaceSearch:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Higher orders that were free and are not worth it, or that the search did not come to."""
+        """Higher orders that were free and gave too little gain, or that the search did not reach."""
         free = {one.kind for one in self.unknowns.free}
         return tuple(order for order in HIGHER if order in free and order not in self.kept)
 
     @property
     def kept_unknowns(self) -> int:
-        """Unknowns but for those that were left out."""
+        """Number of unknowns without those that were left out."""
         return sum(one.kind not in self.left_out for one in self.unknowns.free)
 
     def error_of(self, window: Window) -> float:
-        """What the search makes small, of any window: rms error, radians."""
+        """Objective of the search for any window: rms error, radians."""
         return float(np.linalg.norm(self.target.residuals(window)))
 
     def run(self) -> str:
-        """Search; why it was stopped, "" where it ended by itself."""
+        """Search; return why it was stopped, "" where it finished."""
         try:
             here = self._lower_orders()
             for order in HIGHER:
@@ -111,11 +113,13 @@ class FaceSearch:
         return ""
 
     def _hopeless(self, order: str) -> bool:
-        """Whether a lower one of the higher orders was not worth it."""
+        """Whether a lower one of the higher orders gave too little gain."""
         return order == "a8" and "a6" not in self.kept
 
     def _lower_orders(self) -> Floats:
-        """Terms of fourth order come before conic constants, which do nearly the same: both at once go astray."""
+        """Search terms of fourth order before conic constants: their effects are similar, and both together
+        diverge.
+        """
         kinds = np.array([one.kind for one in self.unknowns.free])
         here, now = self.unknowns.vector, ~np.isin(kinds, HIGHER)
         if "K" in kinds and "a4" in kinds:
@@ -123,7 +127,7 @@ class FaceSearch:
         return self._among(here, now)
 
     def _higher_order(self, order: str, here: Floats) -> None:
-        """Search with one order more, from the best so far; it goes again where it is not worth it."""
+        """Search with one more order, from the best so far; remove it if the gain is too small."""
         before = self.best
         kinds = [one.kind for one in self.unknowns.free]
         now = np.array([kind not in HIGHER or kind == order or kind in self.kept for kind in kinds])
@@ -146,7 +150,7 @@ class FaceSearch:
         return whole(minimise(lambda part: self.residuals(whole(part)), here[free]))
 
     def residuals(self, vector: Floats) -> Floats:
-        """Residuals of light, walls and ties; notes the vector if it is the best within the walls."""
+        """Residuals of light, walls and ties; records the vector if it is the best within the walls."""
         if monotonic() > self.until:
             raise OutOfTime
         trial = self._trial(vector)
@@ -156,7 +160,7 @@ class FaceSearch:
         return np.concatenate([light, penalties(slack), TIE * self.unknowns.conics(vector)])
 
     def best_design(self, free: tuple[str, ...]) -> Design:
-        """The best within the walls as a design that says where it comes from, checked as a file would be."""
+        """Best result within the walls as a design that records its origin, checked as a design file is."""
         if self.best is None:
             slack, name = self.nearest
             raise DesignError([

@@ -1,8 +1,8 @@
-"""Whether a gain survives the workshop: both designs with array 2 aside by a micrometre, turned and tilted by 0.1 mrad.
+"""Gain of a search for parts as made: array 2 displaced by 1 µm, rotated and tilted by 0.1 mrad.
 
-Each error stands alone, at either sign, and their squares are added: what to expect where they are independent. They are
-those of the telescopelet in the middle of the sheet. Towards the corners of a large sheet an array that is turned stands
-aside by far more than a micrometre: what that does is told by itself.
+Each error is applied alone, with either sign, and the squares are added: the expected value for independent
+errors. The results are those of the telescopelet at the sheet's centre. Towards the corners of a large sheet,
+a rotated array is displaced by far more than 1 µm; that effect is reported separately.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from clacad.prescription.prescribe import prescribe
 from clacad.verification.tolerance import Bench, bench
 
 ASIDE: Final = 1e-6
-"""Metres by which array 2 stands aside, along x and along y."""
+"""Displacement (metres) of array 2 along x and along y."""
 
 TURNED: Final = 1e-4
-"""Radians by which it is turned about the sheet's normal, and tilted about x and y."""
+"""Rotation (radians) of array 2 about the sheet's normal, and tilt about x and y."""
 
 RAYS: Final = 128
 """Rays of a bundle."""
 
 SURVIVES: Final = 0.5
-"""Part of the gain from which on it survives."""
+"""Share of the gain above which it counts as surviving."""
 
 NONE_LEFT: Final = 1.1
-"""Gain up to which none is left."""
+"""Gain below which none counts as left."""
 
 MEASURES: Final = ("law_rms", "blur", "image_shift")
 
@@ -43,8 +43,8 @@ class AsMade:
 
     law_rms, made_rms : rms error to the law
     blur, made_blur : rms spread of parallel light over a cell
-    shift : how far the image moves
-    corner : how far the turn alone moves it at the sheet's corners
+    shift : displacement of the image
+    corner : displacement of the image at the sheet's corners by the rotation alone
     """
 
     law_rms: float
@@ -64,16 +64,16 @@ class GainAsMade:
 
     @property
     def gain(self) -> float:
-        """How many times less the error of the perfect part is."""
+        """Factor by which the error of the perfect part is reduced."""
         return self.before.law_rms / self.after.law_rms
 
     @property
     def made_gain(self) -> float:
-        """The same of parts as made."""
+        """Factor by which the error of parts as made is reduced."""
         return self.before.made_rms / self.after.made_rms
 
     def sentence(self) -> str:
-        """Whether the gain survives."""
+        """Sentence on whether the gain survives."""
         if self.made_gain >= SURVIVES * self.gain:
             word = f"the gain survives: {self.made_gain:.3g} of {self.gain:.3g} times"
         elif self.made_gain > NONE_LEFT:

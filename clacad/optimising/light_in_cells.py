@@ -1,8 +1,9 @@
-"""Light that a search must keep in the cells of lens 2.
+"""Constraint that a search must keep light in the cells of lens 2.
 
-Rays that miss their partner's cell are lost to the law, and so to the error that a search reduces: a search that could
-lose them would throw light away to look sharp. `ShareOfLight` holds the share of the cones that before and after are
-compared over. `LightInCells` holds the full field of a sheet with a field lens, where a weaker field lens looks sharper.
+Rays that miss their partner's cell do not count in the error. An unconstrained search would therefore lose
+light to reduce the error. `ShareOfLight` constrains the cones over which start and end are compared.
+`LightInCells` constrains the full field of a sheet with a field lens, where a weaker field lens looks
+sharper.
 """
 
 from __future__ import annotations
@@ -24,27 +25,27 @@ from clacad.sheet.window import Window
 RAYS = 512
 
 PART = 0.9
-"""Of the full field, the cone of the rays."""
+"""Cone of the rays as a share of the full field."""
 
 ROOM = 1e-5
-"""Mean way out of the cell, in parts of half its width, by which a trial may be worse than the start."""
+"""Allowed increase of the mean distance outside the cell over that of the start, in half widths."""
 
 LOST = 1.0
-"""Way out of the cell of a ray that does not get through."""
+"""Distance outside the cell (half widths) that is assigned to a lost ray."""
 
 MOST_LOST = 0.02
-"""Share of the light of a cone that a design which is written may lose, compared with the start."""
+"""Largest share of the light of a cone that a written design may lose, compared with the start."""
 
 SHARE_ROOM = 0.5 * MOST_LOST
-"""Share that a trial may lose: less than `MOST_LOST`, because the rays of a search are few."""
+"""Share that a trial may lose: less than `MOST_LOST`, because a search has few rays."""
 
 BORDER = 0.02
-"""Width of the border, in parts of half a cell, over which a ray counts in part: a share of whole rays has no slope."""
+"""Width of the border (half cells) in which a ray counts partly; a share of whole rays has no derivative."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShareOfLight:
-    """Cones of rays over one cell, and the share of each that landed in the cell of lens 2 as the search began.
+    """Cones of rays over one cell, and the share of each in the cell of lens 2 at the start of the search.
 
     cones : tuple of Rays
     before : (c,)
@@ -56,13 +57,15 @@ class ShareOfLight:
 
     @staticmethod
     def of(window: Window, fields: Sequence[float], centre: str) -> ShareOfLight:
-        """Of the window that a search starts from; half angles of the cones in radians, about the `centre` of checks."""
+        """Constraint from the start window; half angles of the cones in radians, about the `centre` of
+        checks.
+        """
         one = window.with_cells((1, 1))
         cones = tuple(bundle(one, RAYS, field, centre).rays for field in fields)
         return ShareOfLight(cones, _shares(window, cones))
 
     def slack(self, window: Window) -> float:
-        """Least share that a cone may still lose, in parts of the room; below 0: it lost more than the room."""
+        """Least share that a cone may still lose, over `SHARE_ROOM`; below 0: violated."""
         return 1.0 - float((self.before - _shares(window, self.cones)).max()) / SHARE_ROOM
 
 
@@ -75,11 +78,11 @@ def _shares(window: Window, cones: Sequence[Rays]) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LightInCells:
-    """Rays of the full field, and how far out of their cells they landed as the search began.
+    """Rays of the full field, and their distance outside their cells at the start of the search.
 
     rays : Rays
     before : float
-        Mean way beyond the border of lens 2's cell, in parts of half its width.
+        Mean distance outside the border of lens 2's cell, in half widths.
     """
 
     rays: Rays
@@ -87,7 +90,7 @@ class LightInCells:
 
     @staticmethod
     def of(window: Window) -> LightInCells | None:
-        """Of the window that a search starts from; None without a field lens."""
+        """Constraint from the start window; None without a field lens."""
         if not window.thin.field:
             return None
         one = window.with_cells((1, 1))
@@ -95,17 +98,19 @@ class LightInCells:
         return LightInCells(rays, _beyond(window, rays))
 
     def slack(self, window: Window) -> float:
-        """How much more light may land outside before the wall is passed, in parts of the room; below 0: passed."""
+        """Remaining increase of the mean distance outside the cell, over `ROOM`; below 0: violated."""
         return (self.before + ROOM - _beyond(window, self.rays)) / ROOM
 
 
 def _beyond(window: Window, rays: Rays) -> float:
-    """Mean way (half widths of a cell) by which rays land beyond the border of lens 2's cell."""
+    """Mean distance (half widths of a cell) of rays outside the border of lens 2's cell."""
     return float(np.clip(_way_out(window, rays), 0.0, LOST).mean())
 
 
 def _way_out(window: Window, rays: Rays) -> Floats:
-    """Way (n,) from the border of lens 2's cell to where rays land, in half widths; negative inside, `LOST` of lost rays."""
+    """Distance (n,) of rays from the border of lens 2's cell, in half widths; negative inside, `LOST` if
+    lost.
+    """
     seen = trace_sequence(interfaces(window), rays, record=True)
     assert seen.hits is not None  # recorded
     last = max(number for number, face in enumerate(window.faces) if face.array == 1)

@@ -1,4 +1,4 @@
-"""Fresh rays through a sheet, none of them a search's: the errors that before and after are compared by."""
+"""Errors over independent rays, not those of the search, for the comparison of start and end."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from clacad.sheet.window import Window
 
 FRESH = 16384
 FIELDS = (0.5, 1.0, 2.0)
-"""Parts of the field at which start and end are compared: what is best at one is not at another."""
+"""Shares of the field at which start and end are compared; the best faces depend on the field."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Fresh rays through a sheet: field (radians), rms error to the law (radians), share that gets to its partner cell."""
+    """Result of independent rays: field (radians), rms error to the law (radians), share in the partner cell."""
 
     field: float
     law_rms: float
@@ -28,7 +28,7 @@ class Seen:
 
 
 def measured(window: Window, field: float, design: Design) -> Seen:
-    """Fresh rays through the sheet as it is traced everywhere else; field in radians."""
+    """Trace independent rays through the sheet, with the tracer of the checks; field in radians."""
     from clacad.tracing.trace import trace
 
     small = window.with_cells((3, 3))

@@ -1,4 +1,4 @@
-"""The design file that a search ends in: ordinary, commented, saying from what it came and what was gained."""
+"""Design file of a search result, with comments on its origin and its gains."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PLATES = ("lens 1", "field lens, back of plate 1", "field lens, front of plate 2
 
 
 def design_text(found: Optimised) -> str:
-    """The better design as TOML, with comments; it loads as it stands."""
+    """Optimised design as loadable TOML, with comments."""
     data = dict(found.design.given)
     pair = dict(data["pair"])
     faces, record = pair.pop("face"), pair.pop("search")
@@ -45,7 +45,7 @@ def design_text(found: Optimised) -> str:
 
 
 def _about(found: Optimised) -> str:
-    """What the file says of itself before its first key."""
+    """Comments of the file before its first key."""
     lines = [
         f"{found.design.name}: faces found by clacad optimise {asked(found)}",
         f"from the design {found.start.sha256} with {found.unknowns} unknowns, {RAYS} Sobol rays, "
@@ -68,7 +68,7 @@ def _about(found: Optimised) -> str:
 
 
 def asked(found: Optimised) -> str:
-    """The options that were asked, as they would be written again."""
+    """Requested options, as they would be typed."""
     text = f'--free {",".join(found.free)} --field "{degrees(found.field):.4g} deg"'
     if found.aim.weights != WHOLE:
         text += f" --weights {','.join(f'{part:g}:{weight:g}' for part, weight in found.aim.weights)}"
@@ -76,19 +76,19 @@ def asked(found: Optimised) -> str:
 
 
 def left_out(found: Optimised) -> str:
-    """A sentence on the orders that were not worth it."""
+    """A sentence on the orders that gave too little gain."""
     return f"Left out, for the error would be less by under a tenth with it: {', '.join(found.left_out)}."
 
 
 def expected(found: Optimised) -> str:
-    """A sentence on the error of made parts."""
+    """A sentence on the error of parts as made."""
     assert found.expected is not None
     before, after = (1e3 * error for error in found.expected)
     return f"To expect of parts made with the [tolerances]: {before:.4g} mrad  ->  {after:.4g} mrad rms."
 
 
 def gains(found: Optimised) -> list[str]:
-    """One line a field: error and share before and after."""
+    """One line per field: error and share before and after."""
     return [
         f"{degrees(one.field):6.4g} deg: {1e3 * one.law_rms:.4g} mrad, {100 * one.throughput:.1f} %  ->  "
         f"{1e3 * two.law_rms:.4g} mrad, {100 * two.throughput:.1f} %"

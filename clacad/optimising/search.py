@@ -1,4 +1,4 @@
-"""The search: a design in, a better design of the same law out."""
+"""Search for better faces of a design with the same law."""
 
 from __future__ import annotations
 
@@ -18,31 +18,32 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells
 
 ALIKE = "a slope as lattice.aperture stands all cells alike"
-"""What to search where the cells of a sheet differ."""
+"""Suggested input of a search for a non-uniform sheet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Optimised:
-    """What a search found.
+    """Result of a search.
 
     Parameters
     ----------
     design : Design
-        Given faces; passes the design rules where the start did.
+        Design with the found faces; passes the design rules if the start did.
     start : Design
     free : tuple of str
-        As asked.
+        Words of the request.
     left_out : tuple of str
-        Of them those that would have lessened the error by less than a tenth, and were left as they were.
+        Words of `free` that would have reduced the error by less than a tenth and were left unchanged.
     aim : Aim
     unknowns, evaluations : int
     before, after : tuple of Seen
         Start and end at ½, 1 and 2 × the field; empty after an interruption.
     expected : (float, float) or None, radians
-        Rms error to expect of made parts, start and end, over the search's own rays; None unless tolerances were
-        weighed.
+        Expected rms error of parts as made, start and end, over the search's own rays; None without
+        tolerances.
     history : tuple of (evaluations, rms error in radians)
-        Of the best within the walls each time it got better by a tenth, the first and the last: no seconds in it.
+        Best result within the walls at each improvement by a tenth, the first and the last; contains no
+        times.
     stopped : str
         "": finished; "interrupted" or "seconds": `design` is the best so far.
     """
@@ -89,38 +90,39 @@ def optimise(
     design: Design, free: tuple[str, ...] = ("radii", "conic"), field: float | None = None, progress: Progress | None = None,
     *, weights: Weights = WHOLE, tolerances: bool = False, seconds: float | None = None,
 ) -> Optimised:  # fmt: skip
-    """Search for the faces that keep best to the law of a design, over a field.
+    """Search for the faces with the least error to the law of a design, over a field.
 
     Parameters
     ----------
     design : Design
     free : tuple of str
-        What may change: "radii", "conic", "bending" (own radii a face; biconvex), "a4" (on paraboloids unless "conic"
-        is free, too), "a6" on top of it and "a8" on top of that, "offset" (of lens 2; held otherwise). Terms of sixth and eighth
-        order stay only where they lessen the error by more than a tenth.
+        Free parameters: "radii", "conic", "bending" (separate radii of both faces; biconvex), "a4" (on
+        paraboloids unless "conic" is free, too), "a6" on top of it and "a8" on top of that, "offset" (of lens
+        2; fixed otherwise). Terms of sixth and eighth order are kept only if they reduce the error by more
+        than a tenth.
     field : float or None, radians
         Half angle of the cone of rays; None: the design's `check.field`.
     progress : callable or None
     weights : tuple of (part of the field, weight)
-        Cones whose mean square errors are weighed against each other; default the field alone.
+        Cones and the weights of their mean square errors; default the field alone.
     tolerances : bool
-        Seek the least expected error of parts made with the design's [tolerances], not of the perfect part.
+        Minimise the expected error of parts made with the design's [tolerances], not of the perfect part.
     seconds : float or None
-        End the search after so long with the best so far. A search that ends by itself before gives the same with
-        any number of seconds.
+        Time limit, after which the best result so far is returned. A search that finishes earlier does not
+        depend on the limit.
 
     Returns
     -------
     Optimised
-        The same for the same input, whatever the machine's speed. KeyboardInterrupt ends the search and returns
-        the best so far.
+        Reproducible, regardless of the machine's speed. KeyboardInterrupt ends the search and returns the
+        best result so far.
 
     Raises
     ------
     DesignError
         A word that cannot be free; a weight that is none; or no faces were found that keep within the walls.
     NoTolerances
-        `tolerances`, and the design states none.
+        `tolerances` is True, and the design states none.
     """
     window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
     unknowns = chosen(window, tuple(free))
@@ -133,7 +135,7 @@ def optimise(
     if stopped == "interrupted" and not search.gained:
         raise KeyboardInterrupt
     better = search.best_design(tuple(free))
-    assert search.best is not None  # or it would have been said
+    assert search.best is not None  # otherwise the search raised before
     made = prescribe(better)
     if "offset" not in free:
         refuse_moved(window, made, traced=design.pair.offset == "traced")
@@ -151,7 +153,7 @@ def optimise(
 def outlook(
     design: Design, free: tuple[str, ...], weights: Weights = WHOLE, *, tolerances: bool = False
 ) -> dict[str, float]:
-    """What a search will take: unknowns, evaluations and processor seconds of one core, by the model of one machine.
+    """Forecast of a search: unknowns, evaluations and processor seconds of one core of the reference machine.
 
     Raises
     ------

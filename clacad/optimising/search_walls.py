@@ -1,7 +1,8 @@
-"""What faces must keep to, over the whole cell and not only where light of the field goes: the walls of a search.
+"""Walls of a search: constraints on the faces over the whole cell, not only where light of the field goes.
 
-Each wall is a number that is 0 or more where it holds, in parts of its limit. Heights and slopes are taken at 21 × 21
-points of the optical zone and along its border; a face without a real height there counts as far beyond the wall.
+Each wall is a slack over its limit, at least 0 where the wall holds. Heights and slopes are evaluated at 21 ×
+21 points of the optical zone and along its border; a face without a real height there counts as far beyond
+the wall.
 """
 
 from __future__ import annotations
@@ -24,20 +25,20 @@ from clacad.verification.design.process_rules import process_limit
 
 GRID = 21
 REAL = 0.02
-"""Least part of the radicand of a face that must be left at any point of its cell."""
+"""Least value of the radicand of a face at any point of its cell."""
 
 MARGIN = 0.005
-"""Parts of its limit by which a wall is kept clear of: what the search gives way by near it."""
+"""Margin of a wall as a share of its limit, for the compliance of the search near the wall."""
 
 STIFFNESS = 0.01
-"""Residual (radians) of a wall passed by all of its limit."""
+"""Residual (radians) of a wall that is violated by its whole limit."""
 
 LOST = -1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Limits of a design, and where they are looked at.
+    """Limits of a design, and the points at which they are evaluated.
 
     x, y : (n,) lengths
         Points of the optical zone, cell frame.
@@ -46,11 +47,11 @@ class Walls:
     radius, sag : float, lengths
         Least radius and greatest height; 0 and infinite without one.
     thickness : (b,) lengths
-        Least thickness of each body anywhere in its cell.
+        Least allowed thickness of each body in its cell.
     share : ShareOfLight
-        How much of the light of the cones that before and after are compared over may miss its cell.
+        Constraint on the light of the comparison cones that misses its cell.
     light : LightInCells or None
-        With a field lens: how much of the light of the full field may miss its cell.
+        With a field lens: constraint on the light of the full field that misses its cell.
     """
 
     x: Floats
@@ -64,7 +65,7 @@ class Walls:
 
     @staticmethod
     def of(design: Design, window: Window, field: float | None = None) -> Walls:
-        """Walls of a design whose window, to start from, is built; field in radians, None: the design's `check.field`."""
+        """Walls of a design and its built start window; field in radians, None: the design's `check.field`."""
         rules = profile(design.check.process)
         limit = {
             name: process_limit(design, rules, name)[0] for name in ("edge", "neck", "radius", "sag", "slope")
@@ -92,7 +93,7 @@ class Walls:
         )
 
     def slack(self, window: Window) -> dict[str, float]:
-        """How far every wall is from being passed, in parts of its limit; below 0: passed. One fixed order."""
+        """Slack of every wall over its limit, in a fixed order; below 0: violated."""
         found: dict[str, float] = {}
         number = 0
         for body, need in zip(window.bodies, self.thickness, strict=True):
@@ -112,7 +113,7 @@ class Walls:
         return found
 
     def _of_face(self, face: Face, name: str, z: Floats, normal: Floats) -> dict[str, float]:
-        """Walls of one face, of which heights z (n,), lengths, and normals (n, 3) are known."""
+        """Walls of one face with heights z (n,), lengths, and normals (n, 3)."""
         x, y = self.x - face.vertex[0], self.y - face.vertex[1]
         points = np.column_stack([x, y, np.zeros_like(x)]) @ face.rotation
         found = {f"real height of {name}": _radicand(face.surface, points) - REAL}
@@ -130,18 +131,20 @@ class Walls:
 
 
 def penalties(slack: dict[str, float]) -> Floats:
-    """Residuals of the walls, (w,) radians: 0 where they are kept clear of."""
+    """Residuals of the walls, (w,) radians: 0 outside their margins."""
     return STIFFNESS * np.maximum(0.0, MARGIN - np.array(list(slack.values())))
 
 
 def _thinnest(body: Body, x: Floats, y: Floats) -> float:
-    """Least thickness over points (n,) of the zone (length), of a slab over any two cells; NaN where a face is missing."""
+    """Least thickness (length) over points (n,) of the zone, for a slab over any two cells; NaN without a
+    face.
+    """
     front, back = (lens_height_and_normal(face, x, y)[0] for face in (body.front, body.back))
     return _least_apart(body, front, back)
 
 
 def _least_apart(body: Body, front: Floats, back: Floats) -> float:
-    """Least of the thickness between heights (n,), lengths; of a slab whatever cells stand one over the other."""
+    """Least thickness between heights (n,), lengths; for a slab, over every combination of cells."""
     return float((back - front).min() if body.columnar else back.min() - front.max())
 
 

@@ -1,4 +1,4 @@
-"""Faces put into a design or a window: as a trial of a search, unchecked, or as the design that comes of it."""
+"""Designs and windows with replaced faces: unchecked trials of a search, or its checked result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def given_design(
     design: Design, window: Window, faces: tuple[FaceSpec, ...], offset: tuple[float, float] | None,
     record: SearchRecord | None = None,
 ) -> Design:  # fmt: skip
-    """The design with these faces, and all that its window fixed, written down; checked as a file would be."""
+    """Design with these faces and all values that its window fixed, checked as a design file is."""
     data = {key: dict(value) if isinstance(value, Mapping) else value for key, value in design.given.items()}
     pair = {key: value for key, value in data["pair"].items() if key not in (*OF_RECIPES, "search")}
     if design.pair.form != "slab":
@@ -34,7 +34,7 @@ def given_design(
 def trial_design(
     design: Design, window: Window, faces: tuple[FaceSpec, ...], offset: tuple[float, float] | None
 ) -> Design:
-    """The same unchecked: a trial of the search."""
+    """Unchecked design with these faces, as a trial of the search."""
     thickness = design.pair.thickness if design.pair.form == "slab" else tuple(window.recipe["T"])
     given = replace(
         design.pair,
@@ -47,7 +47,7 @@ def trial_design(
 
 
 def with_faces(window: Window, faces: tuple[FaceSpec, ...]) -> Window:
-    """The window with other surfaces in the places of its own."""
+    """Window with replaced surfaces."""
     made = iter(faces)
     bodies = []
     for body in window.bodies:

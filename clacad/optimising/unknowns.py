@@ -1,7 +1,8 @@
-"""What may change: words to a vector of unknowns of order 1, and back to faces.
+"""Unknowns of a search: words to a vector of order 1, and back to faces.
 
 A unit of an unknown changes the slope at the border of a cell by about 1: curvatures times half a cell, coefficients of
-order 2k times 2k (half a cell)^(2k − 1). Conic constants count in tens. Where a lens is not bent, its two faces are alike.
+order 2k times 2k (half a cell)^(2k − 1). Conic constants are scaled by ten. The two faces of a lens are alike
+unless it is bent.
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ CONICS = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """One number: `kind` "c", "K", "a4", "a6" or "a8" of faces that share it, in a meridian or of a term; "d": offset of lens 2."""
+    """One free number of some faces, in a meridian or of a term.
+
+    `kind` is "c", "K", "a4", "a6" or "a8" of the faces that share it, or "d": offset of lens 2.
+    """
 
     kind: str
     faces: tuple[int, ...]
@@ -43,19 +47,19 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Which numbers of which faces are free.
+    """Free numbers of the faces.
 
     Parameters
     ----------
     start : tuple of FaceSpec
-        All faces in the order of the light, as the search begins.
+        All faces in the order of the light, at the start of the search.
     offset : (2,) lengths or None
-        Offset of lens 2, free or held as the search began; None: it is 0 and held.
+        Offset of lens 2, free or fixed at its start value; None: it is 0 and fixed.
     free : tuple of Unknown
     half : float
         Half a cell, length.
     still : bool
-        Lens 2 keeps its place: its offset is not free.
+        Whether lens 2 keeps its position: its offset is not free.
     ellipsoids : bool
         Conic constants follow from the radii: κ = √(c_x c_y).
     """
@@ -69,7 +73,7 @@ class Unknowns:
 
     @property
     def vector(self) -> Floats:
-        """The unknowns (k,) as the search begins."""
+        """Unknowns (k,) at the start of the search."""
         return np.array([self._read(one) for one in self.free])
 
     def conics(self, vector: Floats) -> Floats:
@@ -77,7 +81,7 @@ class Unknowns:
         return np.array([CONICS * v for one, v in zip(self.free, vector, strict=True) if one.kind == "K"])
 
     def faces(self, vector: Floats) -> tuple[tuple[FaceSpec, ...], tuple[float, float] | None]:
-        """Faces, and the offset of lens 2, that unknowns (k,) stand for."""
+        """Faces, and the offset of lens 2, for unknowns (k,)."""
         curvature = [list(face.curvature) for face in self.start]
         conic = [list(face.conic) for face in self.start]
         terms = {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS}
@@ -123,7 +127,7 @@ def _radius(curvature: float) -> float:
 
 
 def _ellipsoid(curvature: list[float], conic: list[float]) -> list[float]:
-    """Conic constants that make one κ of both meridians; those at hand where the meridians curve apart."""
+    """Conic constants with one κ for both meridians; unchanged where the curvatures have opposite signs."""
     cx, cy = curvature
     if cx * cy <= 0.0:
         return conic
@@ -132,12 +136,12 @@ def _ellipsoid(curvature: list[float], conic: list[float]) -> list[float]:
 
 
 def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
-    """The unknowns that words name, for a window to start from.
+    """Unknowns named by words, for a start window.
 
     Raises
     ------
     DesignError
-        A word that is unknown, that never may be free, or that this form does not have.
+        A word is unknown, may never be free, or does not apply to this form.
     """
     _refuse(window, words)
     faces = tuple(_spec(face.surface) for face in window.faces)
@@ -206,7 +210,7 @@ def _refuse(window: Window, words: tuple[str, ...]) -> None:
 
 
 def _spec(surface: Surface) -> FaceSpec:
-    """A surface as a given face."""
+    """Face specification of a surface."""
     cx, cy = surface.curvature_x, surface.curvature_y
     if cx == cy == 0.0 and not isinstance(surface, EvenPolynomial):
         return FaceSpec((inf, inf))

@@ -1,4 +1,4 @@
-"""What a design that a search writes must keep: the plates, the cells, and the light that reaches its partner cell."""
+"""Properties that a search must preserve: the plates, the cells, and the light that reaches its partner cell."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from clacad.optimising.measured_light import Seen
 from clacad.sheet.window import Window
 
 SAME = 1e-12
-"""Parts of the separation by which a place may differ and be the same: rounding error of the recipes."""
+"""Tolerance of positions as a share of the separation: rounding error of the recipes."""
 
 
 def refuse_lost_light(before: Sequence[Seen], after: Sequence[Seen]) -> None:
@@ -37,13 +37,13 @@ def refuse_lost_light(before: Sequence[Seen], after: Sequence[Seen]) -> None:
 
 
 def refuse_moved(start: Window, found: Window, *, traced: bool) -> None:
-    """Refuse a design whose plates, vertices or cells lie elsewhere than those of the start.
+    """Refuse a design whose plates, vertices or cells have moved from those of the start.
 
     Parameters
     ----------
     start, found : Window
     traced : bool
-        Light is traced to place the vertices of lens 2 in their cells: only their heights are compared.
+        Whether tracing places the vertices of lens 2 in their cells; then only their heights are compared.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Stacks: sheets behind one another as one part list, one light and one assembly.
+"""Stacks: sheets behind one another, with one part list, one trace and one assembly.
 
-What stands where is `sheet.stack`, rays through all of it `tracing.through_stack`, chief rays `optics.chief_rays`; here it is
-measured, written, read back and judged. A stack has no law of its own: only where sheets touch does light obey the laws
-one after the other (`Law.then`), else the air between them is what makes it a stack.
+`sheet.stack` holds the positions, `tracing.through_stack` traces rays, `optics.chief_rays` gives chief rays.
+The modules here measure, write, read back and verify a stack. A stack has no law of its own. Only where
+sheets touch does light obey their laws in sequence (`Law.then`); otherwise the air between them matters.
 """
 
 from __future__ import annotations

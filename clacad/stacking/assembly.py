@@ -1,4 +1,6 @@
-"""The files of a stack: one STEP assembly, one GLB; every sheet read back in its own frame and held against its design."""
+"""Files of a stack: one STEP assembly, one GLB; every sheet is read back in its own frame and compared with
+its design.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ NAME = "stack"
 
 @dataclass(frozen=True, eq=False)
 class StackAssembly:
-    """What is to be written, and how.
+    """Contents and options of a stack's files.
 
     stack : Stack
     stage : Stage
@@ -64,7 +66,7 @@ class StackAssembly:
         return [makers[name]() for name in formats]
 
     def _step(self) -> FileRecord:
-        """One assembly, written in the worker."""
+        """Write the STEP assembly, in the worker."""
         path, run = self.stage.path(f"{NAME}.step"), self.worker.run
         self.progress(f"write {path.name}", 0.0)
         placed = [(one.id, one.window, one.z * self._mm) for one in self.stack.sheets]
@@ -92,7 +94,7 @@ class StackAssembly:
         return self._record(path, "step", "mm", facts, tuple(sorted(checks)), Prospect(Role.MASTER))
 
     def _glb(self) -> FileRecord:
-        """One file of facets for looking at."""
+        """Write the GLB file of facets, for viewing."""
         from clacad.formats.mesh.glb import PlacedPieces, read_glb, write_glb_stack
 
         path = self.stage.path(f"{NAME}.glb")
@@ -142,7 +144,7 @@ class StackAssembly:
 
 
 def places(stack: Stack) -> list[SheetPlace]:
-    """Where each sheet stands in a file: cut in the middle of the gaps, mm."""
+    """Position of each sheet in a file, with boundaries in the middle of the gaps, mm."""
     mm = millimetres(stack.unit)
     cuts = [0.5 * (a.span[1] + b.span[0]) * mm for a, b in zip(stack.sheets, stack.sheets[1:])]
     return [
@@ -167,14 +169,14 @@ def mesh_of_sheet(whole: FileMesh, place: SheetPlace) -> FileMesh:
 
 
 def write(placed: list[tuple[str, Window, float]], name: str, path: str, step: Mode) -> dict[str, Any]:
-    """Write the STEP assembly, in the worker; windows that are one in the parent are one here, too."""
+    """Write the STEP assembly, in the worker; windows shared in the parent stay shared."""
     from clacad.formats.step.step_files import write_step_stack
 
     return write_step_stack(placed, name, path, step)
 
 
 def _told(sheet: dict[str, Any]) -> dict[str, Any]:
-    """What the manifest says of a sheet in the STEP file."""
+    """Manifest entry of a sheet in the STEP file."""
     return {key: sheet[key] for key in ("name", "z", "mode", "solids", "faces", "merged_steps")}
 
 
@@ -185,7 +187,7 @@ def _volume(window: Window) -> Integral | None:
 
 
 def sheet_facts(one: StackedSheet, mm: float) -> dict[str, Any]:
-    """Where a sheet stands, for people and manifests: mm."""
+    """Position of a sheet, for messages and manifests, mm."""
     low, high = one.span
     first, last = one.lens_planes
     return {

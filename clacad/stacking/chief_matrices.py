@@ -1,4 +1,4 @@
-"""A stack in closed form: chief rays of a meridian, its length, the share of light that thin lenses would pass."""
+"""Stacks in closed form: chief rays of a meridian, length, share of light that thin lenses pass."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from clacad.sheet.stack import Stack, StackedSheet, lens_planes
 from clacad.sheet.vignetting import partner_share
 
 COUPLED = 1e-12
-"""Slope in y by slope in x from which on the meridians of a sheet are not taken apart."""
+"""Slope in y per slope in x above which the meridians of a sheet are not separated."""
 
 
 def meridian(stack: Stack, axis: int, beams: bool = False) -> ChiefRays | None:
     """Chief rays of a stack along x (0) or y (1), from array 1 of the first sheet to array 2 of the last.
 
-    None where `no_meridian` says why. beams : the middle of the transmitted light instead
+    None where `no_meridian` gives a reason. beams : centre of the transmitted light instead of chief rays
     """
     if no_meridian(stack) is not None:
         return None
@@ -33,7 +33,7 @@ def meridian(stack: Stack, axis: int, beams: bool = False) -> ChiefRays | None:
 
 
 def no_meridian(stack: Stack) -> str | None:
-    """Why a stack has no chief-ray matrix along x and y; None where it has."""
+    """Reason why a stack has no chief-ray matrix along x and y; None where it has one."""
     for one in stack.sheets:
         reason = _no_meridian(one)
         if reason is not None:
@@ -74,7 +74,7 @@ def _of_sheet(one: StackedSheet, axis: int, beams: bool) -> ChiefRays:
     offset, jacobian = slope_map(one.window.law)
     eta, kappa = 1.0 / float(jacobian[axis, axis]), float(_growth(one)[axis, axis])
     delta = -eta * float(offset[axis])
-    if pair.field:  # the beam fills lens 2, or its middle is that of lens 2: both are one
+    if pair.field:  # the beam fills lens 2, or is centred on it: both cases are identical
         return chief_rays.with_field_lens(eta, one.scale * pair.shift[axis], delta)
     s = one.scale * pair.separation
     if not beams:
@@ -99,9 +99,12 @@ def length(stack: Stack, axis: int) -> float:
 
 
 def expected_share(stack: Stack, place: Floats, direction: Floats) -> float:
-    """Share of the light that meets the partners in every sheet, thin lenses, places in one sheet taken for independent of those before.
+    """Share of the light that passes the partner lenses of every sheet, for thin lenses.
 
-    Light enters at places (n, 2) of the first lens plane in directions (n, 3); what misses a sheet is lost.
+    Positions in one sheet are assumed independent of those in the sheets before.
+
+    Light enters at places (n, 2) of the first lens plane in directions (n, 3); light that misses a sheet is
+    lost.
     """
     passed, way, at = np.ones(len(direction)), direction, place
     for one, after in zip(stack.sheets, (*stack.sheets[1:], None)):
@@ -122,10 +125,10 @@ def expected_share(stack: Stack, place: Floats, direction: Floats) -> float:
 
 
 def _arrivals(one: StackedSheet, after: StackedSheet, place: Floats, way: Floats, way_out: Floats) -> Floats:
-    """Where (n, 2) chief rays from places of a sheet's first lens plane meet that of the next sheet."""
+    """Positions (n, 2) at which chief rays from a sheet's first lens plane cross that of the next sheet."""
     pair = one.window.thin
     across = (
         np.asarray(pair.shift) if pair.field else pair.separation * way[:, :2] / way[:, 2:]
-    )  # a field lens sends them from middle to middle
+    )  # a field lens images the centre of lens 1 on that of lens 2
     gap = after.lens_planes[0] - one.lens_planes[1]
     return np.asarray(place + one.scale * across + gap * way_out[:, :2] / way_out[:, 2:])

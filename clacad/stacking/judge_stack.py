@@ -1,4 +1,4 @@
-"""Judge the files of a stack: every sheet as the master its own design asks for, and light through all of them at once."""
+"""Verify the files of a stack: every sheet as a master of its design, and light through all sheets together."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from clacad.sheet.stack import Stack
 
 RAYS = 64
-"""Rays through the written assembly: each meets the faces of many cells."""
+"""Number of rays through the written assembly; each is tested against the faces of many cells."""
 
 MARGIN = 0.6
-"""Pitches round the rays within which faces are looked for."""
+"""Distance (pitches) around the rays within which faces are read."""
 
 
 def judge_stack(
     stack: Stack, designs: Sequence[Design], files: Path, field: float, progress: Progress
 ) -> list[Check]:
-    """Judge what was written of a stack.
+    """Verify the written files of a stack.
 
     Parameters
     ----------

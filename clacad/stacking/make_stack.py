@@ -1,4 +1,4 @@
-"""Sheets behind one another made, measured and written."""
+"""Making, measuring and writing of stacks of sheets."""
 
 from __future__ import annotations
 
@@ -31,20 +31,22 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
-"""Rungs on which the light of a stack is measured; facets are asked for, since they take longer than all of these."""
+"""Rungs on which the light of a stack is measured; facets are optional, since they take longer than all of
+these.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Stacked:
-    """A stack, what light does in it, and what was written.
+    """A stack, the light through it, and its written files.
 
     Attributes
     ----------
     stack : Stack
     designs : tuple of Design
-        Of the sheets, with the cells that stand there.
+        Designs of the sheets, with the cells as written.
     light : tuple of StackLight
-        One a rung, the exact surfaces last but for facets.
+        One per rung; the exact surfaces are last, or last before the facets.
     image : StackImage
         By the exact surfaces.
     unit : str
@@ -93,14 +95,14 @@ def stack(
     mesh_light: bool = False, ids: Sequence[str] | None = None, progress: Progress | None = None,
     zone: Pair2 | None = None,
 ) -> Stacked:  # fmt: skip
-    """Put sheets behind one another, measure the light through all of them, and write the assembly.
+    """Stack sheets, measure the light through all of them, and write the assembly.
 
     Parameters
     ----------
     designs : sequence of Design
-        In the order light meets them; one may stand several times.
+        In the order of the light; a design may be repeated.
     gaps : float or sequence of float
-        Clear distances between what is solid of neighbours, in the unit of the first design.
+        Clear distances between the solids of neighbours, in the unit of the first design.
     out : path or None
         Folder for stack.step, stack.glb, stack.json and manifest.json; None: nothing is written.
     formats, field, object_distance, rays, cells, quads, step, overwrite, force, mesh_light, ids, zone
@@ -113,7 +115,7 @@ def stack(
     BadStack
         No designs or too many, a gap that is negative or no number, or gaps of another number.
     DesignError, LimitRefused, UnknownFormat, ExportRefused, CannotWrite, FileDisagrees, WorkerDied
-        Nothing was published; the message says why.
+        Nothing was published; the message gives the reason.
     """
     many = (gaps,) if isinstance(gaps, int | float) else tuple(gaps)
     asked = StackRequest(
@@ -142,7 +144,7 @@ def run_stack(
 
 
 def prepared(designs: Sequence[Design], asked: StackRequest) -> tuple[tuple[Design, ...], Stack]:
-    """The designs with the cells that are asked for, and the stack of their windows; equal designs are one window.
+    """Designs with the requested cells, and the stack of their windows; equal designs share one window.
 
     Raises
     ------
@@ -225,7 +227,7 @@ def _numbers(found: Stacked, stage: Stage) -> FileRecord:
 
 
 def _content(found: Stacked, records: Sequence[FileRecord], asked: StackRequest) -> Mapping[str, Any]:
-    """What manifest.json says."""
+    """Content of manifest.json."""
     from clacad import __version__
 
     mm = millimetres(found.stack.unit)

@@ -1,4 +1,4 @@
-"""What a stack costs: bytes of its files, processor seconds of its light; and what is refused for it."""
+"""Cost of a stack: bytes of its files, processor seconds of its light; refusals by the limits."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from clacad.sheet.stack import Stack
 from clacad.stacking.stack_request import StackRequest
 
 RAY_SECONDS, FIXED_SECONDS = 1.6e-6, 0.4
-"""Processor seconds of a ray through a sheet on all rungs, and of the rest, on the reference machine."""
+"""Processor seconds per ray and sheet on all rungs, and fixed seconds, on the reference machine."""
 
 TASK = "stack light"
-"""Name under which the time of the light is noted."""
+"""Name under which the time of the light is recorded."""
 
 
 def rows_by_sheet(standing: Stack, asked: StackRequest) -> dict[str, list[Forecast]]:
-    """What each sheet adds to the files, by its id; none for one that stands there already.
+    """Cost that each sheet adds to the files, by its id; a repeated sheet adds none.
 
     Raises
     ------
     CellsDiffer
-        GLB is asked for of a sheet whose cells differ.
+        GLB is requested for a non-uniform sheet.
     """
     wanted, seen = Request(formats=asked.formats, step=asked.step), set()
     found: dict[str, list[Forecast]] = {}
@@ -43,13 +43,13 @@ def rows_by_sheet(standing: Stack, asked: StackRequest) -> dict[str, list[Foreca
 
 
 def rows(standing: Stack, asked: StackRequest) -> list[Forecast]:
-    """What the files would cost: one row a format, of all sheets that differ together."""
+    """Cost of the files: one row per format, for all distinct sheets together."""
     several = [row for each in rows_by_sheet(standing, asked).values() for row in each]
     return [_together([row for row in several if row.format == name]) for name in asked.formats]
 
 
 def _together(several: Sequence[Forecast]) -> Forecast:
-    """One row for the parts of one file."""
+    """Combined row for the parts of one file."""
     first = several[0]
 
     def added(name: str) -> int | None:

@@ -1,4 +1,4 @@
-"""Where a stack images a point: by chief rays, and by the point that all rays come nearest to."""
+"""Image of a point through a stack: by chief rays, and by the point nearest to all rays."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ class StackImage:
     Attributes
     ----------
     object_distance : float, length
-        Before array 1 of the first sheet, on the axis through the middle of the lit cell.
+        Distance before array 1 of the first sheet, on the axis through the centre of the lit cell.
     predicted : (x, y)
-        Distance of the image behind array 2 of the last sheet, < 0 before it; infinite where light leaves parallel; None
-        where the meridians do not part.
+        Distance of the image behind array 2 of the last sheet, < 0 before it; infinite where light leaves
+        parallel; None where the meridians are coupled.
     magnification : (x, y)
     by_rays : (x, y)
-        The same distance for which the rays of a meridian come nearest to one another.
+        Distance at which the rays of a meridian are closest together, measured as `predicted`.
     point : (3,) or None
-        The point nearest to all rays, least squares, from the middle of array 2 of the last sheet.
+        Point nearest to all rays, least squares, from the centre of array 2 of the last sheet.
     spread : float, length
         Rms distance of the rays from it.
     rays : int
-        ALIVE rays that tell it.
+        Number of ALIVE rays used.
     """
 
     object_distance: float
@@ -53,7 +53,7 @@ class StackImage:
 
 
 def measure_image(tracer: StackTracer, rays: int, field: float, distance: float) -> StackImage:
-    """Send light of a point through the stack and look where it comes together.
+    """Trace light of a point through the stack and locate its image.
 
     Parameters
     ----------
@@ -92,7 +92,8 @@ def _finite(value: float | None) -> float | None:
 
 
 def nearest_point(position: Floats, direction: Floats) -> tuple[tuple[float, float, float] | None, float]:
-    """The point nearest to straight lines, by one linear system of three equations, and its rms distance from them.
+    """Point nearest to straight lines, from a linear system of three equations, and its rms distance from
+    them.
 
     Parameters
     ----------
@@ -102,7 +103,7 @@ def nearest_point(position: Floats, direction: Floats) -> tuple[tuple[float, flo
     Returns
     -------
     point : (3,) or None
-        None where the lines are parallel as far as rounding tells.
+        None where the lines are parallel within rounding error.
     spread : float, length
     """
     middle = position.mean(axis=0)
@@ -117,7 +118,7 @@ def nearest_point(position: Floats, direction: Floats) -> tuple[tuple[float, flo
 
 
 def _waist(position: Floats, direction: Floats, axis: int) -> float | None:
-    """Height z at which lines (n, 3) are nearest to one another in a meridian; None where they are parallel."""
+    """Height z at which lines (n, 3) are closest together in a meridian; None where they are parallel."""
     slope = direction[:, axis] / direction[:, 2]
     place = position[:, axis] - slope * position[:, 2]
     away = slope - slope.mean()

@@ -1,8 +1,8 @@
-"""What light does in a stack: the share that obeys every law, and how space behaves.
+"""Light through a stack: the share that obeys every law, and the equivalent empty space.
 
-Rays fill the first sheet or a zone of it, and a square of slopes; one cell where all cells of all sheets do alike. They
-are counted per meridian, too: where the cells are rectangles along the sheet, a ray keeps to its telescopelets in x
-whatever it does in y.
+Rays fill the first sheet or a zone of it, and a square of slopes; one cell where all cells of all sheets act
+alike. They are also counted per meridian: where the cells are rectangles along x and y, a ray stays in its
+telescopelets in x independently of y.
 """
 
 from __future__ import annotations
@@ -24,40 +24,40 @@ from clacad.stacking.stack_rays import launch, lit_cells, started
 from clacad.tracing.through_stack import StackTrace, StackTracer
 
 FEWEST = 64
-"""Rays below which a number is not given."""
+"""Number of rays below which a result is not given."""
 
 SHARE_RAYS = 1 << 14
-"""Directions over which shares in closed form are averaged: their third digit is certain."""
+"""Number of directions over which closed-form shares are averaged; three digits are reliable."""
 
 
 @dataclass(frozen=True, eq=False)
 class StackMeridian:
-    """What a stack does in one meridian.
+    """Optical properties of a stack in one meridian.
 
     Attributes
     ----------
     matrix : ((A, B), (C, D))
         Of chief rays, from array 1 of the first sheet to array 2 of the last; lengths of the stack. None: see `no_matrix`.
     no_matrix : str or None
-        Why there is no matrix in closed form.
+        Reason why there is no matrix in closed form.
     determinant : float
     length : float, length
-        From the first of these arrays to the last, along z.
+        Distance from the first of these arrays to the last, along z.
     acts_as_space : float or None, length
-        Where slopes leave as they came: the length of empty space the stack stands for, B.
+        Length of the equivalent empty space, B, where slopes are unchanged.
     moves_image : float or None, length
-        By how much it then brings the world nearer: length − B.
+        Distance by which it then brings objects nearer: length − B.
     beams : float, length
-        B for the middle of the light that gets through, which for |η| > 1 is no chief ray.
+        B for the centre of the transmitted light, which for |η| > 1 is not a chief ray.
     share : float or None
-        Light that keeps to its telescopelets in this meridian, in every sheet, of what does in the other; None where cells or
-        lenses do not lie along x and y.
+        Share that stays in its telescopelets in this meridian, in every sheet, of the light that does in the
+        other; None where cells or lenses are not aligned with x and y.
     measured_space : float or None, length
-        B fitted to rays that keep to their telescopelets in this meridian.
+        B fitted to rays that stay in their telescopelets in this meridian.
     measured_slope : float or None
         D fitted to these rays.
     measured_scale, measured_focusing : float or None, number and 1/length
-        A and C fitted to these rays; None where light fills one cell, which tells neither.
+        A and C fitted to these rays; None where light fills one cell, which determines neither.
     scatter : float or None
         Rms distance of these rays from the fit, over the pitch of the first sheet.
     """
@@ -86,25 +86,26 @@ class StackLight:
     rung : "law", "thin", "surfaces" or "mesh"
     rays : int
     field : float, radians
-        Slopes up to its tangent, either way in x and in y, about the middle of the field of each cell of the first sheet.
+        Slopes within ± its tangent in x and in y, about the centre of the field of each cell of the first
+        sheet.
     cells : int
         Cells of the first sheet that light fills.
     share : float
-        Rays that leave through corresponding lenslets of every sheet: ALIVE in all.
+        Share of the rays that leave through corresponding lenslets of every sheet (ALIVE in all).
     expected_share : float
-        Product of what thin lenses of each sheet pass of a direction, in closed form, as if where light meets a sheet were
-        independent of where it met the one before. It is not: rung "thin" traces rays.
+        Product of the shares that thin lenses of each sheet pass, in closed form. It assumes that the
+        position at a sheet is independent of that at the sheet before. It is not: rung "thin" traces rays.
     fates : mapping
         Number of rays of each fate.
     sheets : tuple of float
-        Share that each sheet passes ALIVE of the light that came to it so.
+        Share of the light arriving ALIVE at each sheet that it passes ALIVE.
     meridians : (x, y)
     error : float, radians
         Rms angle to the exact surfaces, over rays ALIVE on both rungs; NaN where there are none.
     strays : float
-        Share of the rays whose fate is another one than through the exact surfaces.
+        Share of the rays whose fate differs from that through the exact surfaces.
     seconds : float
-        Processor seconds of this trace; told, and never written.
+        Processor seconds of this trace; reported, but never written.
     """
 
     rung: Rung
@@ -121,7 +122,7 @@ class StackLight:
     seconds: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, the same every time."""
+        """Plain values, reproducible."""
         return {name: value for name, value in asdict(self).items() if name != "seconds"}
 
 
@@ -132,12 +133,12 @@ def measure_light(
     progress: Progress,
     zone: Pair2 | None = None,
 ) -> tuple[StackLight, ...]:
-    """Send the same rays up several rungs, and tell what they do.
+    """Trace the same rays on several rungs and measure the light.
 
     Parameters
     ----------
     tracers : sequence of StackTracer
-        Of one stack; one of them of rung "surfaces", which the others are held against.
+        Tracers of one stack; one has rung "surfaces", with which the others are compared.
     rays : int
     field : float, radians
         Slopes reach to its tangent.
@@ -169,7 +170,7 @@ def measure_light(
 
 @dataclass(frozen=True, eq=False)
 class _Sent:
-    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, and how many cells of it they fill."""
+    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, and the number of lit cells."""
 
     place: Floats
     slope: Floats
@@ -182,13 +183,13 @@ class _Sent:
         return _Sent(*launch(stack, sobol(rays, 5), field, cells), field, len(cells))
 
     def expected(self, stack: Stack) -> float:
-        """Share in closed form of the first of these rays."""
+        """Closed-form share of the first `SHARE_RAYS` of these rays."""
         place, slope = self.place[:SHARE_RAYS], self.slope[:SHARE_RAYS]
         return expected_share(stack, place, np.column_stack([slope, np.ones(len(slope))]))
 
 
 def _measured(tracer: StackTracer, sent: _Sent) -> tuple[StackTrace, StackLight]:
-    """Rays on one rung, and what they do."""
+    """Trace of the rays on one rung, and the measured light."""
     stack = tracer.stack
     found = tracer(started(stack, sent.place, sent.slope))
     alive = found.fate == Fate.ALIVE
@@ -202,7 +203,7 @@ def _measured(tracer: StackTracer, sent: _Sent) -> tuple[StackTrace, StackLight]
 
 
 def _at_last_plane(stack: Stack, found: StackTrace) -> Floats:
-    """Where rays (n, 3) cross the last lens plane, carried straight on or back."""
+    """Positions (n, 3) of rays on the last lens plane, extended along straight lines."""
     level = stack.sheets[-1].lens_planes[1]
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = found.direction[:, :2] / found.direction[:, 2:]
@@ -210,7 +211,7 @@ def _at_last_plane(stack: Stack, found: StackTrace) -> Floats:
 
 
 def _strayed(stack: Stack, found: StackTrace) -> Bools | None:
-    """Which rays are known to have left their telescopelet in some sheet, in x and in y (n, 2); None where x and y mix."""
+    """Rays known to have left their telescopelet in some sheet, in x and in y (n, 2); None where x and y mix."""
     if not all(_parted(one) for one in stack.sheets):
         return None
     strayed = np.zeros((len(found), 2), dtype=bool)
@@ -220,14 +221,14 @@ def _strayed(stack: Stack, found: StackTrace) -> Bools | None:
 
 
 def _orders(result: TraceResult) -> Bools:
-    """Which rays (k,) a sheet sent through another column of cells, and another row (k, 2)."""
+    """Rays (k, 2) that a sheet sent through another column of cells, and another row."""
     return np.asarray((result.fate == Fate.GHOST)[:, None] & (result.order != 0))
 
 
 def _shares(found: StackTrace) -> tuple[float, float]:
-    """Light that keeps to its telescopelets in x, of what does in y, and the other way about.
+    """Share that stays in its telescopelets in x, of the light that does in y, and vice versa.
 
-    Sheet by sheet, of what came to it ALIVE: where light goes that strayed before says nothing of either meridian.
+    Product over the sheets, of the light arriving ALIVE: light that strayed before gives no information.
     """
     so_far, shares = np.ones(len(found), dtype=bool), np.ones(2)
     for rows, result in found.passed:
@@ -241,14 +242,14 @@ def _shares(found: StackTrace) -> tuple[float, float]:
 
 
 def _parted(one: StackedSheet) -> bool:
-    """Whether cells and lenses lie along x and y, so that each meridian is a sheet of its own."""
+    """Whether cells and lenses are aligned with x and y, so that the meridians are independent."""
     turn = one.window.thin.rotation
     along = np.abs(turn[:2, :2]).max(axis=1).min() > 1.0 - COUPLED
     return bool(along) and not one.window.lattice.hexagonal
 
 
 def _passed_on(found: StackTrace) -> list[float]:
-    """Share that each sheet passes ALIVE of the rays that came to it so."""
+    """Share of the rays arriving ALIVE at each sheet that it passes ALIVE."""
     so_far, shares = np.ones(len(found), dtype=bool), []
     for rows, result in found.passed:
         before = int(so_far.sum())
@@ -262,7 +263,9 @@ def _passed_on(found: StackTrace) -> list[float]:
 def _meridian(
     stack: Stack, axis: int, sent: _Sent, left: Floats, found: StackTrace, strayed: Bools | None
 ) -> StackMeridian:
-    """One meridian: in closed form, and fitted to the rays that kept to it; ghosts that strayed across it alone are among them.
+    """One meridian in closed form, and fitted to rays that stayed in it.
+
+    Ghosts that strayed only across the meridian are included.
 
     left : place (n,) on the last lens plane
     """
@@ -291,9 +294,10 @@ def _pairs(matrix: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
 def _fitted(
     sent: _Sent, axis: int, left: Floats, found: StackTrace, kept: Bools
 ) -> tuple[float | None, float | None, float | None, float | None, float | None]:
-    """B, D, A and C that best map places and slopes of the rays kept, and the rms rest of their places (length).
+    """B, D, A and C that best map places and slopes of the kept rays, and the rms residual of their places
+    (length).
 
-    Light over one cell tells of slopes alone: A is taken for 1, C for 0, and neither is given.
+    Light over one cell determines B and D only: A is set to 1, C to 0, and neither is given.
     """
     if kept.sum() < FEWEST:
         return (None,) * 5

@@ -1,4 +1,4 @@
-"""Rays that are sent into a stack: over cells of the first sheet and a square of slopes, or from a point before it."""
+"""Rays for a stack: over cells of the first sheet and a square of slopes, or from a point before it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from clacad.sheet.vignetting import aperture_slopes
 
 
 def lit_cells(stack: Stack, zone: Pair2 | None = None) -> Ints:
-    """Cells (n, 2) of the first sheet that light is sent over.
+    """Cells (n, 2) of the first sheet that are lit.
 
     zone : (width, height) or None, lengths of the stack
-        Cells whose centres lie in it, about the middle of the sheet. None: every cell, but the middle one alone where all
-        sheets are uniform and have one lattice, for it then does what every cell away from the edges does.
+        Cells whose centres lie in it, about the centre of the sheet. None: every cell, or only the central
+        one where all sheets are uniform and have one lattice, since it then represents every cell away from
+        the edges.
 
     Raises
     ------
@@ -44,7 +45,7 @@ def lit_cells(stack: Stack, zone: Pair2 | None = None) -> Ints:
 
 
 def _alike(stack: Stack) -> bool:
-    """Whether one cell of the first sheet tells of all: no cell of any sheet differs, and all sheets have one lattice."""
+    """Whether one cell of the first sheet represents all: all sheets are uniform and have one lattice."""
     first = stack.sheets[0].window.lattice
     return all(
         one.window.uniform
@@ -57,7 +58,7 @@ def _alike(stack: Stack) -> bool:
 def launch(stack: Stack, points: Floats, field: float, cells: Ints) -> tuple[Floats, Floats]:
     """Places (n, 2) on the first lens plane and slopes (n, 2), from points (n, 5) of the unit cube; lengths of the stack.
 
-    Light fills each of the cells (m, 2), and a square of slopes about the middle of the field of each.
+    Light fills each of the cells (m, 2), and a square of slopes about the centre of the field of each.
     """
     first = stack.sheets[0]
     window = first.window
@@ -67,13 +68,15 @@ def launch(stack: Stack, points: Floats, field: float, cells: Ints) -> tuple[Flo
 
 
 def launched(stack: Stack, rays: int, field: float) -> Rays:
-    """Rays over the middle cell of the first sheet and a square of slopes, begun before it; lengths of the stack."""
+    """Rays over the central cell of the first sheet and a square of slopes, starting before it; lengths of
+    the stack.
+    """
     middle = np.array([central_cell(stack.sheets[0].window)])
     return started(stack, *launch(stack, sobol(rays, 5), field, middle))
 
 
 def started(stack: Stack, place: Floats, slope: Floats) -> Rays:
-    """Rays that cross the first lens plane at places (n, 2) with slopes (n, 2), begun before the material."""
+    """Rays that cross the first lens plane at places (n, 2) with slopes (n, 2), starting before the material."""
     first = stack.sheets[0]
     level = first.lens_planes[0]
     back = level - first.span[0] + first.scale * max(first.window.lattice.pitch)
@@ -82,13 +85,15 @@ def started(stack: Stack, place: Floats, slope: Floats) -> Rays:
 
 
 def middle_of_light(stack: Stack) -> Floats:
-    """Centre (2,) of the middle cell of the first sheet, lengths of the stack."""
+    """Centre (2,) of the central cell of the first sheet, lengths of the stack."""
     first = stack.sheets[0]
     return np.asarray(first.scale * first.window.centres(0, np.array(central_cell(first.window))))
 
 
 def cone(stack: Stack, points: Floats, field: float, distance: float) -> tuple[Floats, Floats]:
-    """Places and slopes (n, 2) on the first lens plane of light from a point over its middle, within field and lattice."""
+    """Places and slopes (n, 2) on the first lens plane of light from a point on its axis, within field and
+    lattice.
+    """
     window = stack.sheets[0].window
     where = middle_of_light(stack)
     x0, x1, y0, y1 = window.lattice.extent()

@@ -1,4 +1,4 @@
-"""What is asked of a stack."""
+"""Options of a stack: light, files and limits."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from clacad.base.types import Pair2
 from clacad.formats.step.step_mode import Mode
 
 FORMATS = ("step", "glb")
-"""What a stack is written as: formats that know assemblies."""
+"""File formats of a stack; both support assemblies."""
 
 QUADS = 8
-"""Facets along a cell side of a GLB file, which is for looking at."""
+"""Facets along a cell side of a GLB file, which is for viewing."""
 
 
 @dataclass(frozen=True, eq=False)
 class StackRequest:
-    """What is asked of a stack.
+    """Options of a stack.
 
     Parameters
     ----------
@@ -26,21 +26,21 @@ class StackRequest:
     field : float or None, radians
         Slopes of the light reach to its tangent; None: check.field of the first design.
     zone : (width, height) or None
-        Part of the first sheet that light is sent over, about its middle, in the unit of the first design; None: all of
-        it, or one cell where all cells of all sheets do alike.
+        Lit part of the first sheet, about its centre, in the unit of the first design; None: all of it, or
+        one cell where all cells of all sheets act alike.
     object_distance : float or None
-        Of the point that is imaged, before array 1 of the first sheet, in the unit of the first design; None: its
-        check.object, else ten times its separation.
+        Distance of the imaged point before array 1 of the first sheet, in the unit of the first design; None:
+        its check.object, else ten times its separation.
     rays : int
     cells : (a, b) or None
-        Write and measure so many cells of every sheet.
+        Number of cells of every sheet to write and measure.
     quads : int
         Facets along a cell side, of GLB.
     step : "auto", "fused" or "instanced"
     overwrite, force : bool
-        Replace files of another origin; pass the limits of size.
+        Replace files of another origin; ignore the limits of size.
     mesh_light : bool
-        Trace rung mesh, too, of so many `quads`.
+        Trace rung mesh too, with `quads` facets along a cell side.
     ids : tuple of str or None
         Names of the sheets; None: a, b, c, …
     """

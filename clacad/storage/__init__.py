@@ -1,4 +1,5 @@
-"""Files on disk whatever is in them: atomic writing, staging, zips of strangers, native work in a process of its own.
+"""Files on disk, independent of their format: atomic writing, staging, untrusted zips, a worker for native
+code.
 
-What a format says is in `formats`; what is written and when, in `exporting`.
+File formats are defined in `formats`; `exporting` decides what is written and when.
 """

@@ -1,4 +1,4 @@
-"""Opening a stranger's zip and XML: sizes, ratios, names and entities are judged before anything is parsed."""
+"""Reading of untrusted zip and XML: sizes, ratios, names and entities are checked before parsing."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from clacad.storage.spending import Spending
 
 MOST_ENTRIES = 1000
 LONGEST_DIRECTORY = 1 << 20
-"""Bytes of the list of entries: the standard library makes an object of each before anything can be judged."""
+"""Largest list of entries (bytes); the standard library makes an object of each entry before any check."""
 MOST_RATIO = 100
 FREE_BYTES = 1 << 20
-"""Entries inflating to less than this may be compressed as well as they like: 1 MB harms nobody."""
+"""Entries that inflate to fewer bytes than this may have any compression ratio: 1 MB is harmless."""
 DEEPEST = 32
 LONGEST_TOKEN = 1 << 18
-"""Bytes of one tag, comment or instruction: the parser begins such a thing anew with every block until it has all of it."""
+"""Largest tag, comment or instruction (bytes); the parser rescans an incomplete one with every block."""
 BLOCK = 1 << 16
 
 Attributes = dict[str, str]
 
 
 def open_archive(path: Path, spent: Spending, *, streamed: bool = False) -> zipfile.ZipFile:
-    """Open a zip file after judging its directory.
+    """Open a zip file after checking its directory.
 
     Parameters
     ----------
     path : Path
     spent : Spending
-        Of its reader; is told what the entries inflate to.
+        Budget of its reader; the inflated size of the entries is counted.
     streamed : bool
-        Whether entries are never held in memory, so that they may be compressed as well as they like.
+        Whether entries are never held in memory; they may then have any compression ratio.
 
     Raises
     ------
     UnreadableFile
-        Not a zip; too many entries; a ratio only a bomb has; encrypted; an entry whose name
-        leaves the folder, comes twice, or uses a method other than stored or deflated.
+        Not a zip; too many entries; the compression ratio of a zip bomb; encrypted; an entry name that leaves
+        the folder or is repeated; a compression method other than stored or deflated.
     OverBudget
-        It would inflate to more bytes than its reader takes.
+        It would inflate to more bytes than its reader's budget.
     """
     try:
         if _directory_bytes(path) > LONGEST_DIRECTORY:
@@ -66,7 +66,7 @@ def open_archive(path: Path, spent: Spending, *, streamed: bool = False) -> zipf
 
 
 def _directory_bytes(path: Path) -> int:
-    """Bytes of a zip file's list of entries, as the record at its end says; 0 where there is none."""
+    """Bytes of a zip file's list of entries according to its end record; 0 where there is none."""
     with path.open("rb") as stream:
         size = stream.seek(0, 2)
         stream.seek(max(0, size - 22 - 65535 - 76))
@@ -75,14 +75,14 @@ def _directory_bytes(path: Path) -> int:
     if last < 0:
         return 0
     stated = int.from_bytes(tail[last + 12 : last + 16], "little")
-    if tail[max(0, last - 20) : last].startswith(b"PK\6\7"):  # a 64-bit record stands before it
+    if tail[max(0, last - 20) : last].startswith(b"PK\6\7"):  # a 64-bit record precedes it
         long = tail.rfind(b"PK\6\6", 0, last)
         stated = max(stated % 0xFFFFFFFF, int.from_bytes(tail[long + 40 : long + 48], "little"))
     return stated
 
 
 def _judge(path: Path, entries: list[zipfile.ZipInfo], streamed: bool) -> None:
-    """Refuse an archive by what its directory says."""
+    """Reject an archive by the contents of its directory."""
 
     def refuse(why: str) -> None:
         raise UnreadableFile(f"{path.name}: {why}")
@@ -125,11 +125,11 @@ def parse_xml(stream: IO[bytes], spent: Spending, start: Callable[[str, Attribut
     ----------
     stream : binary stream
     spent : Spending
-        Of its reader, with the name for messages.
+        Budget of its reader, with the name for messages.
     start, end, text : callables
         Element names come without their namespace prefix resolved ("model", "p:item").
     runs : mapping or None
-        Name of a parent → elements in it that are taken many at a time, not told by `start` and `end`.
+        Name of a parent → elements in it that are read in bulk, without calls of `start` and `end`.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def _guarded_parser(
     end: Callable[[str], None],
     runs: Mapping[str, ElementRun],
 ) -> tuple[xml.parsers.expat.XMLParserType, RunReader]:
-    """Parser that refuses document types, entities and elements nested too deep, and what it is fed through."""
+    """Parser that rejects document types, entities and deep nesting, and the reader that feeds it."""
     parser = xml.parsers.expat.ParserCreate()
     reader = RunReader(parser, runs)
     depth = 0

@@ -1,10 +1,10 @@
-"""The one writer of files: at a final name there is the old file or the complete new one, never half.
+"""Atomic writer of all files: a final name holds either the old file or the complete new one.
 
 Files are written into a private folder `.clacad-<pid>-<start>-<random>` inside the target folder,
 flushed to the disk, read back by the caller's own check, and only then renamed. A set of files is sealed by
-renaming the complete `manifest.json` inside the private folder, or an empty file where there is no manifest:
-from that instant the next writer into the folder finishes the publication if this process dies; before it, the
-next writer removes what is left.
+renaming the complete `manifest.json` inside the private folder, or an empty file where there is no manifest.
+If this process dies after sealing, the next writer into the folder finishes the publication. If it dies
+before sealing, the next writer removes the remains.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ def file_hash(path: Path) -> str:
 
 
 def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any] | None:
-    """Read `folder`'s manifest, or None when there is none that an export wrote.
+    """Read the manifest of `folder`; None if no export wrote one.
 
     Raises
     ------
     OverBudget
-        It is longer, or lists more files, than is read.
+        The manifest has more bytes, or lists more files, than its budget.
     """
     try:
         spent = Spending("manifest", folder / name)
@@ -78,7 +78,7 @@ _OPEN: set[Path] = set()
 
 
 def abandon_all() -> None:
-    """Remove the private folders of this process, which is about to end; a publication under way comes first."""
+    """Remove the private folders of this process before it ends, after any publication in progress."""
     with suppress(RuntimeError):
         if BUSY.acquire(timeout=10.0):
             for private in tuple(_OPEN):
@@ -87,16 +87,16 @@ def abandon_all() -> None:
 
 
 class Stage:
-    """A private folder whose files become visible all at once, or not at all.
+    """Private folder whose files become visible all together, or not at all.
 
-    Use as a context manager: leaving it, by whatever road, removes the private folder.
+    Use as a context manager: any exit from the block removes the private folder.
 
     Parameters
     ----------
     folder : path
-        Where the files shall appear. Made if missing. A symbolic link to a folder is followed.
+        Final folder of the files. Made if missing. A symbolic link to a folder is followed.
     overwrite : bool
-        Whether files that no manifest of ours owns may be replaced.
+        Whether files that are in no manifest of clacad may be replaced.
 
     Raises
     ------
@@ -141,19 +141,18 @@ class Stage:
         self._private = self._lock = None
 
     def path(self, name: str, *, replace: bool = False) -> Path:
-        """Where to write the file that shall be called `name`.
+        """Private path at which to write the file with the final name `name`.
 
         Parameters
         ----------
         name : str
         replace : bool
-            Whether a file of that name may be replaced, whoever wrote it.
+            Whether a file of that name may be replaced, regardless of its writer.
 
         Raises
         ------
         CannotWrite
-            The name is no plain file name, or the final name is taken by something that may not be replaced
-            (ExportRefused).
+            The name is not a plain file name, or the existing file may not be replaced (ExportRefused).
         """
         assert self._private is not None, "a Stage is used inside its with block"
         if not _NAME.match(name):
@@ -165,11 +164,11 @@ class Stage:
         return self._private / name
 
     def written(self) -> list[Path]:
-        """Files that are in the private folder now."""
+        """Files in the private folder."""
         return [] if self._private is None else sorted(self._private.iterdir())
 
     def _may_replace(self, name: str) -> None:
-        """Refuse to write over a folder, or over what no export of ours wrote."""
+        """Refuse to overwrite a folder, or a file that no export of clacad wrote."""
         target = self.folder / name
         if not os.path.lexists(target):
             return
@@ -204,7 +203,7 @@ class Stage:
             names = sorted(p.name for p in self._private.iterdir())
             for name in names:
                 flush(self._private / name)
-            if manifest is None and len(names) < 2:  # one file changes places by one act of the system
+            if manifest is None and len(names) < 2:  # one file is renamed by one system call
                 with undisturbed(), _publishing(self.folder):
                     self._refuse_rivals(names)
                     exchange(self._private, self.folder, names, [])
@@ -233,10 +232,10 @@ class Stage:
                     raise
 
     def _refuse_rivals(self, names: Iterable[str]) -> None:
-        """Refuse, under the folder's lock, to publish over what came there since this began.
+        """Refuse to overwrite files that appeared since this stage began; called under the folder's lock.
 
-        Files of others may be asked to be replaced; the manifest of an export that was faster may not: it would lose
-        files that it was said to have written.
+        Replacement of foreign files may be requested. The manifest of a faster export may not be replaced:
+        files that it lists would be lost.
         """
         for name in names:
             target = self.folder / name
@@ -253,12 +252,12 @@ class Stage:
 
 
 def canonical_json(value: Mapping[str, Any]) -> str:
-    """JSON text with sorted keys, one way of writing each number, no NaN, and a final newline."""
+    """JSON text with sorted keys, a unique form of each number, no NaN, and a final newline."""
     return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def require_writable(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Refuse before long work what could not be written after it; nothing is left behind.
+    """Check before long work that a file can be written after it; nothing is left behind.
 
     Raises
     ------
@@ -271,7 +270,7 @@ def require_writable(path: str | os.PathLike[str], *, overwrite: bool = False) -
 
 
 def require_folder(folder: str | os.PathLike[str]) -> None:
-    """Refuse before long work a folder that cannot be made or written to; nothing is made.
+    """Check before long work that a folder can be made or written to; nothing is made.
 
     Raises
     ------
@@ -284,9 +283,9 @@ def require_folder(folder: str | os.PathLike[str]) -> None:
         if not place.is_dir():
             raise CannotWrite(f"{place} is a file; a folder is needed there")
         sweep(place)
-        probe = place / _private_name()  # one that the next run removes, should this process die here
+        probe = place / _private_name()  # the next run removes it if this process dies here
         probe.mkdir(mode=0o700)
-        with suppress(FileNotFoundError):  # another machine took it for a dead one's
+        with suppress(FileNotFoundError):  # another machine removed it as abandoned
             probe.rmdir()
 
 
@@ -299,11 +298,11 @@ def write_file(path: str | os.PathLike[str], write: Callable[[Path], None], *, o
     path : path
         Final name; its folder is made if missing.
     write : callable(Path)
-        Writes the file at the private path it is given.
+        Writes the file at the given private path.
     overwrite : bool
         Whether an existing file may be replaced.
     check : callable(Path) or None
-        Reads the private file back; whatever it raises, the final name stays as it was.
+        Reads the private file back; if it raises, the file at the final name is unchanged.
 
     Raises
     ------
@@ -321,7 +320,7 @@ def write_file(path: str | os.PathLike[str], write: Callable[[Path], None], *, o
 
 
 def write_content(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool = False) -> None:
-    """Write a text (UTF-8, as it stands) or bytes as one file, atomically; see `write_file`.
+    """Write a text (UTF-8, unchanged) or bytes as one file, atomically; see `write_file`.
 
     Raises
     ------
@@ -331,7 +330,7 @@ def write_content(path: str | os.PathLike[str], content: str | bytes, *, overwri
 
 
 def _write(private: Path, content: str | bytes) -> None:
-    # what of a file's name is no text is spelt out
+    # bytes of a file name that are not valid text are escaped
     private.write_bytes(content.encode(errors="backslashreplace") if isinstance(content, str) else content)
 
 
@@ -348,11 +347,11 @@ def write_set(
     ----------
     folder : path
         Made if missing.
-    contents : mapping of file name to text (UTF-8, as it stands) or bytes
+    contents : mapping of file name to text (UTF-8, unchanged) or bytes
     overwrite : bool
         Whether existing files may be replaced.
     replace : callable(Path) -> bool
-        Whether an existing file may be replaced all the same, one by one.
+        Whether an individual existing file may be replaced although `overwrite` is False.
 
     Raises
     ------
@@ -366,7 +365,7 @@ def write_set(
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Give a private folder for temporary files; what dead processes left there is removed first, and it itself at the end.
+    """Yield a private folder for temporary files; it is removed at the end, remains of dead processes first.
 
     Raises
     ------
@@ -378,7 +377,7 @@ def scratch_folder() -> Iterator[Path]:
     _OPEN.add(private)
     try:
         with translated(place):
-            for left, lock in _abandoned(place):  # removed, never published: anyone may write there
+            for left, lock in _abandoned(place):  # removed, never published: any user may write there
                 shutil.rmtree(left, ignore_errors=True)
                 os.close(lock)
             private.mkdir(mode=0o700)
@@ -392,7 +391,7 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def owns(manifest: Mapping[str, Any], target: Path) -> bool:
-    """Tell whether `target` is byte for byte a file this manifest lists."""
+    """Whether `target` is identical, byte for byte, to a file that this manifest lists."""
     for entry in manifest["files"]:
         if isinstance(entry, dict) and entry.get("name") == target.name:
             try:
@@ -404,9 +403,10 @@ def owns(manifest: Mapping[str, Any], target: Path) -> bool:
 
 
 def sweep(folder: Path) -> None:
-    """Finish or remove what dead processes left in `folder`.
+    """Finish or remove the remains of dead processes in `folder`.
 
-    A private folder that is sealed held files that were all read back: they are published. Any other is removed.
+    The files of a sealed private folder were all read back: they are published. Other private folders are
+    removed.
     """
     for private, lock in _abandoned(folder):
         try:
@@ -419,10 +419,10 @@ def sweep(folder: Path) -> None:
 
 
 def _abandoned(folder: Path) -> Iterator[tuple[Path, int]]:
-    """Private folders of dead processes, each with the lock that is now held on it.
+    """Private folders of dead processes, each with the lock now held on it.
 
-    A folder of another user, one whose process still lives (same id and start time), or one that is locked by a process
-    elsewhere is left alone.
+    Folders of other users, of living processes (same id and start time), and folders locked by a process on
+    another machine are skipped.
     """
     for private in sorted(folder.glob(".clacad-*")):
         match = _PRIVATE.match(private.name)
@@ -439,15 +439,16 @@ def _abandoned(folder: Path) -> Iterator[tuple[Path, int]]:
 
 
 def _sealed(private: Path) -> bool:
-    """Whether the publication of a private folder's files was begun, and is to be finished."""
+    """Whether the publication of a private folder was begun and must be finished."""
     return any((private / seal).is_file() for seal in (_SEALED, _SEALED_SET))
 
 
 def _finish(private: Path, folder: Path) -> None:
-    """Carry out a sealed publication; may be repeated from any point it was broken off at.
+    """Carry out a sealed publication; may be repeated after any interruption.
 
-    Under the folder's lock. The old manifest goes first: while files of two exports stand side by side, none vouches
-    for them. A set without a manifest leaves that of an export beside it alone.
+    The caller holds the folder's lock. The old manifest is removed first, so that no manifest covers a
+    mixture of two exports. A set without a manifest leaves the manifest of another export in the folder
+    unchanged.
     """
     if (private / _SEALED_SET).exists():
         names = sorted(
@@ -464,7 +465,7 @@ def _finish(private: Path, folder: Path) -> None:
 
 
 def _identity(path: Path) -> tuple[int, ...] | None:
-    """What tells a file from one put in its place, None where there is none."""
+    """Identity that distinguishes a file from its replacement; None where there is no file."""
     try:
         found = os.lstat(path)
     except FileNotFoundError:
@@ -474,7 +475,7 @@ def _identity(path: Path) -> tuple[int, ...] | None:
 
 @contextmanager
 def _publishing(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock: two exports into one folder publish one after the other."""
+    """Hold the folder's lock, so that two exports into one folder publish in sequence."""
     lock = _locked(folder, wait=True)
     try:
         yield
@@ -484,7 +485,9 @@ def _publishing(folder: Path) -> Iterator[None]:
 
 
 def _dropped(private: Path, folder: Path) -> list[str]:
-    """Names of unchanged files of the previous export that the new one does not list: they would mislead."""
+    """Names of unchanged files of the previous export that the new one does not list and that must be
+    removed.
+    """
     old = read_manifest(folder) or read_manifest(private, OLD + MANIFEST)
     if old is None:
         return []
@@ -497,7 +500,7 @@ def _dropped(private: Path, folder: Path) -> list[str]:
 
 @contextmanager
 def translated(path: Path) -> Iterator[None]:
-    """Turn an OSError inside the block into a `CannotWrite` sentence that names the place and the cause."""
+    """Turn an OSError inside the block into a `CannotWrite` whose message names the path and the cause."""
     try:
         yield
     except OSError as error:
@@ -512,12 +515,12 @@ def translated(path: Path) -> Iterator[None]:
 
 
 def _private_name() -> str:
-    """A private folder's name, which tells whose it is."""
+    """Name of a private folder, which identifies its process."""
     return f".clacad-{os.getpid()}-{_start_time(os.getpid())}-{secrets.token_hex(6)}"
 
 
 def _start_time(pid: int) -> int:
-    """Start time of a process in clock ticks since boot; 0 where the system does not tell."""
+    """Start time of a process in clock ticks since boot; 0 where the system does not report it."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -527,7 +530,7 @@ def _start_time(pid: int) -> int:
 
 
 def _alive(pid: int, started: int, private: Path) -> bool:
-    if os.name != "posix":  # no harmless way to ask: a day-old folder is nobody's
+    if os.name != "posix":  # no harmless way to find out: a day-old folder counts as abandoned
         with suppress(OSError):
             return time.time() - private.stat().st_mtime < 86400.0
         return True
@@ -544,7 +547,7 @@ def _alive(pid: int, started: int, private: Path) -> bool:
 def _locked(folder: Path, wait: bool = False) -> int | None:
     """Lock a folder for as long as the returned descriptor is open; None if another holds it.
 
-    The lock is what keeps two machines or containers that share a disk apart, where process ids mean nothing.
+    The lock separates machines or containers that share a disk, where process ids are meaningless.
     """
     if sys.platform == "win32":
         return os.open(os.devnull, os.O_RDONLY)
@@ -557,5 +560,5 @@ def _locked(folder: Path, wait: bool = False) -> int | None:
         os.close(descriptor)
         return None
     except OSError:
-        return descriptor  # a file system without locks: the process id must do
+        return descriptor  # file system without locks: only the process id is checked
     return descriptor

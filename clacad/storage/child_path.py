@@ -1,4 +1,4 @@
-"""Where processes that this one starts find their modules: never in the current folder, whatever lies there."""
+"""Module path of child processes: it never includes the current folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import clacad
 
 
 def module_path() -> list[str]:
-    """Folders of modules as in this process, without the current one; the package's own stands last if nowhere else."""
+    """Module folders of this process without the current folder; the package's own is appended if missing."""
     path = [entry for entry in sys.path if entry]
     home = os.path.dirname(os.path.dirname(os.path.abspath(clacad.__file__)))
     return path if home in path else [*path, home]
@@ -19,7 +19,7 @@ def module_path() -> list[str]:
 
 @contextmanager
 def safe_children() -> Iterator[None]:
-    """Within the block every Python that a library starts leaves the current folder off its path."""
+    """Within the block, Python processes started by libraries exclude the current folder from their path."""
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"
     try:

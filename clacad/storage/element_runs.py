@@ -1,9 +1,9 @@
-"""Elements of XML that follow one another by the million, taken many at a time.
+"""Bulk reading of long runs of XML elements of one form.
 
-A mesh in XML is a run of elements of one form. A parser that calls back for each of them takes microseconds each; the
-run's own text, matched against that form as a whole, takes a tenth of it. Only text that the parser itself has just
-said to lie within the run's parent is taken so, and only as far as it has that form: whatever else comes, in whatever
-order, goes to the parser as ever.
+A mesh in XML is a run of millions of elements of one form. A parser with a callback per element takes
+microseconds for each; matching the run's text with a regular expression takes a tenth of that. Only text that
+the parser has just located within the run's parent is read in bulk, and only as far as it has that form. All
+other text goes to the parser.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 NUMBER = rb"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?"
-"""A finite number as programs write it."""
+"""Finite number as programs write it."""
 
 WHOLE = rb"[0-9]{1,18}"
-"""A whole number that fits 64 bits."""
+"""Whole number that fits 64 bits."""
 
 LONGEST = 4096
-"""Bytes that one element of a run may have."""
+"""Largest size (bytes) of one element of a run."""
 
 _SPACE = rb"[ \t\r\n]*+"
 _PLAIN = (None, "utf-8", "us-ascii")
-"""Encodings in which such text means what its bytes say."""
+"""Encodings in which the matched text is ASCII-compatible."""
 
 
 class Parser(Protocol):
-    """What is asked of a parser of XML."""
+    """Required interface of an XML parser."""
 
     def Parse(self, data: bytes, isfinal: bool = ..., /) -> int:
         """Parse more text."""
@@ -43,7 +43,7 @@ class ElementRun:
     form : bytes
         Regular expression of one element.
     take : callable
-        Gets the text of many of them, spaces between them included.
+        Receives the text of many elements, spaces between them included.
     """
 
     form: bytes
@@ -52,7 +52,7 @@ class ElementRun:
 
 @dataclass(eq=False)
 class RunReader:
-    """Hands text to a parser, except the runs in it.
+    """Passes text to a parser, except the runs in it.
 
     Parameters
     ----------
@@ -79,27 +79,27 @@ class RunReader:
 
     @property
     def given(self) -> int:
-        """Bytes that the parser got."""
+        """Number of bytes passed to the parser."""
         return self._given
 
     @property
     def held(self) -> int:
-        """Bytes that wait for more."""
+        """Number of bytes held until more text arrives."""
         return len(self._rest)
 
     def opened(self, tag: str, index: int) -> None:
-        """To be told of every element that opens, with the byte at which the parser found it."""
+        """Record an opened element and its byte position; the caller reports every parent of a run."""
         self._opened = (tag, index)
 
     def feed(self, block: bytes) -> None:
-        """Take more text."""
+        """Process more text."""
         self._rest += block
         while self._inside or self._to_parent():
             if not self._through_run():
                 return
 
     def end(self) -> None:
-        """There is no more text."""
+        """Process the held text at the end of the input."""
         rest, self._rest, self._inside = self._rest, b"", ""
         self._give(rest)
 
@@ -109,10 +109,10 @@ class RunReader:
             self._given += len(text)
 
     def _to_parent(self) -> bool:
-        """Give the parser all up to the next parent of a run; whether there is one and the parser says so, too."""
+        """Pass text to the parser up to the next parent of a run; return whether the parser confirms one."""
         found = self._parent.search(self._rest) if self.runs else None
         if found is None:
-            # the beginning of such a name may be the end of this text
+            # this text may end within the name of a parent
             cut = self._rest.rfind(b"<", -64) if self.runs else -1
             head, self._rest = (self._rest, b"") if cut < 0 else (self._rest[:cut], self._rest[cut:])
             self._give(head)
@@ -127,7 +127,7 @@ class RunReader:
         return self._to_parent()
 
     def _through_run(self) -> bool:
-        """Take the elements that are there; whether the run has come to its end."""
+        """Read the available elements; return whether the run has ended."""
         found = self._forms[self._inside].match(self._rest)
         assert found is not None
         if found.end():
@@ -135,6 +135,6 @@ class RunReader:
             self.runs[self._inside].take(text)
             self._give(b"\n" * text.count(b"\n"))  # so that the parser's line numbers stay right
         if len(self._rest) < LONGEST:
-            return False  # the beginning of one more, perhaps
+            return False  # possibly the start of one more element
         self._inside = ""
         return True

@@ -1,4 +1,4 @@
-"""What can stop an export, each with the exit status the command line returns for it."""
+"""Errors of exports and readers, each with the exit status of the command line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 class ExportError(Exception):
-    """An export that did not happen; `exit_status` is the command line's answer."""
+    """Failure of an export; `exit_status` is the exit status of the command line."""
 
     exit_status = 70
 
@@ -24,7 +24,7 @@ class ExportRefused(CannotWrite):
 
 
 class UnknownFormat(ExportError, ValueError):
-    """A format was asked for that is not written."""
+    """An unknown format was requested."""
 
     exit_status = 2
 
@@ -36,19 +36,19 @@ class BadRequest(ExportError, ValueError):
 
 
 class NotPossible(ExportError):
-    """A file that this design cannot have: a frame without a gap, a baffle without walls; the message says why."""
+    """A file that is impossible for this design (a frame without a gap, a baffle without walls)."""
 
     exit_status = 2
 
 
 class ExportIncomplete(ExportError):
-    """Some of the files could not be made; the others were published, and `manifest` lists them.
+    """Some files could not be made; the others were published, and `manifest` lists them.
 
     Parameters
     ----------
     failures : mapping of format to ExportError
     manifest : Manifest
-        What was published.
+        Manifest of the published files.
     """
 
     def __init__(self, failures: Mapping[str, ExportError], manifest: Any) -> None:
@@ -59,7 +59,7 @@ class ExportIncomplete(ExportError):
 
 
 class LimitRefused(ExportError):
-    """The work would pass a limit; the message holds the number and two ways to get under it."""
+    """The work would exceed a limit; the message gives the number and two ways to stay below it."""
 
     exit_status = 3
 
@@ -69,11 +69,11 @@ LIMITS_OF_THE_SYSTEM = {
     ENFILE: "the system can open no more files",
     EAGAIN: "the system starts no more processes; ulimit -u raises that",
 }
-"""Numbers of the system's errors that say that a limit of its own was met, and how that is said."""
+"""System error number of an exceeded system limit → its description."""
 
 
 def refused_by_system(error: OSError, what: str) -> LimitRefused | None:
-    """Give the refusal that an error of the system stands for, None if it met no limit; `what` could not be done."""
+    """Refusal for a system error of an exceeded limit, None for other errors; `what` could not be done."""
     why = LIMITS_OF_THE_SYSTEM.get(error.errno or 0)
     return None if why is None else LimitRefused(f"{what}: {why}")
 
@@ -86,9 +86,9 @@ class WorkerDied(ExportError):
     sentence : str
         What happened, in one sentence.
     details : str
-        Last lines the process wrote to its error stream; for a log, not for the user.
+        Last lines of the process's error stream; for a log, not for the user.
     over_budget : bool
-        Whether it ended because it took more memory or processor time than it was given.
+        Whether it ended because it exceeded its memory or processor time.
     """
 
     def __init__(self, sentence: str, details: str = "", *, over_budget: bool = False) -> None:
@@ -98,18 +98,18 @@ class WorkerDied(ExportError):
 
 
 class UnreadableFile(ExportError, ValueError):
-    """A file is not what its name says, is cut short, or is built to harm its reader."""
+    """A file does not match its name, is truncated, or is malicious."""
 
     exit_status = 1
 
 
 class OverBudget(UnreadableFile):
-    """A file takes more bytes, items or processor seconds than its reader has; nothing says that it is wrong."""
+    """A file exceeds its reader's budget of bytes, items or processor seconds; it may still be valid."""
 
     exit_status = 3
 
 
 class FileDisagrees(ExportError):
-    """A file that was written reads back as something other than the design."""
+    """A written file differs from the design when read back."""
 
     exit_status = 1

@@ -1,4 +1,4 @@
-"""The hash of a file taken from the bytes that somebody reads of it anyway."""
+"""Hash of a file, computed while it is read for another purpose."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ BLOCK = 1 << 20
 
 
 class Overheard:
-    """SHA-256 of a file, of the bytes that are read of it in order for another purpose; what nobody read is read at the end.
+    """SHA-256 of a file, computed from bytes read in order by another reader; the rest is read at the end.
 
-    So a file of gigabytes is read once, and the hash is that of the very bytes that were looked at.
+    A file of gigabytes is therefore read once, and the hash is that of the checked bytes.
 
     Attributes
     ----------
     heard : int
-        Bytes so far, from the first one on.
+        Number of bytes hashed so far, from the start of the file.
     """
 
     def __init__(self, path: Path) -> None:
         self._path, self._digest, self.heard = path, sha256(), 0
 
     def hear(self, start: int, block: bytes) -> None:
-        """Take the bytes of the file from `start` on, if they are the next ones."""
+        """Hash the bytes of the file from `start` on, if they are the next ones."""
         if start == self.heard:
             self._digest.update(block)
             self.heard += len(block)
 
     def hexdigest(self) -> str:
-        """The hash of the whole file, hexadecimal."""
+        """Hash of the whole file, hexadecimal."""
         with self._path.open("rb") as stream:
             stream.seek(self.heard)
             while block := stream.read(BLOCK):

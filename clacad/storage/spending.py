@@ -1,4 +1,4 @@
-"""What reading one file has taken so far, held against its reader's budget."""
+"""Resources used to read one file, compared with its reader's budget."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from clacad.storage.errors import OverBudget, UnreadableFile
 
 LONGEST_LINE = 1 << 16
 LOOK = 4096
-"""Lines or items between two looks at the clock."""
+"""Number of lines or items between two checks of the clock."""
 
 
 class Spending:
-    """Counts what a reader takes of one file; the file is refused as soon as that is more than its budget.
+    """Counts the resources of reading one file; the file is rejected as soon as they exceed the budget.
 
     Parameters
     ----------
@@ -26,14 +26,14 @@ class Spending:
         A key of `BUDGETS`.
     path : path
     size : int or None
-        Bytes of the file; None: as it lies on the disk.
+        Bytes of the file; None: its size on the disk.
 
     Raises
     ------
     OverBudget
-        The file has more bytes than the reader takes.
+        The file has more bytes than the reader's budget.
     OSError
-        The file is not there.
+        The file does not exist.
     """
 
     def __init__(self, reader: str, path: str | os.PathLike[str], size: int | None = None) -> None:
@@ -45,7 +45,7 @@ class Spending:
         self.unpacked(os.stat(path).st_size if size is None else size)
 
     def unpacked(self, size: int, of: str = "") -> None:
-        """Note how many bytes the file is, or inflates to: more bytes, more seconds.
+        """Record the (inflated) size of the file in bytes; more bytes allow more seconds.
 
         Raises
         ------
@@ -56,7 +56,7 @@ class Spending:
             raise self._refusal(f"{size:,} bytes{of} are more than the {self.budget.bytes:,} that are read")
 
     def count(self, items: int, at: str = "") -> None:
-        """Note that so many more items were found; `at` says where in the file.
+        """Record `items` more items; `at` gives the position in the file.
 
         Raises
         ------
@@ -68,7 +68,7 @@ class Spending:
             raise self._refusal(f"more than {most:,} {self.budget.item}{at and ', ' + at}")
 
     def look(self, at: str = "") -> None:
-        """Hold the processor seconds of this thread since the beginning against the budget.
+        """Compare the processor seconds of this thread since the beginning with the budget.
 
         Raises
         ------
@@ -78,7 +78,8 @@ class Spending:
 
     @contextmanager
     def working(self, at: str = "") -> Iterator[None]:
-        """Hold the processor seconds of all such blocks against the budget: of a reader that works when it is asked.
+        """Compare the processor seconds of all such blocks with the budget, for a reader that works on
+        demand.
 
         Raises
         ------
@@ -98,7 +99,7 @@ class Spending:
             )
 
     def lines(self, stream: IO[bytes]) -> Iterator[bytes]:
-        """Lines of a text file; the clock is looked at now and then.
+        """Lines of a text file; the clock is checked at intervals.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Files change places all together or not at all: what was there is kept until the last one stands."""
+"""Transactional replacement of files: old files are kept until the last new one is in place."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import Any
 
 OLD = "~"
-"""What was at a final name before is kept in the private folder under that name with this before it."""
+"""Prefix of the name under which an old file is kept in the private folder."""
 
 
 class Unfinished(OSError):
-    """A publication that could be neither carried out nor undone; the next export into the folder finishes it."""
+    """A publication that could be neither completed nor undone; the next export into the folder finishes it."""
 
 
 def exchange(
     private: Path, folder: Path, names: list[str], gone: list[str], last: tuple[str, str] | None = None
 ) -> None:
-    """Move files into place, old ones out of it, and one last; undo it all if one cannot be moved.
+    """Move new files into place, old ones out, and one file last; undo everything if a move fails.
 
     `names` are moved from `private` into `folder`; files `gone` leave it first and for good; `last` is a private file
     and the name it is published by. OSError: nothing has changed. Unfinished: it could neither be done nor undone.
@@ -66,7 +66,7 @@ def _keep(file: Path, as_well: Path) -> None:
 
 
 def _undone(undo: list[tuple[Path, Path | None, Path]]) -> None:
-    """Put everything back where it was, the last first; a target never holds anything but old or new content."""
+    """Restore all files in reverse order; a target always holds either old or new content."""
     for target, old, new in reversed(undo):
         if new != old and not os.path.lexists(new):
             _keep(target, new)
@@ -74,18 +74,19 @@ def _undone(undo: list[tuple[Path, Path | None, Path]]) -> None:
             target.unlink(missing_ok=True)
         elif os.path.lexists(old):
             os.replace(old, target)
-            old.unlink(missing_ok=True)  # two names of one file: the line above left both
+            old.unlink(missing_ok=True)  # two names of one file: the line above left both in place
 
 
 BUSY = threading.Lock()
-"""Held while files change places: who wants to end the process waits for it."""
+"""Held while files are exchanged; code that ends the process waits for it."""
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Let signals wait for the few milliseconds in which files change places.
+    """Delay signals for the few milliseconds in which files are exchanged.
 
-    The handlers are put aside, not the signals: those may come to any thread, and are handled in the main one.
+    Handlers are replaced rather than signals blocked: a signal may reach any thread, but the main one handles
+    it.
     """
     heard: list[int] = []
     aside: dict[int, Any] = {}
@@ -95,7 +96,7 @@ def undisturbed() -> Iterator[None]:
                 number = getattr(signal, name, None)
                 if number is not None and callable(signal.getsignal(number)):
                     aside[number] = signal.signal(number, lambda which, _: heard.append(which))
-        with BUSY:  # after the handlers are aside: one of them waits for it to end the process
+        with BUSY:  # after replacing the handlers: one of them waits for this lock to end the process
             yield
     finally:
         for number, handler in aside.items():

@@ -1,8 +1,8 @@
-"""Native work in a process of its own, so that its crash is a sentence and its deadlock can be ended.
+"""Worker process for native code: a crash becomes an error message, and a deadlock can be ended.
 
 CAD kernels end the process on a full disk, on lack of memory, and ignore Ctrl-C while they compute.
 A `Worker` runs named functions in a freshly started interpreter: own process group, own limits, and
-results as JSON lines over a pipe that nothing else writes to. The parent only ever waits on that pipe.
+results as JSON lines over a pipe that nothing else writes to. The parent waits on that pipe only.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _LIVE: set[int] = set()
 
 
 def end_all() -> None:
-    """Kill every worker of this process and all they started: it is about to end itself."""
+    """Kill every worker of this process and their children, before this process ends."""
     for group in tuple(_LIVE):
         with suppress(OSError):
             os.killpg(group, signal.SIGKILL)
@@ -60,8 +60,8 @@ class Worker:
 
     Notes
     -----
-    A worker that died is started again by the next `run`. Use as a context manager: leaving it kills
-    the child and everything the child started.
+    The next `run` restarts a dead worker. Use as a context manager: leaving it kills the child and all
+    processes that it started.
     """
 
     def __init__(
@@ -169,7 +169,9 @@ class Worker:
             self._errors.close()
 
     def _messages(self, deadline: float | None, timeout: float | None) -> Iterator[dict[str, Any]]:
-        """The child's messages as they come; ends with an exception, at the latest at the deadline (monotonic seconds)."""
+        """The child's messages as they arrive; ends with an exception at the deadline (monotonic s) or
+        before.
+        """
         while True:
             line, newline, rest = self._pending.partition(b"\n")
             if newline:
@@ -203,7 +205,7 @@ class Worker:
         return WorkerDied(sentence, self._last_words(), over_budget=over_budget)
 
     def _buried(self) -> WorkerDied:
-        """Say why the child closed its pipe: wait for it and read its status and peak memory."""
+        """Error for a closed pipe: wait for the child and read its exit status and peak memory."""
         process = self._process
         assert process is not None
         peak = 0
@@ -228,7 +230,7 @@ class Worker:
 def _cause(
     status: int, peak: int, limits: tuple[int | None, int | None], stage: str, words: str
 ) -> tuple[str, bool]:
-    """Why a process ended, as a sentence, and whether a limit was why.
+    """Reason why a process ended, as a sentence, and whether a limit was the reason.
 
     peak : bytes; limits : (bytes, seconds of processor time)
     """
@@ -250,20 +252,20 @@ def _cause(
 
 
 def _wanted_memory(words: str) -> bool:
-    """Tell whether last words are those of a process that got no memory."""
+    """Whether the last lines of a process show that it ran out of memory."""
     signs = ("bad_alloc", "MemoryError", "cannot allocate memory", "failed to map segment")
     return any(sign.lower() in words.lower() for sign in signs)
 
 
 def _scratch() -> IO[bytes]:
-    """A file for the child's last words: in memory where the system has that, so nothing is written anywhere."""
+    """File for the child's error stream, in memory where the system supports it."""
     if hasattr(os, "memfd_create"):
         return os.fdopen(os.memfd_create("clacad-worker"), "w+b")
     return tempfile.TemporaryFile()
 
 
 def _send(stream: IO[bytes], payload: bytes) -> None:
-    with suppress(OSError, ValueError):  # a dead child: the reading side says so
+    with suppress(OSError, ValueError):  # a dead child: the reading side reports it
         stream.write(len(payload).to_bytes(8, "little") + payload)
         stream.flush()
 
@@ -294,16 +296,16 @@ def _unwrapped(message: dict[str, Any]) -> Any:
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 AGAIN = 0.02
-"""Seconds after which an interruption that nobody could be told of is raised again."""
+"""Seconds after which a dropped interruption is raised again."""
 
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Within the block SIGTERM and SIGHUP raise KeyboardInterrupt, so that clean-up runs as for Ctrl-C.
+    """Raise KeyboardInterrupt on SIGTERM and SIGHUP within the block, so that clean-up runs as for Ctrl-C.
 
-    Only where that is possible and nobody else has taken the signal: the main thread, default handler. Python drops
-    an exception that is raised in a destructor or in the callback of a weak reference, as the end of every import
-    has one; an interruption dropped there is raised again a moment later.
+    Applies only in the main thread and to signals with the default handler. Python drops an exception raised
+    in a destructor or in a weak-reference callback, which every import runs at its end. An interruption
+    dropped there is raised again after `AGAIN` seconds.
     """
     taken: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -328,7 +330,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _again(number: int) -> None:
-    """Interrupt the main thread from another one, once it has left the place where the exception was dropped."""
+    """Interrupt the main thread from another thread, after it has left the code that dropped the exception."""
     timer = threading.Timer(AGAIN, _signal_main_thread, (number,))
     timer.daemon = True
     timer.start()
@@ -350,7 +352,7 @@ _answer_stream: IO[bytes] | None = None
 
 
 def report_stage(name: str, done: float = float("nan")) -> None:
-    """Tell the parent what is being done now; does nothing outside a worker."""
+    """Report the current stage to the parent; does nothing outside a worker."""
     if _answer_stream is not None:
         _answer({"kind": "stage", "name": name, "done": done})
 
@@ -369,7 +371,7 @@ def serve(answers: int, parent: int, memory: int | None, cpu: int | None, preloa
         _limit(resource.RLIMIT_CPU, cpu, cpu + 1)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for module in preload:
-        with suppress(ImportError, MemoryError):  # the call that needs it will say so
+        with suppress(ImportError, MemoryError):  # the call that needs it reports the failure
             import_module(module)
     requests = sys.stdin.buffer
     while len(head := requests.read(8)) == 8:
@@ -377,7 +379,7 @@ def serve(answers: int, parent: int, memory: int | None, cpu: int | None, preloa
 
 
 def _limit(kind: int, soft: int, hard: int) -> None:
-    """Limit this process, or leave a lower limit of the user's as it is: only the system may raise that."""
+    """Limit this process; a lower limit set by the user stays, since only the system may raise it."""
     import resource
 
     most = resource.getrlimit(kind)[1]
@@ -387,7 +389,7 @@ def _limit(kind: int, soft: int, hard: int) -> None:
 
 
 def _called(request: tuple[str, tuple[Any, ...], dict[str, Any]]) -> dict[str, Any]:
-    """Answer to one call: a message with its result, or with what it raised."""
+    """Answer to one call: a message with its result or its exception."""
     import traceback
     from importlib import import_module
 
@@ -399,9 +401,9 @@ def _called(request: tuple[str, tuple[Any, ...], dict[str, Any]]) -> dict[str, A
     except OSError as error:
         text = f"{error.filename or function}: {(error.strerror or str(error)).lower()}"
         return {"kind": "error", "type": "CannotWrite", "text": text, "trace": traceback.format_exc()}
-    except Exception as error:  # every failure must reach the parent as a message, whatever its type
+    except Exception as error:  # a failure of any type must reach the parent as a message
         text = str(error).strip().partition("\n")[0][:500]
-        status = getattr(error, "exit_status", None)  # an error that has one was meant for the user
+        status = getattr(error, "exit_status", None)  # an error that has one is meant for the user
         name = (
             type(error).__name__ if status is None or type(error).__name__ in _OWN_ERRORS else "NotPossible"
         )
@@ -423,5 +425,5 @@ def _die_with_parent(parent: int) -> None:
 
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # 1 = PR_SET_PDEATHSIG
-    if os.getppid() != parent:  # it died before the line above
+    if os.getppid() != parent:  # the parent died before the line above
         os._exit(0)
