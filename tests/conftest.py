@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from everyday import slow_and_unknown
+from everyday import sort_out
 from hypothesis import settings
 
 # the same examples every time: a failure can be repeated, a success means the same everywhere
@@ -51,10 +51,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     tests = Path(__file__).parent
     files = [item.path.relative_to(tests).as_posix() for item in items]
     names = [item.name.removesuffix("]").partition("[") for item in items]
-    slow, unknown = slow_and_unknown((file, name[0], name[2]) for file, name in zip(files, names))
-    if unknown and not any("::" in argument for argument in config.args):
-        raise pytest.UsageError(f"tests/everyday.py names cases that are not there: {unknown}")
-    for item in (items[place] for place in slow):
+    sorted_out = sort_out((file, name[0], name[2]) for file, name in zip(files, names))
+    if sorted_out.unknown and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"tests/everyday.py names cases that are not there: {sorted_out.unknown}")
+    for item in (items[place] for place in sorted_out.by_hand):
+        item.own_markers = [mark for mark in item.own_markers if mark.name != "slow"]
+        item.add_marker(pytest.mark.long)
+    for item in (items[place] for place in sorted_out.slow):
         if item.get_closest_marker("long") is None:
             item.add_marker(pytest.mark.slow)
 

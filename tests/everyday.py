@@ -1,7 +1,8 @@
 """Which cases of heavy families of tests run every time; the others are slow and run with `-m slow`.
 
 Each has a lighter sibling on the same route that runs by default: another case of the same test, or another test of the
-same room. Continuous integration runs them all.
+same room. Continuous integration runs them all, but those whose siblings in their turn are slow and tell as much: they run
+by hand, with `-m long`.
 
 Of the tracer's kernels those of exact surfaces and of the ideal rungs alone are compiled by default: a fresh machine takes half a
 minute for each of the others (facets, triangles, pictures, cells that differ), and their tests are slow.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 EVERY_TIME: dict[str, dict[str, tuple[str, ...]]] = {
     "advice/test_hints_and_fixes.py": {
@@ -679,31 +681,62 @@ EVERY_TIME: dict[str, dict[str, tuple[str, ...]]] = {
 """By file and test the cases that run by default; none: the whole test is slow."""
 
 
-def slow_and_unknown(cases: Iterable[tuple[str, str, str]]) -> tuple[list[int], list[str]]:
-    """Say which cases are slow, and which names above are of no case.
+BY_HAND: dict[str, dict[str, tuple[str, ...]]] = {
+    "cli/test_commands_agree.py": {
+        "test_check_and_verify_of_a_design_end_alike_and_fail_the_same_checks": (
+            "plano",
+            "slab",
+            "tilted-seam",
+        ),
+    },
+    "exporting/test_default_exports.py": {
+        "test_a_default_export_in_every_format_passes_its_own_verification": ("slab", "hexagonal"),
+    },
+}
+"""By file and test the slow cases that continuous integration runs; the others run with `-m long`, by hand."""
+
+
+@dataclass(frozen=True)
+class Sorted:
+    """Which cases do not run by default.
+
+    Attributes
+    ----------
+    slow, by_hand : list of int
+        Places among the cases given.
+    unknown : list of str
+        Of tests that have cases here, those that are named above and are not among the cases given.
+    """
+
+    slow: list[int]
+    by_hand: list[int]
+    unknown: list[str]
+
+
+def sort_out(cases: Iterable[tuple[str, str, str]]) -> Sorted:
+    """Say which cases are slow, which run by hand alone, and which names above are of no case.
 
     Parameters
     ----------
     cases : iterable of (file below tests/, test, case)
-
-    Returns
-    -------
-    slow : list of int
-        Places in `cases`.
-    unknown : list of str
-        Of tests that have cases here, those that are named above and are not among them.
     """
-    slow, found = [], defaultdict(set)
-    for place, (file, test, case) in enumerate(cases):
-        kept = EVERY_TIME.get(file, {}).get(test)
-        if kept is not None:
-            found[file, test].add(case)
-            if case not in kept:
-                slow.append(place)
+    rows = list(cases)
+    there = defaultdict(set)
+    for file, test, case in rows:
+        there[file, test].add(case)
+
+    def left_out(table: dict[str, dict[str, tuple[str, ...]]]) -> list[int]:
+        return [
+            place
+            for place, (file, test, case) in enumerate(rows)
+            if case not in table.get(file, {}).get(test, (case,))
+        ]
+
     unknown = [
         f"{file}::{test}[{case}]"
-        for (file, test), there in found.items()
-        for case in EVERY_TIME[file][test]
-        if case not in there
+        for table in (EVERY_TIME, BY_HAND)
+        for file, test in there
+        for case in table.get(file, {}).get(test, ())
+        if case not in there[file, test]
     ]
-    return slow, unknown
+    return Sorted(slow=left_out(EVERY_TIME), by_hand=left_out(BY_HAND), unknown=unknown)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -106,9 +107,12 @@ def clacad(*arguments: object, before: str = "pass", cwd: Path | None = None, **
     return ended
 
 
+STAGE = re.compile(r"\.\.\.(  ?\((of all|longer than).*\))?$")
+
+
 def talk(ended: Ended) -> list[str]:
-    """Lines of the error stream, but the stages that a busy machine takes more than a second for."""
-    return [line for line in ended.err.splitlines() if line.strip() and not line.endswith("...")]
+    """Lines of the error stream, but the stages that a busy machine takes more than a second for, with what is left of them."""
+    return [line for line in ended.err.splitlines() if line.strip() and not STAGE.search(line)]
 
 
 @contextmanager
