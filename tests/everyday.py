@@ -692,6 +692,9 @@ BY_HAND: dict[str, dict[str, tuple[str, ...]]] = {
     "exporting/test_default_exports.py": {
         "test_a_default_export_in_every_format_passes_its_own_verification": ("slab", "hexagonal"),
     },
+    "rendering/test_atlas.py": {
+        "test_a_figure_shows_what_the_paper_says": ("F3", "F4", "F6", "F7", "F8"),
+    },
 }
 """By file and test the slow cases that continuous integration runs; the others run with `-m long`, by hand."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import inf
 
 from clacad.advice.candidate import FORMS, Variant, apertures, built
@@ -34,6 +34,31 @@ FARTHEST = 2.0
 """Largest distance (pitches) from its vertex at which light may hit lens 2."""
 
 
+JUDGEMENT, AXIS, FAULTS = 40, 20, 4
+"""Work of judging a design, of its axis ray and of the errors at the centre of its field, in shares of thin lenses."""
+
+
+@dataclass
+class Work:
+    """Count of what a search did, so that it ends at the same design on every machine.
+
+    Parameters
+    ----------
+    most : int
+        The search ends beyond it.
+    done : int
+        In shares of thin lenses (hundredths of a second each).
+    """
+
+    most: int
+    done: int = 0
+
+    @property
+    def over(self) -> bool:
+        """Whether no more may be done."""
+        return self.done >= self.most
+
+
 @dataclass(frozen=True, slots=True)
 class Faults:
     """Errors at the centre of the field over the design's limits: lasting ones, and those that a separation
@@ -62,12 +87,15 @@ class LensShapes:
         "key=value" of the design, as with --set.
     refused : list of str
         Receives a sentence for each form that is rejected without tracing.
+    work : Work
+        Counts what is done here.
     """
 
     wish: Wish
     pitch: float
-    overrides: Sequence[str] = ()
-    refused: list[str] = field(default_factory=list)
+    overrides: Sequence[str]
+    refused: list[str]
+    work: Work
 
     def variants(self) -> Iterator[tuple[Variant, float]]:
         """Candidate variants, the best first, each with its least separation in pitches."""
@@ -109,6 +137,7 @@ class LensShapes:
         """The variant with a conic that keeps the law at the field's centre and along the axis ray, if there
         is one.
         """
+        self.work.done += AXIS
         try:
             x, y = aperture_slope(prescribe(self._design(replace(variant, aperture=1.0))))
         except DesignError as problem:
@@ -150,6 +179,7 @@ class LensShapes:
         }
 
     def _faults(self, variant: Variant) -> Faults:
+        self.work.done += FAULTS
         try:
             design = self._design(variant)
             found = centre_errors(prescribe(design), self.wish.field)

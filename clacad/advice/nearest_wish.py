@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from time import process_time
 from typing import Any
 
 from clacad.advice.candidate import round_to
+from clacad.advice.lens_shape import Work
 from clacad.advice.wish import KEYS, Wish, workable_material
 from clacad.advice.wish_search import Search, Tried, impossible
 from clacad.base.digits import shown
@@ -17,17 +17,17 @@ from clacad.verification.checks import Check
 FEW = 2
 """Largest number of wishes that are named."""
 
-SEARCHES = 20
-"""Largest number of wishes that are tried."""
-
-SECONDS = 60.0
-"""Processor seconds after which no further wish is tried."""
+MOST_WORK = 500
+"""Work after which no further wish is tried, in shares of thin lenses."""
 
 REASONS = 4
 """Largest number of printed reasons why designs could not be built."""
 
-FARTHER = (1.3, 2.0, 4.0, 8.0, 16.0)
+FARTHER = (16.0, 8.0, 4.0, 2.0, 1.3)
 """Trial distances of the eye over the wished one; sheets are reduced by the same factors."""
+
+LESS = (0.2, 0.4, 0.7)
+"""Trial tilts and offsets over the wished ones."""
 
 PROCESSES = ("moulding", "diamond-turning", "greyscale", "sla", "two-photon", "none")
 
@@ -47,20 +47,26 @@ def binding(search: Search) -> Iterator[str]:
 
 
 def nearest(search: Search) -> Iterator[str]:
-    """Sentences on similar wishes that can be fulfilled, each tried."""
-    found, begun, number = 0, process_time(), 0
-    for ladder in _ladders(search):
-        for words, wish in ladder:
-            left = SECONDS - (process_time() - begun)
-            if found == FEW or number == SEARCHES or left <= 0.0:
+    """Sentences on similar wishes that can be fulfilled, each tried.
+
+    Of each row the least demanding wish is tried first, and the most demanding that comes true is named: what is beyond
+    reach costs the most, and is tried once at most.
+    """
+    found, work = 0, Work(MOST_WORK)
+    for row in _rows(search):
+        if found == FEW or work.over:
+            break
+        best: tuple[str, Tried] | None = None
+        for words, wish in row:
+            search.progress(f"trying {words}", min(work.done / work.most, 1.0))
+            one = Search(wish, search.name, search.overrides, work=work, first=True).run()
+            if one is None:
                 break
-            search.progress(f"trying {words}", number / SEARCHES)
-            number += 1
-            one = Search(wish, search.name, search.overrides, seconds=left).run()
-            if one is not None:
-                found += 1
-                yield f"  {words} comes true: {one.variant}, pitch {one.pitch.value:g} mm{_warned(one)}"
-                break
+            best = words, one
+        if best is not None:
+            found += 1
+            words, one = best
+            yield f"  {words} comes true: {one.variant}, pitch {one.pitch.value:g} mm{_warned(one)}"
     if not found:
         yield "  none of the wishes near it that were tried comes true either"
 
@@ -70,8 +76,8 @@ def _warned(one: Tried) -> str:
     return f" (with a warning: {', '.join(with_)})" if with_ else ""
 
 
-def _ladders(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
-    """Rows of less and less demanding wishes; the first of each row that can be fulfilled is named."""
+def _rows(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
+    """Rows of more and more demanding wishes near the one that cannot be fulfilled."""
     wish = search.wish
     if wish.form != "any":
         yield [("form=any", replace(wish, form="any"))]
@@ -80,7 +86,7 @@ def _ladders(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
         euler = (wish.euler[0], wish.euler[2])
         yield _changed(wish, (
             {"delta": _scaled(wish.delta, part), "euler": (euler[0], round(part * wish.euler[1], 4), euler[1])}
-            for part in (0.7, 0.4, 0.2)
+            for part in LESS
         ))  # fmt: skip
     yield _changed(wish, [{"size": _resized(wish, 3.0)}])
     yield _changed(wish, [{"field": 0.5 * wish.field}])

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import cos, floor, inf, prod, radians, tan
-from time import process_time
 
 from clacad.advice.candidate import Variant, built, round_to
 from clacad.advice.first_numbers import (
@@ -23,7 +22,7 @@ from clacad.advice.first_numbers import (
     wanted_pitch,
 )
 from clacad.advice.judged import Judged, judge
-from clacad.advice.lens_shape import LensShapes
+from clacad.advice.lens_shape import FAULTS, JUDGEMENT, LensShapes, Work
 from clacad.advice.wish import Wish
 from clacad.base.types import Progress, silent
 from clacad.design import Design, DesignError
@@ -63,8 +62,8 @@ STEPS = 6
 MOST_JUDGED = 40
 """Largest number of designs that are judged for one wish."""
 
-MOST_SECONDS = 60.0
-"""Processor seconds after which no further design is judged; strongly tilted lenses take seconds each."""
+MOST_WORK = 1200
+"""Work after which no further design is judged, in shares of thin lenses."""
 
 UNFILLED = 0.02
 """Largest share of a side that whole cells may leave free; above it, the pitch is chosen to fill the side."""
@@ -105,8 +104,10 @@ class Search:
     tried : list of Tried
     refused : list of str
         Reasons why other designs could not be built, or had no pitch.
-    seconds : float
-        Processor seconds after which no further design is judged.
+    work : Work
+        Counts what is done; no design is judged once it is over.
+    first : bool
+        Whether the first design that passes is enough, whatever its warnings.
     """
 
     wish: Wish
@@ -115,13 +116,13 @@ class Search:
     progress: Progress = silent
     tried: list[Tried] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
-    seconds: float = MOST_SECONDS
-    _begun: float = field(default_factory=process_time)
+    work: Work = field(default_factory=lambda: Work(MOST_WORK))
+    first: bool = False
 
     @property
     def over(self) -> bool:
-        """Whether the limit on the number or the time of judgements is reached."""
-        return len(self.tried) >= MOST_JUDGED or process_time() - self._begun > self.seconds
+        """Whether the limit on the number of judgements or on the work is reached."""
+        return len(self.tried) >= MOST_JUDGED or self.work.over
 
     def run(self) -> Tried | None:
         """Try until a design passes without a warning that another could avoid; else the best of those that pass."""
@@ -130,12 +131,13 @@ class Search:
             return None
         pitch = round_to(wanted_pitch(self.wish).value, 2, up=True)
         found: list[Tried] = []
-        for variant, needed in LensShapes(self.wish, pitch, self.overrides, self.refused).variants():
+        shapes = LensShapes(self.wish, pitch, self.overrides, self.refused, self.work)
+        for variant, needed in shapes.variants():
             self.progress(f"trying {variant}", len(self.tried) / MOST_JUDGED)
             one = self._best_ratio(variant, needed)
             if one is not None:
                 found.append(one)
-                if avoidable(one, self.wish) == 0:
+                if self.first or avoidable(one, self.wish) == 0:
                     break
             if self.over:
                 break
@@ -209,7 +211,7 @@ class Search:
                 return k
             best = max(best, share)
         self.refused.append(
-            f"{variant}: {self._too_little(best)}, whatever the separation" if best > 0.0 else fault
+            fault if fault and not best else f"{variant}: {self._too_little(best)}, whatever the separation"
         )
         return None
 
@@ -222,6 +224,7 @@ class Search:
         """Share of the eye's light that hits its partner, for thin lenses over the whole sheet; 0 and a
         reason if no sheet.
         """
+        self.work.done += 1 if self.wish.straight else FAULTS
         bound = self.pitch_at(variant, ratio)
         if bound is None:
             return 0.0, self.refused.pop()
@@ -271,6 +274,7 @@ class Search:
             if fault:
                 self.refused.append(f"{variant}: {fault} at {ratio:g} pitches")
                 return None
+            self.work.done += JUDGEMENT
             one = Tried(variant, ratio, PitchBound(self._rounded(bound), bound.why), judge(design))
         except DesignError as problem:
             self.refused.append(f"{variant}: {problem.mistakes[0].message}")

@@ -126,7 +126,7 @@ DEAR = ("verify", "accuracy")
 TIMES = 13
 """Kills, and as many interrupts, of each command by hand: over the eight commands that were added last 104 of each."""
 
-BY_HAND = ("atlas", "new for", "stack", "tolerance", "sweep")
+BY_HAND = ("atlas", "effects", "new for", "optimise", "stack", "tolerance", "sweep")
 """A third of a minute and more; kills of `tolerance` and `sweep` are tested elsewhere, too."""
 
 CASES = [

@@ -66,7 +66,7 @@ sys.stdout.write("ACCURACY")
 assert main(["accuracy", design, "--json", "-q", "--rays", "400"]) == 0
 """
 
-MEASURED = {"seconds", "prepare_s", "rays_per_s", "memory", "pareto"}
+MEASURED = {"seconds", "prepare_s", "rays_per_s", "memory", "pareto", "conclusion"}
 """What `accuracy` tells of this machine at this moment; all else of it depends on the design alone."""
 
 

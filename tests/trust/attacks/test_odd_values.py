@@ -24,7 +24,7 @@ def test_a_few_of_the_odd_values_are_answered(tmp_path: Path, capsys: pytest.Cap
     judged(attack(tmp_path, 0.002, 0), capsys)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_hundredth_of_the_odd_values_is_answered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
