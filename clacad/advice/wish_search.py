@@ -107,7 +107,7 @@ class Search:
     work : Work
         Counts what is done; no design is judged once it is over.
     first : bool
-        Whether the first design that passes is enough, whatever its warnings.
+        Whether the first design that passes is enough, regardless of its warnings.
     """
 
     wish: Wish

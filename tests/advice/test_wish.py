@@ -20,6 +20,7 @@ from clacad.advice.first_numbers import (
     upper_pitches,
 )
 from clacad.advice.judged import judge
+from clacad.advice.lens_shape import AXIS, FAULTS, JUDGEMENT, Work
 from clacad.advice.proposal import NoSuchSheet, design_for, not_met
 from clacad.advice.wish import Wish, parse_wish, read_wish
 from clacad.advice.wish_search import Search, impossible
@@ -255,6 +256,32 @@ def test_a_wish_that_cannot_come_true_names_what_binds_and_a_wish_that_does():
     [word] = [line.strip().split(" comes true")[0] for line in text.splitlines() if " comes true" in line][:1]
     words = {"eta": -1, "width": 2, "process": "sla", "viewing": 300}
     assert design_for(words | parse_wish([word])).judged.passes
+
+
+def test_a_search_ends_by_the_work_done_and_not_by_the_clock(monkeypatch):
+    """A tilted wish with work for two judgements: two designs are judged, however fast the machine is."""
+    wish = read_wish({"eta": -1, "width": 5, "form": "slab", "euler": [10, 3, 0], "process": "none"})
+    ended = [Search(wish, "w", work=Work(2 * JUDGEMENT)) for _ in range(2)]
+    for number, search in enumerate(ended):
+        monkeypatch.setattr("time.process_time", lambda number=number: 1e3 * number)
+        search.run()
+    assert ended[0].work.done == ended[1].work.done <= 3 * JUDGEMENT + len(ended[0].refused) + AXIS + 18 * FAULTS
+    assert [one.ratio for one in ended[0].tried] == [one.ratio for one in ended[1].tried]
+    assert ended[0].over
+    assert len(ended[0].tried) <= 2
+
+
+@pytest.mark.slow
+def test_a_lean_beyond_reach_is_answered_in_seconds_with_one_that_comes_true():
+    """Once more than 60 s of processor time; counted work bounds it."""
+    work: list[int] = []
+    with pytest.raises(NoSuchSheet) as caught:
+        design_for(
+            {"eta": -1, "width": 5, "euler": [10, 89, 3]}, progress=lambda words, share: work.append(len(words))
+        )
+    assert "theta = 89 deg" in str(caught.value)
+    assert "euler=[10, 17.8, 3] comes true" in str(caught.value)
+    assert len(work) < 20
 
 
 def test_a_file_that_is_there_is_refused_by_a_sentence_that_names_overwrite(tmp_path):
