@@ -265,7 +265,9 @@ def test_a_search_ends_by_the_work_done_and_not_by_the_clock(monkeypatch):
     for number, search in enumerate(ended):
         monkeypatch.setattr("time.process_time", lambda number=number: 1e3 * number)
         search.run()
-    assert ended[0].work.done == ended[1].work.done <= 3 * JUDGEMENT + len(ended[0].refused) + AXIS + 18 * FAULTS
+    assert (
+        ended[0].work.done == ended[1].work.done <= 3 * JUDGEMENT + len(ended[0].refused) + AXIS + 18 * FAULTS
+    )
     assert [one.ratio for one in ended[0].tried] == [one.ratio for one in ended[1].tried]
     assert ended[0].over
     assert len(ended[0].tried) <= 2
@@ -277,7 +279,8 @@ def test_a_lean_beyond_reach_is_answered_in_seconds_with_one_that_comes_true():
     work: list[int] = []
     with pytest.raises(NoSuchSheet) as caught:
         design_for(
-            {"eta": -1, "width": 5, "euler": [10, 89, 3]}, progress=lambda words, share: work.append(len(words))
+            {"eta": -1, "width": 5, "euler": [10, 89, 3]},
+            progress=lambda words, share: work.append(len(words)),
         )
     assert "theta = 89 deg" in str(caught.value)
     assert "euler=[10, 17.8, 3] comes true" in str(caught.value)
