@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from everyday import sort_out
 from hypothesis import settings
 
 # the same examples every time: a failure can be repeated, a success means the same everywhere
@@ -42,24 +41,39 @@ CLOSED_FORM = (
 )
 
 
+def mark_by_case(item: pytest.Item, case: str) -> None:
+    """Mark a case as slow or long that its test does not name among those to run."""
+    by_hand = any(case not in mark.args for mark in item.iter_markers("ci_cases"))
+    slow = any(case not in mark.args for mark in item.iter_markers("daily_cases"))
+    if by_hand:
+        item.own_markers = [mark for mark in item.own_markers if mark.name != "slow"]
+        item.add_marker(pytest.mark.long)
+    elif item.get_closest_marker("long"):
+        item.own_markers = [mark for mark in item.own_markers if mark.name != "slow"]
+    elif slow:
+        item.add_marker(pytest.mark.slow)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what is slow; put what compiles kernels first and what compiles nothing last.
 
-    Two workers then begin at the two ends: one compiles, the other finds the kernels compiled when it gets there.
+    A heavy family of cases states at its test which cases run by default (`daily_cases`) and which slow ones continuous
+    integration runs (`ci_cases`); the other cases are slow, or long. Two workers begin at the two ends: one compiles, the
+    other finds the kernels compiled when it gets there.
     """
     tests = Path(__file__).parent
-    files = [item.path.relative_to(tests).as_posix() for item in items]
-    names = [item.name.removesuffix("]").partition("[") for item in items]
-    sorted_out = sort_out((file, name[0], name[2]) for file, name in zip(files, names))
-    if sorted_out.unknown and not any("::" in argument for argument in config.args):
-        raise pytest.UsageError(f"tests/everyday.py names cases that are not there: {sorted_out.unknown}")
-    for item in (items[place] for place in sorted_out.by_hand):
-        item.own_markers = [mark for mark in item.own_markers if mark.name != "slow"]
-        item.add_marker(pytest.mark.long)
-    for item in (items[place] for place in sorted_out.slow):
-        if item.get_closest_marker("long") is None:
-            item.add_marker(pytest.mark.slow)
+    cases: dict[str, set[str]] = {}
+    for item in items:
+        test, _, case = item.nodeid.removesuffix("]").partition("[")
+        cases.setdefault(test, set()).add(case)
+        mark_by_case(item, case)
+    if not any("::" in argument for argument in config.args):
+        for item in items:
+            test = item.nodeid.partition("[")[0]
+            for mark in (*item.iter_markers("daily_cases"), *item.iter_markers("ci_cases")):
+                if unknown := set(mark.args) - cases[test]:
+                    raise pytest.UsageError(f"{test} names cases that do not exist: {sorted(unknown)}")
 
     def rank(item: pytest.Item) -> int:
         room = item.path.relative_to(tests).parts[0]

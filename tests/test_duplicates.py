@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 import ast
 import re
 from collections import defaultdict
@@ -46,6 +48,7 @@ def sources() -> dict[str, list[tuple[int, str]]]:
     return {path.relative_to(ROOT).as_posix(): code_lines(path) for path in paths}
 
 
+@pytest.mark.slow
 def test_no_run_of_six_lines_stands_twice():
     places = [place for found in doubles(sources()).values() for place in found]
     assert not places, "these lines need one home:\n" + "\n".join(places)

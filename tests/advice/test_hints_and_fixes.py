@@ -69,6 +69,7 @@ def test_check_says_of_every_check_what_verify_says(too_close):
         assert judge(design).passes == passed(theirs.values())
 
 
+@pytest.mark.slow
 def test_each_key_that_is_advised_makes_all_the_rays_of_verify_pass_and_is_one_key(too_close):
     design = load(too_close)
     advice = advise(design)
@@ -84,6 +85,7 @@ def test_each_key_that_is_advised_makes_all_the_rays_of_verify_pass_and_is_one_k
     assert stated.value == pytest.approx(changed["law_rms", ""].value, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_fix_changes_the_fewest_keys_keeps_the_law_and_every_comment_and_passes(
     too_close, tmp_path, capsys
 ):
@@ -226,6 +228,7 @@ def test_shipped_templates_are_said_to_pass_or_fail_as_recorded():
     assert judge(load(folder / "paper-a-covered.toml")).passes
 
 
+@pytest.mark.daily_cases("slab-1.2")
 @pytest.mark.parametrize(("name", "better"), [("window-100mm", 5.0), ("slab", 1.2)])
 def test_a_slab_of_ellipsoids_is_told_of_the_conic_constant_that_costs_nothing(name, better):
     design = load(Path(__file__).parents[2] / "designs" / f"{name}.toml")
@@ -240,6 +243,7 @@ def test_a_slab_of_ellipsoids_is_told_of_the_conic_constant_that_costs_nothing(n
     assert "costs nothing" in str(free)
 
 
+@pytest.mark.slow
 def test_what_is_no_slab_of_ellipsoids_is_told_of_nothing_that_costs_nothing():
     designs = Path(__file__).parents[2] / "designs"
     for design in (

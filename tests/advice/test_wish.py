@@ -211,6 +211,7 @@ def test_the_bounds_on_the_pitch_keep_the_rules_of_the_process(process):
 # --- designs ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_wish_comes_true_as_a_commented_file_that_verify_passes(tmp_path):
     found = design_for(parse_wish([ROUND]), name="round")
     (tmp_path / "round.toml").write_text(found.text, encoding="utf-8")
@@ -345,6 +346,7 @@ def test_a_schema_of_another_program_is_left_alone_and_an_older_one_of_ours_is_r
         assert ("was left as it is" in ended.err) is kept
 
 
+@pytest.mark.daily_cases("words0-2-a NAME is needed", "words4-2-must not hold")
 @pytest.mark.parametrize(("words", "status", "told"), [
     (("new",), 2, "a NAME is needed"),
     (("new", "w", "--for", "eta=-1"), 2, "the sheet's size"),

@@ -168,6 +168,7 @@ def test_a_kernel_is_compiled_again_when_any_source_of_kernels_is_another_whatev
     assert compiled(source)(2.0) == 10.0
 
 
+@pytest.mark.slow
 def test_processes_that_compile_at_once_find_their_own_code(source: Path) -> None:
     """Four processes, two signatures each, in both orders; then all is loaded."""
     code = (

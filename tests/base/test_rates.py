@@ -218,6 +218,7 @@ def test_ranges_are_said_as_a_person_says_them():
     assert str(total([Span(1.0, 2.0, 3), Span(2.0, 4.0, 5)])) == "3–6 s"
 
 
+@pytest.mark.slow
 def test_what_was_noted_changes_forecasts_and_no_byte_that_is_written(cache, tmp_path):
     import clacad
 

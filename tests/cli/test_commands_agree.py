@@ -29,6 +29,7 @@ def failing(document):
     return {(check["id"], check["subject"]) for check in document["checks"] if check["state"] == "fail"}
 
 
+@pytest.mark.ci_cases("plano", "slab", "tilted-seam")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 def test_check_and_verify_of_a_design_end_alike_and_fail_the_same_checks(name):

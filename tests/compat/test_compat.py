@@ -61,6 +61,7 @@ def _flat(value: Any) -> list[float]:
     return [x for v in value for x in _flat(v)] if isinstance(value, list) else [float(value)]
 
 
+@pytest.mark.slow
 def test_an_export_of_format_1_is_recognised_and_owned(tmp_path: Path) -> None:
     """Its manifest vouches for its files, so that verify accepts them and a new export may replace them."""
     from clacad.formats.mesh.readers import read_mesh

@@ -109,6 +109,7 @@ def test_a_mutated_dictionary_is_a_design_or_a_design_error(data):
         assert len(found.sha256) == 64
 
 
+@pytest.mark.slow
 @QUIET
 @given(data=mutated())
 def test_a_mutated_json_file_is_a_design_or_a_design_error(tmp_path_factory, data):

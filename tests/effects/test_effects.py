@@ -596,6 +596,15 @@ def test_the_straight_path_followed_is_the_trace(name):
     assert out.share["wall"].sum() == (result.fate == Fate.WALL).sum()
 
 
+@pytest.mark.daily_cases(
+    "slab-0",
+    "slab-1",
+    "tilted-biconvex-0",
+    "tilted-biconvex-1",
+    "tilted-biconvex-3",
+    "tilted-seam-0",
+    "tilted-seam-1",
+)
 @pytest.mark.parametrize("order", [0, 1, 3])
 @pytest.mark.parametrize(
     "name", often([*FORMS, "tilted-seam", "hexagonal"], "slab", "tilted-biconvex", "tilted-seam")
@@ -728,6 +737,17 @@ def test_blocks_written_in_place_by_several_threads_are_the_blocks_traced_one_by
     assert np.array_equal(one.directions, two.directions)
 
 
+@pytest.mark.daily_cases(
+    "setting0-paper-a-covered",
+    "setting0-plano",
+    "setting0-hexagonal",
+    "setting0-galilean",
+    "setting1-slab",
+    "setting1-paper-a-covered",
+    "setting1-plano",
+    "setting1-hexagonal",
+    "setting1-galilean",
+)
 @pytest.mark.parametrize("name", ["slab", "paper-a-covered", "plano", "hexagonal", "galilean"])
 @pytest.mark.parametrize("setting", [Setting(), Setting(coating="quarter-wave", extinction=1e-7)])
 def test_compiled_split_paths_carry_the_light_of_the_walked_ones(name, setting):

@@ -37,6 +37,7 @@ def broken(seeds):
     return checked, misses
 
 
+@pytest.mark.slow
 def test_bounds_hold_on_a_few_random_scenes():
     checked, misses = broken((1, 6, 19))
     assert checked > 8

@@ -37,6 +37,7 @@ def turned(name, quads, half=0.005):
     return math.sqrt(float((apart**2).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper-a-covered", "slab", "plano", "galilean"])
 @pytest.mark.parametrize("quads", [8, 16])
 def test_facets_turn_light_by_what_is_forecast_and_never_much_more(name, quads):
@@ -45,11 +46,13 @@ def test_facets_turn_light_by_what_is_forecast_and_never_much_more(name, quads):
     assert measured >= 0.5 * bound  # no bound is worth much that is never approached
 
 
+@pytest.mark.slow
 def test_half_the_facets_size_turns_light_half_as_much():
     coarse, fine = turned("slab", 8), turned("slab", 32)
     assert coarse / fine == pytest.approx(4.0, rel=0.25)
 
 
+@pytest.mark.slow
 def test_the_effect_is_rung_mesh_itself():
     sheet, setting = window("slab"), Setting(quads=8)
     rays = cone(sheet, 0.01, 2000)
@@ -59,6 +62,7 @@ def test_the_effect_is_rung_mesh_itself():
         assert np.array_equal(getattr(one, column), getattr(other, column))
 
 
+@pytest.mark.slow
 def test_losses_come_on_top_of_facets():
     sheet, rays = window("slab"), cone(window("slab"), 0.01, 2000)
     both = trace_with(sheet, rays, "surfaces", ("facets", "fresnel"), setting=Setting(quads=8))

@@ -105,6 +105,7 @@ def test_an_untouched_page_hands_out_the_very_design(chromium, tmp_path, name):
     assert Page(chromium, tmp_path, design).design().sha256 == design.sha256
 
 
+@pytest.mark.daily_cases("window-100mm")
 @pytest.mark.parametrize("name", everyday("paper-a-covered", others=("window-100mm", "hexagonal", "plano")))
 def test_the_field_lens_is_in_the_design_file_that_check_reads(chromium, tmp_path, capsys, name):
     from clacad.cli import main

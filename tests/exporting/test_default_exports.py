@@ -59,6 +59,7 @@ def test_facets_that_were_asked_for_leave_the_role_to_the_light(tmp_path):
     assert (rows[0].prospect.role, rows[0].prospect.declared) == (Role.PREVIEW, False)
 
 
+@pytest.mark.ci_cases("slab", "hexagonal")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["slab", "plano", "tilted-biconvex", "galilean", "hexagonal", "paper-a-covered"]

@@ -60,6 +60,7 @@ def leftovers(folder: Path) -> list[str]:
 # -- what comes out ------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("paper-a-covered.toml")
 @pytest.mark.parametrize("name", FORMS)
 def test_every_mesh_format_of_every_form_agrees_with_its_design(tmp_path: Path, name: str) -> None:
     manifest = export(design(name), tmp_path, formats=MESHES, quads=6, cells=CELLS)
@@ -71,11 +72,13 @@ def test_every_mesh_format_of_every_form_agrees_with_its_design(tmp_path: Path, 
         assert entry["volume"] == pytest.approx(entry["volume_exact"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_hexagonal_disc_is_exported(tmp_path: Path) -> None:
     manifest = export(design("hexagonal.toml"), tmp_path, formats=("stl", "3mf"), quads=4)
     assert all("closed" in e["checks"] for e in manifest.files)
 
 
+@pytest.mark.slow
 def test_the_exact_solids_come_out_with_the_integral_as_their_volume(tmp_path: Path) -> None:
     manifest = export(design(), tmp_path, formats=("step",), cells=(2, 2))
     entry = manifest.files[0]
@@ -131,6 +134,7 @@ def test_each_body_can_have_a_file_of_its_own(tmp_path: Path) -> None:
         assert entry["volume_exact"] == pytest.approx(integral.value * 1e9, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_stranger_reads_every_mesh_with_the_volume_of_the_design(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     pytest.importorskip("networkx")
@@ -143,6 +147,7 @@ def test_a_stranger_reads_every_mesh_with_the_volume_of_the_design(tmp_path: Pat
         assert mesh.is_watertight
 
 
+@pytest.mark.slow
 def test_manifold_and_lib3mf_accept_what_is_written(tmp_path: Path) -> None:
     manifold3d = pytest.importorskip("manifold3d")
     lib3mf = pytest.importorskip("lib3mf")
@@ -230,6 +235,7 @@ def run(code: str, *arguments: str, **environment: str) -> subprocess.CompletedP
     return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, env=env)
 
 
+@pytest.mark.slow
 def test_same_design_and_options_give_the_same_bytes_in_every_format(tmp_path: Path) -> None:
     formats = "step,stl,stl-parts,3mf,ply,glb,sag,tiff,png,xyz,table,mask"
     source = str(DESIGNS / "tilted-seam.toml")
@@ -259,6 +265,7 @@ def test_writing_again_changes_nothing_and_other_formats_join_the_set(tmp_path: 
     assert not (tmp_path / "paper-a-covered.stl").exists(), "a part of another design would mislead"
 
 
+@pytest.mark.slow
 def test_a_file_that_is_not_ours_is_refused_before_any_work(tmp_path: Path) -> None:
     (tmp_path / "paper-a-covered.stl").write_text("precious")
     with pytest.raises(ExportRefused, match="paper-a-covered.stl"):
@@ -301,6 +308,7 @@ def test_too_fine_a_mesh_is_refused_with_the_number_and_two_ways_out(tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_unreachable_slope_error_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LimitRefused, match="facets"):
         export(design(), tmp_path, formats=("stl",), slope_error=1e-3)
@@ -332,6 +340,7 @@ FORECAST = [
 ]  # fmt: skip
 
 
+@pytest.mark.daily_cases("slab.toml")
 @pytest.mark.parametrize(("name", "cells", "formats"), [
     pytest.param(*row, id=row[0], marks=() if row[0] in ("slab.toml", "plano.toml") else pytest.mark.long) for row in FORECAST
 ])  # fmt: skip
@@ -481,6 +490,7 @@ LIMITED = textwrap.dedent(
 )
 
 
+@pytest.mark.slow
 def test_whichever_write_fails_only_complete_files_appear(tmp_path: Path) -> None:
     statuses = []
     for limit in (100, 2_000, 4_500, 7_000, 12_000, 40_000):
@@ -529,6 +539,7 @@ def started(out: Path, *signalled: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path})
 
 
+@pytest.mark.daily_cases("forecast-15")
 @pytest.mark.parametrize(
     ("stage", "number"),
     [
@@ -546,6 +557,7 @@ def test_an_interrupted_export_ends_and_leaves_nothing(tmp_path: Path, stage: st
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [3, pytest.param(200, marks=pytest.mark.long)])
 def test_a_killed_export_leaves_no_half_file_and_the_next_one_cleans_up(tmp_path: Path, times: int) -> None:
     chance = np.random.default_rng(0)
@@ -598,12 +610,14 @@ AUDITED = textwrap.dedent(
 )
 
 
+@pytest.mark.slow
 def test_nothing_is_written_outside_the_folder_and_no_socket_is_opened(tmp_path: Path) -> None:
     formats = "step,stl,stl-parts,3mf,ply,glb,sag,tiff,png,xyz,table,mask"
     done = run(AUDITED, str(DESIGNS / "tilted-seam.toml"), str(tmp_path / "out"), formats)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_a_mesh_export_loads_no_kernel(tmp_path: Path) -> None:
     code = EXPORT + "print(*sys.modules)"
     done = run(code, str(DESIGNS / "paper-a-covered.toml"), str(tmp_path), "stl,3mf,table")

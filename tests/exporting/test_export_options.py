@@ -33,6 +33,7 @@ def small(name: str, *overrides: str, count: tuple[int, int] = (3, 3)):
 # -- STEP ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_schema_and_parameter_curves_are_switches_of_the_command_line(tmp_path: Path) -> None:
     out = tmp_path / "x"
     path = str(DESIGNS / "tilted-seam.toml")
@@ -107,6 +108,7 @@ def test_land_has_its_own_colour_in_a_stranger_reader(tmp_path: Path) -> None:
 # -- GLB ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_instances_of_a_glb_stand_where_its_nodes_do_and_take_less_room(tmp_path: Path) -> None:
     design = small("tilted-biconvex", count=(9, 7))
     names = {}
@@ -140,6 +142,7 @@ def test_instances_that_are_turned_are_not_read(tmp_path: Path) -> None:
 # -- name and arrow -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("displaced slab")
 @pytest.mark.parametrize(
     "case",
     [
@@ -200,6 +203,7 @@ def test_the_letters_read_rightly_from_the_viewers_side_and_the_arrow_points_up(
     assert min(high) > box.center().X
 
 
+@pytest.mark.slow
 def test_a_body_without_border_is_not_engraved_and_says_why(tmp_path: Path) -> None:
     with pytest.raises(NoFixture, match=r"no border to engrave: give body\.border a width"):
         marked_solids(clacad.prescribe(small("tilted-biconvex")), "x")

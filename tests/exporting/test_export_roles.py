@@ -68,6 +68,7 @@ def test_light_through_coarse_and_fine_facets_is_forecast_as_measured(name):
         assert 1e3 * grader.grade(quads).rms == pytest.approx(measured, rel=0.03, abs=rounded), quads
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "grids"), [("tilted", (4, 16)), ("galilean", (64,))])
 def test_light_through_facets_is_forecast_as_the_kernels_of_rung_mesh_trace_the_sheet(name, grids):
     design = design_of(name, (5, 5))
@@ -108,6 +109,7 @@ def test_the_smallest_power_of_two_within_95_percent_is_taken(limit, expected):
     assert grader.least(64) == expected
 
 
+@pytest.mark.slow
 def test_a_design_whose_exact_surfaces_miss_the_law_has_no_master_mesh():
     design = design_of("paper-a-covered", (2, 2)).replace({"check.law_rms": "2 mrad"})
     rows = forecast_rows(design, Request(("3mf",), quads={"3mf": "auto"}))
@@ -121,6 +123,7 @@ def test_a_design_whose_exact_surfaces_miss_the_law_has_no_master_mesh():
 # -- auto -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_auto_gives_the_paper_s_sheet_256_quads_in_a_3mf_that_is_small_and_its_stl_the_finest_that_fits():
     design = design_of("paper-a-covered")
     rows = {
@@ -150,6 +153,7 @@ def test_auto_gives_the_window_64_quads():
     assert all(row.prospect.role == "optical-master" and row.bytes < 5e6 for row in rows)
 
 
+@pytest.mark.slow
 def test_auto_keeps_every_limit_of_light_not_the_rms_alone():
     """Galilean at 16 quads: 1.8 mrad of 3, but the pair is .0033 of its separation out of focus, of .002.
 
@@ -250,6 +254,7 @@ def test_the_command_refuses_what_it_does_not_understand_with_status_2(tmp_path,
 # -- manifest ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_file_says_its_role_and_meshes_what_light_does(tmp_path):
     design = small()
     manifest = export(
@@ -273,6 +278,7 @@ def test_every_file_says_its_role_and_meshes_what_light_does(tmp_path):
     assert "role" not in manifest.document["options"]
 
 
+@pytest.mark.slow
 def test_declared_roles_stand_in_the_manifest_and_are_carried_over(tmp_path):
     export(small(), tmp_path, ("stl",), quads=8, role={"stl": "preview"})
     before = json.loads((tmp_path / "manifest.json").read_text())
@@ -302,6 +308,7 @@ def test_a_frame_is_neither_master_nor_preview(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_coarse_mesh_may_be_declared_a_master_and_the_command_warns(tmp_path):
     words = (
         "export",
@@ -325,6 +332,7 @@ def test_a_coarse_mesh_may_be_declared_a_master_and_the_command_warns(tmp_path):
     assert (entry["role"], entry["role_declared"], entry["role_overstated"]) == ("optical-master", True, True)
 
 
+@pytest.mark.slow
 def test_the_command_prints_role_forecast_and_what_a_master_needs(tmp_path):
     words = ("export", DESIGNS / "slab.toml", "-o", tmp_path / "out", "--format", "stl,3mf", "--cells", "3x3",
              "--quads", "stl=4,3mf=auto", "--role", "stl=preview")  # fmt: skip
@@ -341,6 +349,7 @@ def test_the_command_prints_role_forecast_and_what_a_master_needs(tmp_path):
 # -- sizes and limits -------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("8-slab-cells1")
 @pytest.mark.parametrize(
     ("name", "cells"), [("paper-a-covered", (12, 9)), ("slab", (20, 20)), ("hexagonal", (6, 6))]
 )
@@ -376,6 +385,7 @@ def test_bytes_of_a_whole_sheet_of_repeated_cells_are_forecast_within_a_fifth(tm
         assert Sizes(meshes).bytes(kind, 64) == pytest.approx(size, rel=0.2), kind
 
 
+@pytest.mark.slow
 def test_bytes_of_a_master_that_was_not_meshed_follow_from_a_coarser_one(tmp_path):
     """16 quads stand for 32, against the files of 32; 0.6 % of the facets are where land and outline meet."""
     design = design_of("tilted", (4, 4))
@@ -386,6 +396,7 @@ def test_bytes_of_a_master_that_was_not_meshed_follow_from_a_coarser_one(tmp_pat
     assert sizes.bytes("stl", 32) == pytest.approx(manifest.path("stl-binary").stat().st_size, rel=0.01)
 
 
+@pytest.mark.daily_cases("slab-cells0-stl-256", "slab-cells2-ply-128")
 @pytest.mark.parametrize(
     ("name", "cells", "format", "quads"),
     [("slab", (40, 40), "stl", 256), ("slab", (3, 3), "stl", 8), ("slab", (20, 20), "ply", 128)],
@@ -422,6 +433,7 @@ def test_rows_that_share_a_hash_but_differ_are_not_welded():
     assert [found[k] for k in piece.triangles.ravel()] == rows
 
 
+@pytest.mark.slow
 def test_the_convergence_check_says_from_how_many_quads_a_mesh_is_a_master_and_how_large_it_is():
     from clacad.verification.light.facet_convergence import converge, convergence_check
 

@@ -92,6 +92,7 @@ def test_the_file_of_another_design_is_caught(made: Made, tmp_path: Path, overri
         held((other, made[1], made[2]), made[2], tmp_path / "x.step")
 
 
+@pytest.mark.slow
 def test_a_kernel_that_dies_is_a_sentence_and_nothing_is_published(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

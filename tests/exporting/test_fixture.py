@@ -81,6 +81,7 @@ def test_the_baffle_stops_the_ghosts_and_lets_partners_through_where_the_tracer_
     assert not (hit & ~stopped).any()
 
 
+@pytest.mark.slow
 def test_the_frame_holds_the_plates_at_the_separation_and_nothing_collides():
     window = window_of()
     spec = frame_spec(window, window.land.border)

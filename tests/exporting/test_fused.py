@@ -46,6 +46,7 @@ def test_a_fused_3mf_is_one_mesh_a_body_with_the_volume_of_the_repeated_one(tmp_
     assert "each one cell repeated 6 times (--fused: one mesh each)" in said[1]
 
 
+@pytest.mark.slow
 def test_a_fused_step_is_one_solid_where_the_sheet_is_one_piece(tmp_path):
     from build123d import import_step
 

@@ -52,6 +52,7 @@ def own_volume(facets: np.ndarray) -> float:
 # -- the mesh -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("hexagonal")
 @pytest.mark.parametrize(
     "case",
     [
@@ -112,6 +113,7 @@ def test_an_engraved_mesh_is_one_solid_that_lost_its_letters_and_nothing_of_its_
         assert bound < 1e-3 * expected
 
 
+@pytest.mark.slow
 def test_the_letters_are_those_of_the_step_body_as_deep_and_at_their_place() -> None:
     window = window_of("plano", BORDERED)
     drawn = engravings(window, "ab 1")
@@ -246,6 +248,7 @@ def test_the_lens_facets_of_the_file_are_those_of_the_plain_file_byte_for_byte(e
         assert count >= len(lens)  # and in the same order, from the first on
 
 
+@pytest.mark.slow
 def test_the_same_design_gives_the_same_bytes(exported, tmp_path: Path) -> None:
     design, manifest = exported
     again = export(design, tmp_path / "y", ("marked-3mf", "marked-stl", "stl-parts"), quads=8)
@@ -303,6 +306,7 @@ def test_sliced_through_their_letters_the_layers_show_every_letter(tmp_path: Pat
     assert seen == 2
 
 
+@pytest.mark.slow
 def test_without_room_both_formats_say_what_is_missing_and_write_nothing(tmp_path: Path) -> None:
     bare = clacad.load(DESIGNS / "plano.toml", overrides=["lattice.count=[3,3]"])
     narrow = clacad.load(DESIGNS / "plano.toml", overrides=["lattice.count=[3,3]", "body.border=0.1"])
@@ -322,6 +326,7 @@ def test_without_room_both_formats_say_what_is_missing_and_write_nothing(tmp_pat
 # -- verification -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_verification_accepts_engraved_files_and_states_what_the_letters_take(exported) -> None:
     design, manifest = exported
     report = verify(design, manifest.folder / "plano.marked.3mf", rays=2048, role="preview")
@@ -340,6 +345,7 @@ def judged_alone(design, path: Path):
     return placed, {check.id: check for check in found}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["array1", "array2"])
 def test_an_engraved_file_that_came_alone_is_known_by_its_shape(exported, tmp_path: Path, body: str) -> None:
     design, manifest = exported
@@ -355,6 +361,7 @@ def test_an_engraved_file_that_came_alone_is_known_by_its_shape(exported, tmp_pa
     assert "engraved" not in judged_alone(design, tmp_path / "plain.stl")[1]["volume"].detail
 
 
+@pytest.mark.slow
 def test_an_engraved_step_part_that_came_alone_has_lost_its_letters_and_nothing_else(tmp_path: Path) -> None:
     design = clacad.load(DESIGNS / "plano.toml", overrides=[*BORDERED, "lattice.count=[3, 3]"])
     export(design, tmp_path / "x", ("marked",))
@@ -370,6 +377,7 @@ def test_an_engraved_step_part_that_came_alone_has_lost_its_letters_and_nothing_
     assert checks["volume"].detail["engraved"] == pytest.approx(letters.area * letters.depth, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_wide_thin_plate_alone_in_its_file_is_as_good_as_its_heights_are(tmp_path: Path) -> None:
     """Heights share the float32 spacing of the whole pair, coarse for a plate that lies at the origin."""
     text = """format = 1

@@ -34,6 +34,7 @@ def off(one: float, other: float) -> float:
     return max(one, other) / min(one, other)
 
 
+@pytest.mark.daily_cases("paper-base", "plano", "tilted-seam", "tilted-biconvex", "window-100mm")
 @pytest.mark.parametrize("name", NAMES)
 def test_rough_sizes_are_near_the_close_ones(name: str) -> None:
     asked = clacad.load(ROOT / "designs" / f"{name}.toml")

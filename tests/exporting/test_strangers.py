@@ -29,6 +29,7 @@ def saddled():
     return clacad.load(DESIGNS / "tilted-biconvex.toml", overrides=SADDLES).with_cells((4, 4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bevel", [0.0, 0.02], ids=["touch", "bevel"])
 def test_a_slicer_calls_saddled_sheets_manifold_and_repairs_nothing(tmp_path, bevel):
     slicer = slicer_for("the saddles")

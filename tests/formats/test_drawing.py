@@ -220,6 +220,7 @@ def test_the_same_design_gives_the_same_bytes_and_a_false_dimension_is_refused(t
         check_drawing_dxf(path, count)
 
 
+@pytest.mark.slow
 def test_neither_hash_seed_nor_home_changes_a_byte_of_the_dxf(tmp_path):
     script = (
         "import sys; from pathlib import Path; import clacad\n"

@@ -102,6 +102,7 @@ def test_gaps_of_the_cells_that_holes_cut_are_land_and_no_pinholes(base):
         assert (body.pieces, body.holes) == (1, 0)
 
 
+@pytest.mark.slow
 def test_light_straight_down_meets_holes_land_and_air_where_plain_words_say():
     sheet = window(SLAB, border=3, corners={"round": 1.5}, holes=HOLES)
     rng = np.random.default_rng(3)
@@ -141,6 +142,7 @@ def test_light_straight_down_meets_holes_land_and_air_where_plain_words_say():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", [SLAB, pytest.param(PLANO, marks=pytest.mark.slow)])
 def test_slanted_light_ends_alike_on_every_path_and_through_its_triangles(base):
     sheet = window(

@@ -103,6 +103,7 @@ def test_two_level_instances_stand_where_flat_ones_do(
     assert (tmp_path / "deep.3mf").read_bytes() != (tmp_path / "flat.3mf").read_bytes()
 
 
+@pytest.mark.daily_cases(".ply")
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_the_same_mesh_gives_the_same_bytes_in_another_process(tmp_path: Path, suffix: str) -> None:
     ours = write(tmp_path / f"toy{suffix}").read_bytes()

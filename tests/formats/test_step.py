@@ -27,6 +27,7 @@ def total_volume(window):
     return sum(column_volume(window, body) for body in window.bodies)
 
 
+@pytest.mark.daily_cases("instanced-AP242-True")
 @pytest.mark.parametrize(
     ("mode", "schema", "pcurves"),
     [
@@ -56,6 +57,7 @@ def test_a_written_file_reads_back_as_the_designed_solids(tmp_path, mode, schema
     assert read["lens_faces"] == 36
 
 
+@pytest.mark.daily_cases("{'eta': (0.5, 0.3), 'thickness': 0.3}")
 @pytest.mark.parametrize("case", [
     {"kind": "hexagonal", "euler": (10.0, 2.0, 0.0)},
     {"euler": (45.0, 0.0, 0.0)},
@@ -115,6 +117,7 @@ def test_gmsh_finds_the_same_solids_faces_and_volume(tmp_path, mode):
     assert volume == pytest.approx(total_volume(window), rel=1e-7)
 
 
+@pytest.mark.daily_cases("2.9619362959451737e-08")
 @pytest.mark.parametrize("angle", np.geomspace(1e-9, 20.0, 8).tolist())
 def test_steps_of_any_height_survive_writing_and_reading(tmp_path, angle):
     window = one_body(biconvex(euler=(33.0, angle, 0.0), thickness=0.25, count=(2, 2)), 1)
@@ -161,6 +164,7 @@ def test_names_and_colours_are_in_the_file(tmp_path):
     assert name.Get().ToExtString() == "Müller's window \\ 1"
 
 
+@pytest.mark.slow
 def test_the_same_window_gives_the_same_bytes_in_any_process(tmp_path):
     script = (
         "import sys; sys.path[:0] = sys.argv[2:]\n"
@@ -242,6 +246,7 @@ def test_a_file_of_another_radius_is_as_far_from_the_design_as_its_sag(tmp_path)
     assert read["patch_error"] > 1e-4 * window.lattice.pitch[0]
 
 
+@pytest.mark.daily_cases("instanced")
 @pytest.mark.parametrize("mode", ["fused", "instanced"])
 def test_the_forecast_is_right_within_a_tenth(tmp_path, mode):
     for case in ({"euler": (20.0, 3.0, 0.0)}, {"kind": "hexagonal"}):

@@ -34,6 +34,7 @@ BARE = ("tilted", "turned by 45 degrees, a saddle at every corner", "plano")
 CASES = [(name, True) for name in FORMS] + [(name, False) for name in BARE]
 
 
+@pytest.mark.daily_cases("Galilean")
 @pytest.mark.parametrize(("name", "pcurves"), CASES, ids=[f"{n}{'' if c else ', bare'}" for n, c in CASES])
 def test_every_form_reads_back_valid_with_its_integral_and_its_closed_form(tmp_path, name, pcurves):
     sheet = window(**{"count": (2, 2), **FORMS[name]})
@@ -55,6 +56,7 @@ ISLANDS = {"seam": 4e-5, "web": 2e-5, "pitch": 5e-4}
 WEAK = {"seam": 1.6e-6, "web": 8e-7, "pitch": 2e-5}
 
 
+@pytest.mark.daily_cases("form3-20.0-False")
 @pytest.mark.parametrize(("form", "tilt", "ruled"), [
     (ISLANDS, 1e-9, False),
     (ISLANDS, 2**0.5 * 1e-4, True),  # corners 1.2e-6 mm above the web: between once and twice the merge height

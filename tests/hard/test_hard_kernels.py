@@ -198,6 +198,7 @@ def test_the_distance_of_the_source_costs_a_sheet_nothing(path, power):
     np.testing.assert_allclose(far.position, one.position, rtol=0, atol=4 * ULP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SHEETS, ids=[case.name for case in SHEETS])
 def test_facets_give_the_same_fate_and_cell_and_nearly_the_same_direction(case):
     """Rung mesh: facets of slope error e turn light by a few e, telescopes multiply it by 1/η.
@@ -239,6 +240,7 @@ def test_few_cases_are_beyond_facets_and_the_page_counts_them():
         assert f"**{case.name}**" in text
 
 
+@pytest.mark.slow
 def test_facets_of_planes_are_exact():
     """A sheet as good as flat (R = 1e12): facets and surfaces are the same, to rounding."""
     window = window_of({"lattice.count": [5, 5]})

@@ -44,6 +44,7 @@ def welded(corners):
 # -- closed, in every form ------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("slab, seam", "outline that fits two sides", "cylinders")
 @pytest.mark.parametrize("name", FORMS)
 def test_every_form_is_closed_also_after_a_float32_file(name):
     sheet = window(**FORMS[name])
@@ -59,6 +60,7 @@ def test_every_form_is_closed_also_after_a_float32_file(name):
         assert len(corners) == body.facet_count
 
 
+@pytest.mark.daily_cases("strips")
 @pytest.mark.parametrize("name", often(FORMS, "strips", "pinholes", "loose cells that touch", "saddle at every corner",
                                       "tilted web, rims in the cell", "plano"))  # fmt: skip
 def test_pieces_holes_and_volume_are_those_of_another_kernel(name):
@@ -78,6 +80,7 @@ def test_pieces_holes_and_volume_are_those_of_another_kernel(name):
         assert solid.volume() == pytest.approx(body.volume(), rel=1e-11)
 
 
+@pytest.mark.daily_cases("strips")
 @pytest.mark.parametrize(
     "name", often(FORMS, "strips", "tilted about both axes, offset", "turned web", "plano")
 )
@@ -101,6 +104,7 @@ FAMILIES = [
 ]
 
 
+@pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize(("keys", "tilt"), FAMILIES)
 def test_no_tilt_from_a_billionth_of_a_degree_to_20_degrees_leaves_an_open_edge(keys, tilt):
     assert _closed_at(np.geomspace(1e-9, 20.0, 8), keys, tilt) >= 6
@@ -175,6 +179,7 @@ def test_lenses_whose_rims_lie_on_the_border_touch_without_sharing_an_edge():
 # -- the right surface ----------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("strips")
 @pytest.mark.parametrize(
     "name", ["tilted about both axes, offset", "plano", "concave", "hexagonal", "strips"]
 )
@@ -281,6 +286,7 @@ def test_exactly_one_of_slope_error_and_quads_is_asked():
 # -- the design's volume, by other routes --------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_quadrature_agrees_with_a_plain_midpoint_sum():
     for name in ("tilted about both axes, offset", "turned web", "strips"):
         sheet = window(**FORMS[name])
@@ -317,6 +323,7 @@ def test_facets_of_a_covered_flat_sheet_are_counted_by_hand(quads):
     assert forecast_bytes(sheet, quads) == 2 * (84 + 50 * each)
 
 
+@pytest.mark.daily_cases("slab, displaced in x and y")
 @pytest.mark.parametrize("name", ["tilted", "hexagonal", "round outline", "slab, displaced in x and y"])
 def test_counts_without_expanding_are_those_of_the_stream_and_of_the_index(name):
     sheet = window(**{**FORMS[name], "count": (9, 8)})
@@ -376,6 +383,7 @@ def test_a_grid_that_misses_the_lens_is_refused_and_a_finer_one_is_not():
     assert check_closed(as_file(mesh_body(sheet, sheet.bodies[0], 12))).closed
 
 
+@pytest.mark.daily_cases("3")
 @pytest.mark.parametrize("quads", [2, 3, 4, 5])
 def test_grids_too_coarse_for_the_rims_are_still_closed(quads):
     for keys in (

@@ -27,6 +27,7 @@ def stranger(body):
     return trimesh.Trimesh(vertices, index.reshape(-1, 3), process=False)
 
 
+@pytest.mark.daily_cases("2e-05-3-slab")
 @pytest.mark.parametrize("name", SADDLED)
 @pytest.mark.parametrize(("width", "quads"), [(2e-5, 3), (7e-4, 1)])
 def test_bevelled_sheets_are_watertight_as_float32_files(name, width, quads):
@@ -126,6 +127,7 @@ def test_sheets_without_saddles_stay_as_they_are():
             assert b.volume() == pytest.approx(a.volume(), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_manifest_counts_saddles_and_says_what_was_done(tmp_path: Path):
     design = clacad.load(
         Path(__file__).parents[2] / "designs" / "tilted-biconvex.toml",
@@ -143,6 +145,7 @@ def test_the_manifest_counts_saddles_and_says_what_was_done(tmp_path: Path):
     assert bevelled["volume"] > touch["volume"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("format", ["stl", "3mf", pytest.param("ply", marks=pytest.mark.long)])
 def test_strict_readers_take_bevelled_and_touching_saddles(tmp_path: Path, format: str):
     import manifold3d

@@ -143,6 +143,7 @@ def test_the_effect_and_the_table_take_the_same_width(name):
     assert widths == pytest.approx(equivalent_widths(lit_zone(cells)))
 
 
+@pytest.mark.slow
 def test_the_lit_zone_of_the_tilted_sheet_gives_the_fft_of_its_pixels():
     """Aperture drawn in pixels as |eta|-scaled and whole cell together, without polygons: the pattern along lens x, y."""
     cells = thin_cells(_window("tilted"))

@@ -348,6 +348,7 @@ def test_a_better_design_that_verify_will_fail_is_written_and_said_to(tmp_path):
     assert run("check", "better.toml", "-q", cwd=tmp_path).status == 1
 
 
+@pytest.mark.daily_cases("words0-named twice", "words2-an angle such as", "words3--o better.toml")
 @pytest.mark.parametrize(("words", "complaint"), [
     (("-o", "x.toml", "--free", "radii,radii"), "named twice"),
     (("-o", "x.toml", "--free", "thickness"), "not to be free"),

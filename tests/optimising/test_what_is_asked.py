@@ -39,6 +39,7 @@ def made_rms(design, count):
 # -- fields --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_field_with_more_weight_is_served_better():
     """Radii and conic constants of the window: the least over 1° alone leaves more on axis than one that weighs it."""
     design = load(WINDOW)
@@ -228,6 +229,7 @@ def test_a_record_without_given_faces_is_refused(found):
 # -- the page ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_page_that_needs_no_network_and_says_whether_the_gain_survives(tmp_path):
     words = ("optimise", WINDOW, "--free", "radii", "-o", "better.toml", "--compare", "page.html", "--json")
     ended = run(*words, cwd=tmp_path)
@@ -249,6 +251,7 @@ def test_the_command_writes_a_page_that_needs_no_network_and_says_whether_the_ga
     assert not (tmp_path / "other.toml").exists()
 
 
+@pytest.mark.daily_cases("words0---weights a:1", "words2-above 0", "words4-[tolerances]")
 @pytest.mark.parametrize(("words", "complaint"), [
     (("--weights", "a:1"), "--weights a:1"),
     (("--weights", "9:1"), "to 4, the weight above 0"),

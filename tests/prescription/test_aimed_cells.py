@@ -130,6 +130,7 @@ def own_trace(window, cells, points, viewer):
     return through(at, ray, v2, -1, n, 1.0)
 
 
+@pytest.mark.slow
 def test_the_window_from_400_mm_before_and_after_aiming():
     viewer = (0.0, 0.0, -400.0)
     before = viewed(clacad.prescribe(WINDOW), viewer)

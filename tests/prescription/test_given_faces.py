@@ -112,6 +112,18 @@ def light(window, field, count):
     return Rays(start + direction * (back / direction[:, 2:]), direction)
 
 
+@pytest.mark.daily_cases(
+    "numpy-window-100mm as designed",
+    "numpy-window-100mm R free, sphere @1.0",
+    "numpy-window-100mm R,K @1.0",
+    "numpy-paper-a-covered bending + A4",
+    "numba-window-100mm as designed",
+    "numba-window-100mm R free, sphere @1.0",
+    "numba-window-100mm R,K @1.0",
+    "numba-paper-a-covered radii + conics, both faces of a lens alike",
+    "numba-paper-a-covered bending + A4",
+    "numba-paper-a-covered paraboloid, bending + A4",
+)
 @pytest.mark.parametrize("case", GOLDEN, ids=[case["name"] for case in GOLDEN])
 @pytest.mark.parametrize("path", ["numpy", "numba"])
 def test_golden_prescriptions_re_traced(case, path):

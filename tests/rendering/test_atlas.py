@@ -44,6 +44,8 @@ SLOW = ("F5",)
 """The row that turns the sheet step by step; the others take a second or two each."""
 
 
+@pytest.mark.slow
+@pytest.mark.ci_cases("F3", "F4", "F6", "F7", "F8")
 @pytest.mark.parametrize(
     "figure", [f for f in paper_figures.FIGURES if f.row not in SLOW], ids=lambda f: f.row
 )
@@ -57,6 +59,7 @@ def test_a_movie_s_figure_shows_what_the_paper_says(figure):
     held(figure)
 
 
+@pytest.mark.slow
 def test_the_first_figure_s_section_and_solids_are_what_the_paper_says():
     found = [*section_findings(load("fig1a")), *solid_findings(load("fig1b"))]
     assert [one for one in found if not one.passed] == []
@@ -80,6 +83,7 @@ def test_ellipsoids_are_found_again_from_points_on_them():
     np.testing.assert_allclose(np.degrees([a[0] for a in angles]), [40.0, 1.5, 75.0], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_no_place_on_a_sheet_that_is_not_tilted_loses_the_piece():
     """The check of the zones in which nothing is seen is no decoration: without a tilt the axis point stays in view."""
     flat = load("fig8-z-60").replace({"sheet.set": {"law.euler": [45.0, 0.0, 90.0]}})
@@ -168,6 +172,7 @@ def test_every_scene_of_a_paper_figure_is_drawn_left_handed_as_the_paper_s_rende
         assert load(path.stem).camera.mirror, path.stem
 
 
+@pytest.mark.slow
 def test_a_measured_row_fails_when_the_sheet_is_another(monkeypatch):
     """The check is no decoration: η_x = −0.3 instead of −0.25 is noticed."""
 
@@ -191,6 +196,7 @@ def test_winding_counts_turns():
     assert paper_figures.winding([spun(a, (1.0, 2.0)) for a in angles]) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_atlas_holds_figures_measurements_and_a_page_and_can_be_made_again(tmp_path):
     request = AtlasRequest(SCENES, tmp_path / "a", size=48, samples=1, movies=False, rows=("F4",))
     atlas = make_atlas(prepare(request))
@@ -277,6 +283,7 @@ def test_a_long_atlas_says_first_how_long_it_takes(tmp_path, monkeypatch, capsys
             assert float(told[1]) < float(told[2])
 
 
+@pytest.mark.slow
 def test_the_forecast_of_an_atlas_grows_with_what_is_asked():
     def asked(**options):
         return atlas_seconds(prepare(AtlasRequest(SCENES, Path("x"), **options)))
@@ -319,6 +326,7 @@ def run(*arguments, cwd=ROOT):
     )
 
 
+@pytest.mark.slow
 def test_render_of_a_movie_tells_each_frame_in_json(tmp_path):
     out = tmp_path / "x.webp"
     done = run("render", SCENES / "fig3-movie.toml", "-o", out, "--pixels", 16, "--samples", 2, "--json",
@@ -330,6 +338,7 @@ def test_render_of_a_movie_tells_each_frame_in_json(tmp_path):
         assert movie.n_frames == 3
 
 
+@pytest.mark.slow
 def test_render_writes_a_picture_says_how_and_refuses_to_overwrite(tmp_path):
     out = tmp_path / "x.png"
     scene = SCENES / "fig3-z-8.toml"
@@ -351,6 +360,13 @@ def test_render_writes_a_picture_says_how_and_refuses_to_overwrite(tmp_path):
     assert "overwrite" in again.stderr
 
 
+@pytest.mark.daily_cases(
+    "arguments1-cannot read the scene",
+    "arguments2-is a design, which has no camera",
+    "arguments3-camera.frame",
+    "arguments4-there is no preset",
+    "arguments5-PHOTO",
+)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -375,6 +391,7 @@ def test_bad_input_ends_with_status_2_and_one_sentence(arguments, words):
     assert not Path(ROOT / "x.png").exists()
 
 
+@pytest.mark.slow
 def test_the_atlas_is_made_in_any_folder(tmp_path):
     done = run(
         "atlas",
@@ -394,6 +411,7 @@ def test_the_atlas_is_made_in_any_folder(tmp_path):
     assert len(list((tmp_path / "x").glob("fig4-*.png"))) == 4
 
 
+@pytest.mark.slow
 def test_an_eye_sees_a_photograph_before_and_after(tmp_path):
     photo = tmp_path / "photo.png"
     Image.fromarray(np.tile(np.arange(0, 250, 10, dtype=np.uint8)[None, :, None], (25, 1, 3))).save(photo)

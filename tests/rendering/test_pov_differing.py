@@ -83,6 +83,7 @@ FEW = pytest.mark.slow
 KINDS = [kind if kind in ("aimed", "varying") else pytest.param(kind, marks=FEW) for kind in DESIGNS]
 
 
+@pytest.mark.daily_cases("varying")
 @needs_povray
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_sheet_of_cells_that_differ_shows_the_rays_that_povray_finds(kind, tmp_path):

@@ -123,6 +123,7 @@ def test_a_tree_finds_the_triangle_that_trying_all_finds():
     assert (which >= 0).sum() > 50
 
 
+@pytest.mark.slow
 def test_compiled_and_plain_code_see_the_same():
     things = [
         {"kind": "checker", "height": -0.7, "tile": 0.3},
@@ -300,6 +301,7 @@ def test_the_picture_is_the_same_on_one_thread_and_many_and_twice():
     np.testing.assert_array_equal(view_through(busy, threads=1).light, one)
 
 
+@pytest.mark.slow
 def test_compiled_and_plain_pictures_agree():
     busy = scene(FLOOR, BALL | {"at": [0, 0, 10]}, camera={"samples": 2})
     plain, fast = (view_through(busy, compiled=c).light for c in (False, True))
@@ -367,6 +369,7 @@ ROUNDING = 0.25 / 255 + 1e-4
 """Mean distance of a number from the byte it was rounded to, and a little."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_view_is_the_independent_renderer_s_picture(name):
     """Every lenslet's mean over 6 × 6 rays; few rays of 36 differ, so few means do, and by little."""
@@ -384,6 +387,7 @@ def test_a_view_is_the_independent_renderer_s_picture(name):
     assert (beside.max(axis=-1) <= 3.5 / 255).mean() > 0.96  # tile edges near the horizon fall on rays
 
 
+@pytest.mark.daily_cases("z_k_2")
 @pytest.mark.parametrize("name", CASES)
 def test_the_fitted_map_of_a_view_is_the_independent_tracer_s(name):
     """The fit leaves out strays by a rule of its own, which moves the map by some parts in 10⁴ (the pole: 10³)."""
@@ -394,6 +398,7 @@ def test_the_fitted_map_of_a_view_is_the_independent_tracer_s(name):
     np.testing.assert_allclose(found.offset, expected["A"], rtol=0, atol=2e-4)
 
 
+@pytest.mark.daily_cases("z_k_20")
 @pytest.mark.parametrize("name", CASES)
 def test_the_homogeneous_sheet_shows_the_ideal_law(name):
     """The law turns rays in z = 0; the reference turned them in z = s, a difference of s/D and s/z."""
@@ -432,6 +437,7 @@ def test_a_written_picture_reads_back_and_says_what_it_is(name, tmp_path):
         assert "flipped left-right" in Image.open(tmp_path / name).text["clacad:handedness"]
 
 
+@pytest.mark.slow
 def test_a_movie_has_its_frames_in_order(tmp_path):
     from PIL import Image
 
@@ -455,6 +461,7 @@ def test_a_movie_has_its_frames_in_order(tmp_path):
         assert columns == sorted(columns, reverse=True)  # +x is on the left
 
 
+@pytest.mark.slow
 def test_a_movie_is_written_as_mp4_where_the_encoder_is_installed(tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     data = copy.deepcopy(PLAIN) | {"object": [BALL | {"at": [0, 0, -15]}]}
@@ -486,6 +493,7 @@ def test_without_the_encoder_mp4_is_refused_with_what_to_install(tmp_path, monke
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_picture_that_is_stopped_leaves_nothing_and_stops_at_once(name, tmp_path):
     scene = ROOT / "designs" / "scenes" / "fig3-z-8.toml"
@@ -504,6 +512,7 @@ def test_a_picture_that_is_stopped_leaves_nothing_and_stops_at_once(name, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_progress_tells_the_share_of_the_rays_that_are_done():
     told = []
     view_through(scene(FLOOR, camera={"pixels": [256, 256], "samples": 4}), threads=1,
@@ -533,6 +542,7 @@ def test_fates_that_do_not_shine_are_black():
     assert geometry_alone(scene()).shining == (int(Fate.ALIVE), int(Fate.LAND))
 
 
+@pytest.mark.slow
 def test_a_large_sheet_is_seen_in_the_memory_of_a_small_one():
     """Nothing in the renderer counts lenslets: a lens is found by its index."""
 

@@ -33,6 +33,7 @@ def same_colour(scene, folder):
     return float((off <= 3 / 255).mean())
 
 
+@pytest.mark.slow
 @needs_povray
 @pytest.mark.parametrize("name", ["base", "phi_45_theta_0.5"])
 def test_single_rays_have_the_colour_that_povray_finds(name, tmp_path):
@@ -60,6 +61,7 @@ def map_difference(scene, z, folder):
     return float(np.abs(a[0] - b[0]).max()), float(np.abs(a[1] - b[1]).max())
 
 
+@pytest.mark.slow
 @needs_povray
 def test_the_fitted_map_is_povray_s(tmp_path):
     offset, matrix = map_difference(small("delta_0.005_0.010", 300), 10.0, tmp_path)
@@ -116,6 +118,7 @@ FORMS = {
 }
 
 
+@pytest.mark.slow
 @needs_povray
 @pytest.mark.parametrize("design", FORMS)
 def test_every_form_of_sheet_shows_the_rays_that_povray_finds(design, tmp_path):

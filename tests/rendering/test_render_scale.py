@@ -35,12 +35,14 @@ def bytes_at_most(scene, **options):
     return peak
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
 def test_memory_does_not_grow_with_the_number_of_lenslets(compiled):
     few, many = (bytes_at_most(crowded(n), compiled=compiled, threads=1) for n in (50, 400))
     assert many == pytest.approx(few, rel=0.1)
 
 
+@pytest.mark.slow
 def test_memory_beyond_the_picture_is_that_of_a_tile_however_large_the_picture():
     def spare(pixels):
         scene = crowded(50, pixels)
@@ -59,6 +61,7 @@ def test_a_sheet_of_1e18_lenslets_is_drawn_as_one_of_2500(rung):
     np.testing.assert_allclose(other, one, atol=1e-9)  # the middle of both is the same
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["base", "phi_45_theta_0.5_psi_90"])
 @pytest.mark.parametrize("direct", [False, True])
 def test_the_kernel_that_does_all_gives_the_light_of_its_parts(name, direct):
@@ -75,6 +78,7 @@ def test_the_kernel_that_does_all_gives_the_light_of_its_parts(name, direct):
     assert (off > 1e-9).mean() < 1e-3  # edges of tiles, where a last bit decides
 
 
+@pytest.mark.slow
 def test_an_opaque_surround_and_things_before_the_sheet_are_drawn_alike_by_all_ways():
     ball = {"kind": "sphere", "id": "ball", "at": [0.2, 0.1, -3], "size": 0.2, "colour": "#aa3322"}
     data = view_data("phi_45", 80)

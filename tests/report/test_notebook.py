@@ -30,6 +30,7 @@ def test_a_picture_shows_the_law_and_what_was_traced():
     assert np.array_equal(twin.get_ydata(), traced.get_ydata(), equal_nan=True)
 
 
+@pytest.mark.daily_cases("window-100mm")
 @pytest.mark.parametrize("name", ["window-100mm", "tilted-biconvex"])
 def test_html_is_well_formed_escapes_names_and_is_the_same_every_time(name):
     design = replace(clacad.load(DESIGNS / f"{name}.toml"), name="<b>&")

@@ -340,6 +340,7 @@ def test_without_the_typesetter_the_error_says_what_to_install(made, tmp_path, m
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_progress_is_told_from_beginning_to_end(report, tmp_path, short):
     told = []
     full = verify(Design.from_dict(TEXT), rays=2048, progress=lambda stage, _part: told.append(stage))

@@ -78,6 +78,7 @@ def test_nothing_complains_and_nothing_is_asked_for(page, address):
     assert page.requests() == [address.resolve().as_uri()]
 
 
+@pytest.mark.slow
 def test_the_part_is_drawn_and_turns_when_dragged(page):
     shown, _ = canvas(page)
     assert shown.reshape(-1, 3).std(axis=0).max() > 15.0  # not of one colour
@@ -86,6 +87,7 @@ def test_the_part_is_drawn_and_turns_when_dragged(page):
     assert page.complaints() == []
 
 
+@pytest.mark.slow
 def test_the_part_turns_by_the_keyboard_and_starts_again(page):
     first = page.run(f"{VIEW}.dataset.view")
     page.run("document.querySelector('#solid canvas').focus()")
@@ -101,6 +103,7 @@ def test_the_part_turns_by_the_keyboard_and_starts_again(page):
     page.wait(f"{VIEW}.dataset.view === '{first}'")
 
 
+@pytest.mark.slow
 def test_a_cut_shows_the_inside(page):
     before, _ = canvas(page)
     page.run("document.querySelector('#solid [name=cut]').click()")
@@ -143,6 +146,7 @@ def contrast(page, selector):
     return (max(levels) + 0.05) / (min(levels) + 0.05)
 
 
+@pytest.mark.daily_cases("light")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_can_be_read_in_light_and_dark(page, scheme):
     page.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
@@ -153,6 +157,7 @@ def test_text_can_be_read_in_light_and_dark(page, scheme):
         page.ask("Emulation.setEmulatedMedia", features=[])
 
 
+@pytest.mark.slow
 def test_on_paper_the_picture_stands_for_the_view(page):
     page.ask("Emulation.setEmulatedMedia", media="print")
     try:
@@ -165,6 +170,7 @@ def test_on_paper_the_picture_stands_for_the_view(page):
         page.ask("Emulation.setEmulatedMedia", media="")
 
 
+@pytest.mark.slow
 def test_without_webgl_there_is_a_picture_and_no_complaint(address):
     plain = browser.Browser(flags=("--disable-webgl", "--disable-3d-apis"))
     try:

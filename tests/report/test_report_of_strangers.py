@@ -155,6 +155,7 @@ def test_a_sweep_over_words_writes_no_formula(tmp_path: Path) -> None:
     assert {row[0] for row in rows[1:]} == {"'=1+1", "'@A1", "exact"}
 
 
+@pytest.mark.slow
 def test_a_stranger_s_name_steers_no_terminal_and_the_log_is_plain_lines(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

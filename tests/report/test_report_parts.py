@@ -300,6 +300,7 @@ def test_the_packed_part_is_the_mesh_again(made):
         assert len(piece.triangles) == t
 
 
+@pytest.mark.daily_cases("plano")
 def test_the_picture_shows_every_body(made):
     from PIL import Image
 

@@ -86,6 +86,7 @@ def test_insides_agree_with_another_library_and_with_the_plain_words():
     assert len(holes) == 3
 
 
+@pytest.mark.slow
 def test_points_level_with_corners_and_centres_are_decided_once():
     x = np.linspace(-8, 8, 641)
     grid = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)  # every corner and centre is a point of it
@@ -105,6 +106,7 @@ def test_polygons_enclose_the_same_area_as_their_arcs():
             assert sum(map(shoelace, plate.polygons(steps))) == pytest.approx(plate.area, rel=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])
 def test_kept_cells_are_those_wholly_inside_by_brute_force(kind):
     lattice = Lattice(kind, (0.7, 0.7), (18, 18), PLATE)

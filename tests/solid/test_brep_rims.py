@@ -168,6 +168,7 @@ def test_any_tangle_of_rims_divides_its_zone_into_regions_of_the_right_area(tang
     assert areas["lens"] + areas["land"] == pytest.approx(0.25, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_rim_with_a_throat_narrower_than_the_first_grid_stays_one_and_one_that_crosses_itself_is_refused():
     zone = 0.25 * np.array([(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)])
 
@@ -235,6 +236,7 @@ def cap(surface, thickness, half_pitch, floor):
     return 4.0 * total
 
 
+@pytest.mark.daily_cases("0.004-0.0")
 @pytest.mark.parametrize(("thickness", "web"), [(0.004, 0.0), (0.02, 0.0), (0.03, 0.012)])
 def test_a_rimmed_biconic_has_the_volume_of_the_true_surface(thickness, web):
     sheet = window(lattice__count=[1, 1], pair__thickness=thickness, pair__web=web)
@@ -281,6 +283,7 @@ def check_step(name, path):
         assert found["open_edges"] == found["dangling"] == 0
 
 
+@pytest.mark.daily_cases("plano")
 @pytest.mark.parametrize("name", QUICK)
 def test_rimmed_forms_are_valid_solids_in_memory_and_as_step_files_read_again(name, tmp_path):
     check_step(name, tmp_path / "x.step")
@@ -333,6 +336,7 @@ def test_two_quadrics_that_meet_in_no_plane_share_a_fitted_rim():
                 assert np.abs(0.5 * (off - 2.0 * s.side * p[:, 2])).max() <= 5e-11
 
 
+@pytest.mark.slow
 def test_the_mesh_of_a_rimmed_biconic_is_closed_and_converges_to_the_solid():
     import trimesh
 
@@ -374,6 +378,7 @@ def test_an_export_states_the_errors_of_fitted_faces_and_rims(tmp_path):
 # -- the web of a tilted lens ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("surface", "tilt"), [("ellipsoid", 1.0), ("biconic", 15.0)])
 def test_the_web_that_a_refusal_names_holds_the_rim_and_less_leaves_an_overhang(surface, tilt):
     changes = {

@@ -44,6 +44,7 @@ COVERED = {
 }
 
 
+@pytest.mark.daily_cases("flat", "tilted", "offset", "turned", "saddle lens", "cylinder", "micrometres")
 @pytest.mark.parametrize("name", COVERED)
 def test_a_covered_body_is_one_valid_solid_with_the_volume_of_its_columns(name):
     window = biconvex(**COVERED[name])
@@ -71,6 +72,7 @@ RIMMED = {
 }
 
 
+@pytest.mark.daily_cases("web", "seam and rim", "circle", "loose strips")
 @pytest.mark.parametrize("name", RIMMED)
 def test_rims_lands_seams_and_outlines_give_valid_solids_as_many_as_are_counted(name):
     window = biconvex(**RIMMED[name])
@@ -80,6 +82,7 @@ def test_rims_lands_seams_and_outlines_give_valid_solids_as_many_as_are_counted(
         assert all(is_valid(solid) for solid in solids)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", often(["web", "web untilted", "seam", "seam and rim", "hexagonal web"], "web", "seam")
 )
@@ -132,6 +135,7 @@ TOUCHING = {
 }
 
 
+@pytest.mark.daily_cases("one cell in its circle", "circle through lattice points")
 @pytest.mark.parametrize("name", TOUCHING)
 def test_cells_that_touch_the_outline_leave_no_sliver_of_land(name):
     window = biconvex(web=0.03, thickness=0.09, euler=(20.0, 2.0, 0.0), **TOUCHING[name])
@@ -197,6 +201,7 @@ def test_seams_remove_steps_between_neighbours_saddles_and_wedges():
     assert counts[1].wedges == 0
 
 
+@pytest.mark.daily_cases("square-euler0", "square-euler2", "hexagonal-euler1")
 @pytest.mark.parametrize("euler", [(45.0, 0.0, 0.0), (20.0, 3.0, 10.0), (0.0, 2.0, 0.0)])
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])
 def test_saddles_and_crossings_are_those_of_the_cell_complex(euler, kind):
@@ -225,6 +230,7 @@ def test_saddles_and_crossings_are_those_of_the_cell_complex(euler, kind):
 SHIPPED = ("fig8", "galilean", "plano", "slab", "tilted", "tilted-seam")
 
 
+@pytest.mark.daily_cases("galilean", "plano", "slab", "tilted", "tilted-seam")
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_designs_of_every_form_are_built_as_valid_solids(name):
     check_design(DESIGNS / f"{name}.toml")
@@ -307,6 +313,7 @@ def test_an_outline_round_lenses_without_land_is_refused_and_a_web_is_the_way_ou
     assert [is_valid(solid) for solid in solids] == [True]
 
 
+@pytest.mark.daily_cases("1e-09", "2.7144176165949066e-06", "0.0073680629972807735", "20.0")
 @pytest.mark.parametrize("tilt", np.geomspace(1e-9, 20.0, 10).tolist())
 def test_steps_of_any_height_give_valid_solids(tilt):
     window = biconvex(euler=(33.0, tilt, 0.0), thickness=0.25, count=(2, 3))

@@ -72,6 +72,7 @@ def test_the_cad_kernel_finds_every_sheet_in_its_place_and_a_repeated_one_once(t
     assert all(f"NEXT_ASSEMBLY_USAGE_OCCURRENCE('{name}'" in text for name in "abc")
 
 
+@pytest.mark.slow
 def test_a_stranger_reads_the_glb_with_every_sheet_where_it_stands(made: Path) -> None:
     """trimesh, which knows nothing of this program: corners' heights in metres."""
     import trimesh

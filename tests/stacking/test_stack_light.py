@@ -325,6 +325,7 @@ def test_every_rung_goes_through_all_sheets(rung, most):
     assert np.sqrt(np.mean((found.direction - truth.direction)[both] ** 2)) <= most
 
 
+@pytest.mark.slow
 def test_facets_of_every_sheet_are_traced_in_a_row():
     few = WINDOW.with_cells((6, 6))
     made = stacked([few, few], [5.0])

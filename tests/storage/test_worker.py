@@ -76,6 +76,7 @@ def test_a_death_is_one_sentence_and_the_next_call_works(worker: Worker, trick: 
     assert worker.run("worker_tricks:add", 1, 1) == 2
 
 
+@pytest.mark.slow
 def test_a_hanging_child_is_ended_at_the_time_limit(worker: Worker) -> None:
     worker.start()
     pid = worker.pid
@@ -85,11 +86,13 @@ def test_a_hanging_child_is_ended_at_the_time_limit(worker: Worker) -> None:
     assert gone_soon(pid)
 
 
+@pytest.mark.slow
 def test_running_out_of_memory_names_the_limit() -> None:
     with Worker(memory=1_500_000_000) as worker, pytest.raises(WorkerDied, match=r"out of memory"):
         worker.run("worker_tricks:eat")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "trick", [pytest.param("mesh_with_the_kernel", marks=pytest.mark.long), "sphere_of_the_mesh_kernel"]
 )
@@ -103,6 +106,7 @@ def test_real_kernels_that_want_more_than_1_5_gb_end_in_a_sentence(trick: str) -
         assert worker.run("worker_tricks:add", 1, 1) == 2
 
 
+@pytest.mark.slow
 def test_running_out_of_processor_time_names_the_limit() -> None:
     with Worker(cpu=1) as worker, pytest.raises(WorkerDied, match=r"1 s of processor time"):
         worker.run("worker_tricks:spin")
@@ -115,6 +119,7 @@ def test_errors_of_our_own_keep_their_kind(worker: Worker) -> None:
         worker.run("worker_tricks:cannot")
 
 
+@pytest.mark.slow
 def test_a_kernel_that_hears_nothing_is_ended_without_its_answer() -> None:
     """The parent waits on a pipe, so its own end needs no answer from the kernel."""
     pids: list[int | None] = []

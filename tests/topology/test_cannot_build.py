@@ -131,6 +131,7 @@ def test_designs_without_a_solid_are_design_errors_before_any_geometry(changes, 
     assert code in str(caught.value)
 
 
+@pytest.mark.slow
 def test_lenslets_that_disconnect_the_body_are_written_as_the_pieces_they_are(tmp_path: Path):
     manifest = export(design(pair__thickness=0.004), tmp_path / "x", ("step", "stl"), quads=8)
     by_format = {entry["format"]: entry for entry in manifest.files}
@@ -141,6 +142,7 @@ def test_lenslets_that_disconnect_the_body_are_written_as_the_pieces_they_are(tm
     assert by_format["stl-binary"]["checks"] == ["closed", "volume", "shape"]
 
 
+@pytest.mark.slow
 def test_a_sag_below_the_kernels_tolerance_is_an_exact_solid_and_no_mesh_where_float32_ends(tmp_path: Path):
     far = design(pair__separation=1e6)  # sag 3e-8 mm; lens 2 stands 1 km off, where doubles are 0.1 nm apart
     manifest = export(far, tmp_path / "x", ("step",))

@@ -38,6 +38,7 @@ def without_grid(window, triangles, rays):
     return tracer._compiled(facets.layout, rays, 0, 1, found_in)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WINDOWS)
 def test_rays_end_as_they_do_in_the_trees(name):
     window = WINDOWS[name]
@@ -65,6 +66,7 @@ def damaged(corners, how, seed):
     return np.concatenate([corners, more])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["twice", "gone", "torn", "roofed"])
 def test_facets_that_are_no_whole_surface_are_met_as_in_the_trees(how):
     """A bin is looked up as two halves only where neighbours share every corner and nothing else is there."""
@@ -132,6 +134,7 @@ def test_walls_are_counted_in_every_rectangle_of_bins():
         assert counted == single[j0 : j1 + 1, i0 : i1 + 1].sum()
 
 
+@pytest.mark.slow
 def test_rays_of_a_view_are_decided_without_the_trees(monkeypatch):
     """So that a trace through a file costs about what one through the mesh in memory does."""
     from clacad.tracing.compiled.chunk import trace_chunk_of_triangles

@@ -81,6 +81,7 @@ def same(one, other, map_back=None, tolerance=1e-10):  # the gap of a tilted pla
         assert (apart <= tolerance).mean() >= 0.95
 
 
+@pytest.mark.slow
 @given(designs(), st.integers(0, 10**6), st.sampled_from(["law", "thin", "surfaces"]))
 @FINITE
 def test_every_ray_has_one_fate_and_only_invalid_rows_hold_nan(data, seed, rung):
@@ -97,6 +98,7 @@ def test_every_ray_has_one_fate_and_only_invalid_rows_hold_nan(data, seed, rung)
     np.testing.assert_allclose(lengths, 1, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 @given(designs(tilted=False, form="biconvex"), st.integers(0, 10**6), st.sampled_from(["numpy", "numba"]))
 @FINITE
 def test_one_cell_does_what_any_of_forty_thousand_does(data, seed, path):
@@ -121,6 +123,7 @@ def test_one_cell_does_what_any_of_forty_thousand_does(data, seed, path):
     assert np.array_equal(alone.optical_path[inside], among.optical_path[inside])
 
 
+@pytest.mark.slow
 @given(
     designs(),
     st.integers(0, 10**6),
@@ -142,6 +145,7 @@ def test_moving_the_light_by_cells_moves_the_answer_by_cells(data, seed, i, j, r
     assert np.array_equal(one.direction, other.direction)
 
 
+@pytest.mark.slow
 @given(
     designs(),
     st.integers(0, 10**6),
@@ -164,6 +168,7 @@ def test_a_change_of_unit_or_scale_changes_nothing(data, seed, unit):
         same(one, trace(other, Rays(rays.position * factor, rays.direction), rung=rung))
 
 
+@pytest.mark.slow
 @given(designs(), st.integers(0, 10**6))
 @FINITE
 def test_a_quarter_turn_of_everything_turns_the_answer(data, seed):
@@ -178,6 +183,7 @@ def test_a_quarter_turn_of_everything_turns_the_answer(data, seed):
         same(one, other, map_back=quarter.T)
 
 
+@pytest.mark.slow
 @given(designs(), st.integers(0, 10**6), st.sampled_from([0, 1]))
 @FINITE
 def test_the_mirrored_sheet_shows_the_mirrored_answer(data, seed, axis):
@@ -302,6 +308,7 @@ def test_a_sheet_conserves_etendue(data, seed, rung):
     assert abs(np.linalg.det(jacobian)) == pytest.approx(1, abs=1e-6 * max(1.0, size))
 
 
+@pytest.mark.slow
 @given(designs(form="biconvex", tilted=False))
 @settings(FINITE, max_examples=3)
 def test_facets_tend_to_the_surfaces_as_they_get_smaller(data):

@@ -82,6 +82,7 @@ def test_one_thread_and_five_give_the_same_bits(monkeypatch: pytest.MonkeyPatch)
     assert (one.worst, one.counts) == (five.worst, five.counts)
 
 
+@pytest.mark.daily_cases("law", "thin")
 @pytest.mark.parametrize("rung", ["law", "thin", "mesh"])
 def test_every_rung_is_summed(rung: Any) -> None:
     window = WINDOWS["slab"]()

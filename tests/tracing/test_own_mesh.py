@@ -62,6 +62,7 @@ def turned_aside(window, quads):
     return faces * 0.5 * side / (np.sqrt(2.0) * radius) * window.thin.separation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pair",
     [
@@ -104,6 +105,7 @@ def test_light_through_triangles_of_two_bodies_goes_where_that_through_their_fac
     assert 0.4 < rms[1] / rms[0] < 0.65  # the slope of a facet is off by its size
 
 
+@pytest.mark.slow
 def test_what_passes_array_2_beside_it_has_missed_the_sheet_and_comes_back_as_launched():
     window, rays = sheet(), light(1500, 0.1)
     exact = clacad.trace(window, rays, path="numpy", record=True)
@@ -143,6 +145,7 @@ def said_twice(name):
     return equal, differs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["biconvex", *(pytest.param(n, marks=pytest.mark.slow) for n in SAME if n != "biconvex")]
 )
@@ -180,6 +183,7 @@ def border_places(window, seen):
     return where, cells
 
 
+@pytest.mark.slow
 def test_light_on_a_border_of_a_scaled_array_is_in_the_cell_that_rational_numbers_say():
     window, rays = sheet(), light(400)
     tracer = clacad.Tracer(window, rung="mesh", mesh=4)
@@ -204,6 +208,7 @@ SETTING = Setting(extinction=1e-5, roughness=2e-9, slope_rms=1e-4)
 PASSES = ("ghosts", "walls", "fresnel", "absorption", "tir_paths", "scatter", "polarisation")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names", [("ghosts", "fresnel", "walls"), *(pytest.param((n,), marks=pytest.mark.slow) for n in PASSES)]
 )
@@ -237,6 +242,7 @@ def test_what_an_aimed_sheet_reflects_by_its_triangles_tends_to_what_its_faces_d
     assert 0 < off[1] < 0.35 * off[0]
 
 
+@pytest.mark.slow
 def test_a_part_of_a_mesh_sends_light_through_its_cells_as_the_whole_does():
     window = sheet()
     whole = tessellate(window, quads=4)

@@ -35,6 +35,7 @@ def wild_rays(window, count, seed):
     return Rays(start, np.column_stack([slope, np.ones(count)]))
 
 
+@pytest.mark.slow
 @needs_embree
 @pytest.mark.parametrize("name", ["paper-a-covered", "plano", "slab", "hexagonal", "galilean", "tilted-seam"])
 def test_embree_and_the_own_tree_send_every_ray_the_same_way(name):
@@ -103,6 +104,7 @@ def test_a_ray_on_an_edge_is_left_to_the_tree():
     assert not good.any()
 
 
+@pytest.mark.slow
 def test_without_the_package_a_file_is_searched_by_the_tree_and_asking_for_embree_says_so(
     tmp_path, monkeypatch
 ):

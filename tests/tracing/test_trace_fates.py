@@ -56,6 +56,7 @@ print(count.compiled)
 """
 
 
+@pytest.mark.slow
 def test_kernels_are_kept_on_disk_so_that_a_second_process_compiles_nothing():
     code = COMPILED.format(path=[p for p in sys.path if p])
     runs = [
@@ -66,6 +67,7 @@ def test_kernels_are_kept_on_disk_so_that_a_second_process_compiles_nothing():
     assert counter_works == 1
 
 
+@pytest.mark.slow
 def test_a_small_verify_does_not_load_the_compiler(tmp_path):
     code = (
         "import sys; sys.path[:0] = {path!r}\n"

@@ -30,6 +30,22 @@ def compare(window, number, seed):
     return one
 
 
+@pytest.mark.daily_cases(
+    "paper base",
+    "offset",
+    "tilted by 20 degrees",
+    "holes outside the rim",
+    "web",
+    "opaque seam",
+    "hexagonal",
+    "galilean",
+    "round of cells",
+    "baffle",
+    "displaced slab",
+    "round slab with seam",
+    "plano outside",
+    "plano inside, hexagonal",
+)
 @pytest.mark.parametrize("name", WINDOWS)
 def test_numpy_and_compiled_paths_give_every_ray_the_same_fate(name):
     result = compare(WINDOWS[name], 4000, 1)
@@ -94,6 +110,7 @@ def test_a_small_job_does_not_load_the_compiler():
     subprocess.run([sys.executable, "-c", f"import sys; sys.path[:0] = {path!r}\n{code}"], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["biconvex", "slab"])
 def test_single_precision_shows_the_same_light_to_a_microradian(name):
     window = {"biconvex": biconvex, "slab": slab}[name]()

@@ -74,6 +74,7 @@ def follow(bodies, indices, start, ray):
     return "THROUGH", ray
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in WINDOWS if n not in ("baffle", "opaque seam", "round of cells")])
 def test_every_ray_does_what_all_triangles_together_say(name):
     window = small(WINDOWS[name])
@@ -106,6 +107,7 @@ def test_every_ray_does_what_all_triangles_together_say(name):
         assert len(wrong) <= (2 if window.outline is not None else 0), wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WINDOWS)
 def test_numpy_and_kernels_find_the_same_among_facets(name):
     window = WINDOWS[name]
@@ -155,6 +157,7 @@ def errors(window, normals, quads):
     return np.array(rms)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("normals", "order"), [("facet", 1.0), ("vertex", 2.0)])
 @pytest.mark.parametrize("name", ["paper base", "hexagonal", "galilean", "biconic slab", "plano outside"])
 def test_facets_converge_at_first_order_and_vertex_normals_at_second(name, normals, order):
@@ -165,6 +168,7 @@ def test_facets_converge_at_first_order_and_vertex_normals_at_second(name, norma
     assert slope == pytest.approx(order, abs=0.15 if normals == "facet" else 0.06)
 
 
+@pytest.mark.slow
 def test_the_error_of_facets_is_what_their_slope_error_says():
     # contract: (n − 1) √2 sqrt(σ₂² + (σ₁/η)²) per meridian, σ = .41 L/R; measured 13.6 mrad at 16 quads
     window = biconvex(thickness=0.0009)
@@ -172,6 +176,7 @@ def test_the_error_of_facets_is_what_their_slope_error_says():
     assert 0.011 < rms < 0.016
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WINDOWS)
 def test_no_ray_is_lost_among_facets(name):
     window = WINDOWS[name]
@@ -192,6 +197,7 @@ def test_no_ray_is_lost_among_facets(name):
         np.testing.assert_allclose(np.linalg.norm(result.direction[on], axis=1), 1.0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_fates_go_over_into_those_of_the_surfaces():
     window = WINDOWS["web"]
     rays = Rays(*beam(window, 3000, 5))
@@ -212,6 +218,7 @@ def test_a_mesh_of_another_window_is_refused():
         trace(biconvex(), rays, rung="mesh", mesh=tessellate(biconvex(), quads=4), normals="smooth")
 
 
+@pytest.mark.slow
 def test_the_sheets_own_mesh_is_traced_where_none_is_given_or_only_how_fine():
     window = WINDOWS["web"].with_cells((5, 4))
     rays = Rays(*beam(window, 500, 3))
@@ -231,6 +238,7 @@ def soup_of(mesh):
     return TriangleSoup(corners[np.random.default_rng(0).permutation(len(corners))])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in WINDOWS if n != "round of cells"])
 def test_triangles_from_anywhere_do_what_the_sheets_own_mesh_does(name):
     window = WINDOWS[name].with_cells((9, 8))
@@ -245,6 +253,7 @@ def test_triangles_from_anywhere_do_what_the_sheets_own_mesh_does(name):
     np.testing.assert_allclose(own.direction[on], found.direction[on], rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_file_is_traced_like_the_mesh_it_was_written_from(tmp_path):
     window = biconvex(count=(9, 8))
     mesh = tessellate(window, quads=6)
@@ -266,6 +275,7 @@ def test_a_file_is_traced_like_the_mesh_it_was_written_from(tmp_path):
         trace(biconvex(count=(9, 7)), rays, rung="mesh", mesh=file)
 
 
+@pytest.mark.slow
 def test_cells_written_as_touching_solids_pass_light_through_their_common_walls():
     window = biconvex(count=(9, 8), thickness=0.0012)
     fused = tessellate(window, quads=6)

@@ -40,6 +40,7 @@ def disagreements(window, number, seed):
     return out
 
 
+@pytest.mark.daily_cases("offset")
 @pytest.mark.parametrize("name", often(WINDOWS, "web", "offset", "opaque seam", "hexagonal", "tilted by 20 degrees",
                                       "holes outside the rim"))  # fmt: skip
 def test_the_walk_ends_where_a_march_in_small_steps_ends(name):

@@ -59,6 +59,7 @@ def test_a_tracer_called_twice_from_threads_and_after_pickling_gives_the_same_bi
     assert same(first, clacad.trace(window, rays, rung, path="size"))
 
 
+@pytest.mark.slow
 def test_a_mesh_is_laid_out_once_for_all_calls_and_again_for_other_normals(monkeypatch: pytest.MonkeyPatch):
     window = slab(count=(3, 3))
     mesh, rays, laid = clacad.tessellate(window, quads=4), beam(window), []
@@ -73,6 +74,7 @@ def test_a_mesh_is_laid_out_once_for_all_calls_and_again_for_other_normals(monke
     assert same(first, made(rays))
 
 
+@pytest.mark.slow
 def test_a_file_of_triangles_is_read_once_until_it_changes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     window = slab(count=(3, 3))
     rays, read = beam(window), []
@@ -90,6 +92,7 @@ def test_a_file_of_triangles_is_read_once_until_it_changes(monkeypatch: pytest.M
     assert same(coarse, kept(rays))
 
 
+@pytest.mark.slow
 def test_a_window_and_all_that_was_laid_out_for_it_end_together():
     window, mesh = slab(count=(3, 3)), clacad.tessellate(slab(count=(3, 3)), quads=4)
     clacad.trace(window, beam(window), "mesh", mesh=mesh)

@@ -47,6 +47,7 @@ def test_a_call_that_cannot_be_understood_is_2(
     assert [p.name for p in design.parent.iterdir()] == [design.name]
 
 
+@pytest.mark.daily_cases("trace DESIGN RAYS -o OUT/o.npz-1e18")
 @pytest.mark.parametrize(
     "count",
     ["1000000000,1000000000", pytest.param("31623,31623", marks=pytest.mark.long)],
@@ -96,6 +97,7 @@ def test_too_many_lenslets_are_3_before_anything_is_loaded_that_could_build_or_t
         assert all("lenslets" in row["refused"] for row in rows)
 
 
+@pytest.mark.slow
 def test_a_file_in_the_way_is_4_and_stays(design: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "tiny.stl").write_text("precious")
@@ -106,6 +108,7 @@ def test_a_file_in_the_way_is_4_and_stays(design: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "tiny.stl").read_text() == "precious"
 
 
+@pytest.mark.daily_cases("/dev/null/out")
 @pytest.mark.parametrize("place", ["/dev/null", "/dev/null/out", "FILE"])
 def test_a_folder_that_cannot_be_one_is_4(design: Path, place: str) -> None:
     ended = clacad("export", design, "-o", design if place == "FILE" else place, "--format", "table")
@@ -129,6 +132,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         yield place
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_4_and_what_fits_is_published(design: Path, disk: Path) -> None:
     """The forecast refuses what cannot fit; a disk that others filled meanwhile is found by the write."""
     ballast = disk / "ballast"
@@ -146,6 +150,7 @@ def test_a_full_disk_is_4_and_what_fits_is_published(design: Path, disk: Path) -
     assert "disk" in seen.err or "free" in seen.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [500, 3_000, 30_000])
 def test_a_file_size_limit_is_4_whatever_file_meets_it(design: Path, tmp_path: Path, limit: int) -> None:
     out = tmp_path / "out"
@@ -169,6 +174,7 @@ Worker.run = lambda self, function, *a, **k: run(self, "worker_tricks:{trick}", 
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("trick", "words"),
     [
@@ -201,6 +207,7 @@ def test_a_crash_of_the_kernel_is_70_in_one_sentence_and_the_other_files_are_wri
     assert {p.name for p in out.iterdir()} == {"tiny.stl", "manifest.json", "run.json"}
 
 
+@pytest.mark.slow
 def test_a_kernel_without_memory_is_70_in_one_sentence_and_the_other_files_are_written(
     design: Path, tmp_path: Path
 ) -> None:
@@ -229,6 +236,7 @@ def test_a_format_that_the_design_cannot_have_is_said_before_any_is_written(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_mistake_of_our_own_is_70_and_v_tells_where(design: Path) -> None:
     broken = "import clacad.sheet.feasibility as f; f.describe = lambda *a: {}['lost']"
     plain = clacad("check", design, before=broken)
@@ -253,6 +261,7 @@ def _is_log(line: str) -> bool:
 # -- what is printed -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_json_is_all_there_is_on_stdout_and_the_log_is_json_on_stderr(design: Path, tmp_path: Path) -> None:
     import numpy as np
 
@@ -300,6 +309,7 @@ def test_a_reader_that_goes_away_is_no_error(design: Path) -> None:
     running.stderr.close()
 
 
+@pytest.mark.slow
 def test_doctor_finds_this_installation_sound_and_leaves_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -181,6 +181,7 @@ def judged(ended: Any, out: Path) -> None:
     consistent(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formats", ["stl,table", pytest.param("step,stl", marks=pytest.mark.long)])
 def test_a_file_size_limit_is_raised_until_all_is_written(design: Path, tmp_path: Path, formats: str) -> None:
     """The system's limit meets the worker's files as well as ours; each higher limit lets one more through."""
@@ -204,6 +205,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         yield place
 
 
+@pytest.mark.slow
 def test_a_small_disk_is_emptied_page_by_page_until_all_is_written(design: Path, disk: Path) -> None:
     """Others have filled the disk; each time they leave a little more room."""
     out, ballast, statuses = disk / "out", disk / "ballast", []

@@ -67,6 +67,7 @@ HEAVY = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["check t.toml -q", *HEAVY])
 def test_the_command_runs_no_module_of_the_folder_and_neither_do_its_children(
     trapped: Path, line: str
@@ -76,6 +77,7 @@ def test_the_command_runs_no_module_of_the_folder_and_neither_do_its_children(
     assert status in ((0, 1) if "verify" in line else (0,)), said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["check t.toml -q", *HEAVY[:2]])
 def test_started_as_a_module_it_runs_none_either_but_what_python_takes_itself(
     trapped: Path, line: str
@@ -95,6 +97,7 @@ def test_who_works_on_a_cluster_runs_none_either(trapped: Path) -> None:
     assert (status, ran) == (0, []), said
 
 
+@pytest.mark.slow
 def test_the_package_is_found_where_it_lies_in_the_current_folder_itself(tmp_path: Path) -> None:
     """A checkout that nobody installed: the folder is the last that is asked, not the first."""
     (tmp_path / "clacad").symlink_to(ROOT / "clacad")
@@ -140,6 +143,7 @@ def told_in(folder: Path, code: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_compiler_s_settings_in_the_folder_are_not_obeyed(tmp_path: Path) -> None:
     """They could name the folder that machine code is loaded from."""
     pytest.importorskip("yaml", reason="without it the compiler reads no settings")
@@ -155,6 +159,7 @@ def test_the_compiler_s_settings_in_the_folder_are_not_obeyed(tmp_path: Path) ->
     assert [p.name for p in tmp_path.iterdir()] == [".numba_config.yaml"]
 
 
+@pytest.mark.slow
 def test_a_figure_is_drawn_by_no_settings_of_the_folder_or_the_user(tmp_path: Path) -> None:
     code = (
         "from clacad.base.drawn_figure import drawn; import hashlib\n"

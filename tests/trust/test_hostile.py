@@ -129,6 +129,7 @@ def test_a_file_of_noise_fails_its_checks(place: Path, name: str, monkeypatch: p
     assert {c.state for c in checks if c.id == "readable"} == {"fail"}
 
 
+@pytest.mark.slow
 def test_links_in_the_folder_are_not_followed_and_nothing_outside_is_touched(place: Path) -> None:
     """Every name the export will use is a link to something precious, or the folder is one."""
     from clacad.cli import main
@@ -150,6 +151,7 @@ def test_links_in_the_folder_are_not_followed_and_nothing_outside_is_touched(pla
     assert Path("linked").is_symlink()
 
 
+@pytest.mark.slow
 def test_mutated_step_text_is_scanned_or_refused(tmp_path: Path) -> None:
     """The text is read before the kernel, in this process: it may not crash, hang or grow."""
     from clacad.design import load

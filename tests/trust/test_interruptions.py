@@ -53,6 +53,7 @@ def interrupted(running: subprocess.Popen[str], *numbers: int) -> str:
     return said
 
 
+@pytest.mark.daily_cases("2-stl-forecast")
 @pytest.mark.parametrize(
     ("number", "formats", "stage"),
     [
@@ -72,6 +73,7 @@ def test_an_interrupted_export_is_130_and_leaves_nothing(
     assert not out.exists() or not list(out.iterdir())
 
 
+@pytest.mark.daily_cases("accuracy")
 @pytest.mark.parametrize(("number", "what"), [
     (signal.SIGINT, "verify"), (signal.SIGTERM, "trace"), (signal.SIGINT, "accuracy"), (signal.SIGTERM, "accuracy"),
 ], ids=["verify", "trace", "accuracy", "accuracy, ended"])  # fmt: skip
@@ -94,6 +96,7 @@ def test_every_long_command_can_be_interrupted_and_leaves_nothing(
     assert not out.exists() or not list(out.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [4, pytest.param(60, marks=pytest.mark.long)])
 def test_signals_at_any_instant_are_heard_or_come_too_late(design: Path, tmp_path: Path, times: int) -> None:
     """While modules are loaded, the work is done, and the process ends; now and then twice, as by an impatient hand."""
@@ -132,6 +135,7 @@ clacad.sheet.feasibility.describe = work
 """
 
 
+@pytest.mark.daily_cases("another error")
 @pytest.mark.parametrize("work", [
     "wait()", "exec('wait()', globals())", "try: wait()\n    except BaseException: raise OSError(28, 'full')",
     "try: wait()\n    except BaseException: sys.exit(7)", "try: wait()\n    except BaseException: time.sleep(600)",
@@ -143,6 +147,7 @@ def test_whatever_a_library_makes_of_an_interruption_it_is_one(design: Path, wor
     interrupted(running, signal.SIGINT)
 
 
+@pytest.mark.slow
 def test_a_second_signal_does_not_break_off_the_cleaning_up(design: Path) -> None:
     work = "    try: wait()\n    finally:\n        time.sleep(0.05)\n        sys.stderr.write('cleaned\\n')"
     # before kernels are loaded: once they are, a signal ends the process without an exception
@@ -155,6 +160,7 @@ def test_a_second_signal_does_not_break_off_the_cleaning_up(design: Path) -> Non
     assert "cleaned" in interrupted(running, signal.SIGINT, signal.SIGINT, signal.SIGTERM)
 
 
+@pytest.mark.slow
 def test_an_ignored_signal_stays_ignored(design: Path) -> None:
     """As under nohup."""
     work = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + WORK.format(

@@ -153,6 +153,7 @@ def test_kill_9_at_any_instant_leaves_no_partial_file_and_the_next_run_no_trace(
     assert not [p.name for p in out.iterdir() if p.name.startswith(".clacad-")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [3, pytest.param(60, marks=[pytest.mark.long, pytest.mark.timeout(900)])])
 def test_whole_commands_killed_at_any_instant(tmp_path: Path, times: int) -> None:
     """Commands of different formats, the kernel's among them, from their start to their end, all into one folder."""

@@ -115,6 +115,7 @@ def test_any_bit_or_cut_of_the_modelled_fixtures_fails_by_its_hash(tmp_path: Pat
     assert hold_by_hash(files, tmp_path) == {"step", "stl-binary"}
 
 
+@pytest.mark.daily_cases("tiny.3mf")
 @pytest.mark.parametrize("name", ["tiny.poses.csv", "tiny.sheet-back.u16.png", "tiny.brep", "tiny.3mf"])
 def test_a_failing_hash_fails_the_whole_report(made: dict[str, bytes], tmp_path: Path, name: str) -> None:
     folder = vouched(tmp_path, made, name, made[name])
@@ -187,6 +188,7 @@ CHANGES: dict[str, Change] = {
 }  # fmt: skip
 
 
+@pytest.mark.daily_cases("tiny.stl")
 @pytest.mark.parametrize("name", [*MESHES, "tiny.step"])
 def test_unchanged_files_pass_with_a_manifest_and_without(
     made: dict[str, bytes], tmp_path: Path, name: str
@@ -199,6 +201,7 @@ def test_unchanged_files_pass_with_a_manifest_and_without(
 MORE = ("facet doubled", "mirrored")
 
 
+@pytest.mark.daily_cases("tiny.glb-facet turned over", "tiny.3mf-x 25.4")
 @pytest.mark.parametrize(
     "what", [pytest.param(w, marks=pytest.mark.long) if w in MORE else w for w in CHANGES]
 )
@@ -288,6 +291,7 @@ PLACES: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", PLACES)
 def test_a_lenslet_in_a_wrong_place_is_caught(others: dict[str, bytes], tmp_path: Path, what: str) -> None:
     name, change = PLACES[what]
@@ -339,6 +343,7 @@ def _all_in_inches(text: str) -> str:
     return re.sub(r"(=CARTESIAN_POINT\('[^']*',\()([^,()]+,[^,()]+,[^,()]+)\)", grown, text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [
     pytest.param(_pole_lifted, id="radius changed"),
     pytest.param(_patches_exchanged, id="lenslets exchanged"),

@@ -152,6 +152,7 @@ CHANGES: dict[str, tuple[str, Change]] = {
 }  # fmt: skip
 
 
+@pytest.mark.daily_cases("tiny.sheet-back.mask.svg")
 @pytest.mark.parametrize("name", sorted({name for name, _ in CHANGES.values()}))
 def test_unchanged_ones_pass_with_a_manifest_and_without(
     made: dict[str, bytes], tmp_path: Path, name: str
@@ -161,6 +162,7 @@ def test_unchanged_ones_pass_with_a_manifest_and_without(
     assert not failed(alone(tmp_path / "alone", name, made[name]))
 
 
+@pytest.mark.daily_cases("calibration: its step")
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_changed_number_is_caught_with_a_manifest_that_vouches_for_it_and_without_any(
     made: dict[str, bytes], tmp_path: Path, what: str
@@ -174,6 +176,7 @@ def test_a_changed_number_is_caught_with_a_manifest_that_vouches_for_it_and_with
     assert failed(alone(tmp_path / "alone", name, data)) & expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["a layer", "a place"])
 def test_changed_layers_are_caught(tmp_path: Path, what: str) -> None:
     gdstk = pytest.importorskip("gdstk")

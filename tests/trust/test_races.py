@@ -91,6 +91,7 @@ def test_exports_started_together_leave_one_set_and_every_loser_a_sentence(tmp_p
     assert not [p for p in (tmp_path / "out").iterdir() if p.name.startswith(".")]
 
 
+@pytest.mark.slow
 def test_who_reads_while_an_export_writes_is_told_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     only_files(monkeypatch)
     (tmp_path / "t.toml").write_text(TINY)
@@ -150,6 +151,7 @@ def test_a_reader_sees_the_old_set_or_the_new_or_that_there_is_none(tmp_path: Pa
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_a_clock_that_goes_backwards_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Files of the future, a clock of the past: what is whose is told by content and by the process that made it."""
     (tmp_path / "t.toml").write_text(TINY)

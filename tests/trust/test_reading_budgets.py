@@ -274,6 +274,7 @@ def test_a_workers_limits_grow_with_the_file_and_end_at_what_is_free(
     assert kept[2][0] == 1_000_000_000
 
 
+@pytest.mark.slow
 def test_a_grey_mask_on_which_its_library_crashes_fails_its_checks(made: Path, tmp_path: Path) -> None:
     """Found among mutants: the library that reads GDSII takes lengths inside records at their word."""
     pytest.importorskip("gdstk")

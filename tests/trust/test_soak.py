@@ -32,6 +32,7 @@ def test_the_recorded_soak_has_500_valid_designs_and_no_failure(soak: ModuleType
     assert kept["failed"] == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 218])
 def test_a_random_design_is_exported_and_verified(soak: ModuleType, tmp_path: Path, number: int) -> None:
     assert soak.judge(number, tmp_path) == ("passed", "")

@@ -127,11 +127,13 @@ def shell(words: str, streams: str, folder: Path, **changes: str) -> subprocess.
     )  # fmt: skip
 
 
+@pytest.mark.daily_cases("<&- >&- 2>&-")
 @pytest.mark.parametrize("line", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_closed_stream_changes_no_status(tmp_path: Path, line: str) -> None:
     assert shell("check t.toml", line, tmp_path).returncode == 0
 
 
+@pytest.mark.slow
 def test_what_is_printed_into_a_closed_stream_ends_up_in_no_file(tmp_path: Path) -> None:
     assert shell("export t.toml -o out --format stl,table", "<&- >&- 2>&-", tmp_path).returncode == 0
     assert clacad("export", "t.toml", "-o", "plain", "--format", "stl,table", cwd=tmp_path).status == 0
@@ -139,6 +141,7 @@ def test_what_is_printed_into_a_closed_stream_ends_up_in_no_file(tmp_path: Path)
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "plain" / name).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [
     {"PYTHONIOENCODING": "ascii"}, {"PYTHONIOENCODING": "latin-1"},
     {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
@@ -150,6 +153,7 @@ def test_a_stream_that_lacks_letters_changes_no_status(tmp_path: Path, changes: 
     assert json.loads(done.out) == json.loads(clacad("check", "t.toml", "--json", cwd=tmp_path).out)
 
 
+@pytest.mark.slow
 def test_a_full_disk_behind_the_output_is_4_in_one_sentence(tmp_path: Path) -> None:
     done = shell("check t.toml", "> /dev/full", tmp_path)
     assert done.returncode == 4
@@ -173,6 +177,7 @@ command.show_explanation = compiling
 """
 
 
+@pytest.mark.slow
 def test_where_no_compiled_kernel_can_be_kept_the_work_is_done_and_that_is_said_once(tmp_path: Path) -> None:
     done = clacad("explain", "eta", before=NO_CACHE, cwd=tmp_path)
     assert done.status == 0
@@ -180,6 +185,7 @@ def test_where_no_compiled_kernel_can_be_kept_the_work_is_done_and_that_is_said_
     assert sentence.startswith("clacad: compiled kernels cannot be kept")
 
 
+@pytest.mark.slow
 def test_nobody_s_home_is_needed(tmp_path: Path) -> None:
     (tmp_path / "t.toml").write_text(TINY)
     gone = "import os; [os.environ.pop(name, None) for name in ('HOME', 'XDG_CACHE_HOME', 'CLACAD_CACHE_DIR')]\n" \

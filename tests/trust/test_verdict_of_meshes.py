@@ -25,6 +25,7 @@ def _only_files(monkeypatch: pytest.MonkeyPatch) -> None:
     only_files(monkeypatch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "quads"), PAIRS)
 def test_a_mesh_is_a_master_where_light_through_its_triangles_keeps_the_limits(
     tmp_path: Path, name: str, quads: int
@@ -34,6 +35,7 @@ def test_a_mesh_is_a_master_where_light_through_its_triangles_keeps_the_limits(
     assert row.stated == pytest.approx(row.rms, rel=0.06)  # of two samples of rays
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [
     pytest.param(n, marks=() if n in ("tilted", "biconvex, hexagonal") else pytest.mark.long) for n in sheets.EVERY
 ])  # fmt: skip
@@ -46,6 +48,7 @@ def test_a_step_file_of_a_design_that_passes_is_a_master(tmp_path: Path, name: s
     assert (report.word, report.exit_status) == ("passed as optical master", 0), report.verdict()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "quads", "expected"), [("paper-a-covered", 8, 27.3), ("slab", 8, 14.0), ("window-100mm", 8, 7.2)]
 )
@@ -60,6 +63,7 @@ def test_the_bench_s_own_tracer_finds_what_was_measured_before_it(
     assert 1e3 * found.rms == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tilted", "biconvex, hexagonal"])
 def test_the_bench_s_own_triangles_grow_into_its_own_faces(tmp_path: Path, name: str) -> None:
     """Facets' slopes stray in inverse proportion to their number; what is left is the exact surfaces' own error."""

@@ -55,6 +55,7 @@ CIRCUMSTANCES: dict[str, dict[str, str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formats", ["step", ALL], ids=["solid", "all others"])
 def test_the_bytes_do_not_depend_on_circumstances(design: Path, tmp_path: Path, formats: str) -> None:
     found = []
@@ -73,6 +74,7 @@ def test_the_bytes_do_not_depend_on_circumstances(design: Path, tmp_path: Path, 
     assert len(found[0]) > (1 if formats == "step" else 20)
 
 
+@pytest.mark.slow
 def test_the_bytes_are_those_recorded_for_these_versions() -> None:
     """After a change that is meant to change bytes: python tests/trust/golden.py --renew."""
     kept, now = golden.record(), golden.versions()
@@ -96,6 +98,7 @@ export(load(source), theirs, formats=formats, quads=4)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may become somebody else")
 def test_the_bytes_do_not_depend_on_the_user(design: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:  # pytest's own folders are for nobody else
@@ -112,6 +115,7 @@ def test_the_bytes_do_not_depend_on_the_user(design: Path) -> None:
 # -- judged afterwards ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_thin_bodies_far_apart_are_0(tmp_path: Path) -> None:
     """float32 moves the far body's plane by half a spacing as a whole: much of a thin body, and no fault."""
     apart = Design.from_dict({

@@ -42,6 +42,7 @@ def row(table, rung, **wanted):
     return found
 
 
+@pytest.mark.slow
 def test_every_rung_stands_beside_its_error_and_its_seconds(table):
     assert [r.rung for r in table.rows[:4]] == ["law", "thin", "surfaces", "surfaces"]
     assert sum(r.rung == "mesh" for r in table.rows) == 2 * 2 * 2
@@ -57,6 +58,7 @@ def test_every_rung_stands_beside_its_error_and_its_seconds(table):
     assert row(table, "law").model_rms == pytest.approx(surfaces.law_rms, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_measured_errors_are_those_known_of_the_papers_sheet(table):
     # 2.65 mrad of law error over 1 degree; 27 and 13.6 mrad by facets of 8 and 16 quads (performance of facets
     # goes as their size, of vertex normals as its square)
@@ -68,12 +70,14 @@ def test_the_measured_errors_are_those_known_of_the_papers_sheet(table):
     assert np.log2(eight / sixteen) == pytest.approx(2.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_step_as_the_kernel_reads_it_sends_light_where_the_surfaces_do(table):
     step = row(table, "step")
     assert step.checked >= 1000
     assert step.model_max < 1e-11
 
 
+@pytest.mark.slow
 def test_a_target_names_the_cheapest_setting_that_meets_it(table):
     for target in (3e-2, 1e-3, 1e-5):
         chosen = table.cheapest(target)
@@ -87,12 +91,14 @@ def test_a_target_names_the_cheapest_setting_that_meets_it(table):
     assert TargetOutOfReach.exit_status == 3
 
 
+@pytest.mark.slow
 def test_no_row_beats_a_row_of_the_front_in_both(table):
     front = table.pareto()
     for one in front:
         assert not any(r.seconds < one.seconds and r.model_rms < one.model_rms for r in table.rows)
 
 
+@pytest.mark.slow
 def test_every_export_format_has_its_floor(table):
     from clacad.exporting.format_names import FORMATS
 
@@ -100,6 +106,7 @@ def test_every_export_format_has_its_floor(table):
     assert set(named) == set(FORMATS)
 
 
+@pytest.mark.slow
 def test_the_floor_of_each_format_is_confirmed_by_a_trace(table):
     traced = [(floor, row) for floor in table.floors for row in floor.confirmed]
     assert {floor.formats for floor, _ in traced} >= {
@@ -136,6 +143,7 @@ def test_past_the_optimum_finer_facets_of_a_float32_file_are_worse():
     assert finer == pytest.approx(floor.error(128), rel=0.25)
 
 
+@pytest.mark.slow
 def test_the_table_is_json_and_the_plot_is_the_same_for_the_same_table(table):
     again = json.loads(json.dumps(table.to_dict(), allow_nan=False))
     assert len(again["rows"]) == len(table.rows)
@@ -199,6 +207,7 @@ def test_fifty_digits_see_an_error_of_an_ulp_that_doubles_cannot(design):
     np.testing.assert_allclose(errors, 1e-12 * np.sqrt(1 - found.direction[alive][:, 0] ** 2), rtol=1e-3)
 
 
+@pytest.mark.daily_cases("slab", "hexagonal", "plano", "galilean")
 @pytest.mark.parametrize("name", ["slab", "tilted", "hexagonal", "plano", "galilean"])
 def test_every_form_is_held_to_fifty_digits_and_to_its_step_file(name):
     design = clacad.load(f"designs/{name}.toml")
@@ -219,6 +228,7 @@ def test_every_form_is_held_to_fifty_digits_and_to_its_step_file(name):
         assert step.model_max < 1e-11
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [0.0, 0.6, 0.93])
 def test_rays_go_to_the_step_file_until_a_thousand_came_through_and_none_goes_twice(design, lost):
     window = clacad.prescribe(design)
@@ -249,6 +259,7 @@ def test_rays_go_to_the_step_file_until_a_thousand_came_through_and_none_goes_tw
     assert not np.isfinite(none.found).any()
 
 
+@pytest.mark.slow
 def test_single_precision_is_a_tenth_of_a_microradian_not_a_milliradian(table):
     single = row(table, "surfaces", float="f32")
     assert 1e-9 < single.model_rms < 3e-7
@@ -278,6 +289,7 @@ def test_held_exactly_the_corners_lie_on_the_surfaces(design):
             assert np.abs(tile.lens[:, side] * tile.step - z).max() <= tile.step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("normals", "order"), [("facet", 1.0), ("vertex", 2.0)])
 def test_facets_are_of_first_order_and_vertex_normals_of_second(normals, order):
     # a slab: one pair of facets a ray, so that no correlation of two bodies bends the line

@@ -49,6 +49,7 @@ def aimed_elsewhere(window):
     return clacad.prescribe(DESIGN.replace("lattice.aperture", {"point": [-46, 10, -400]}))
 
 
+@pytest.mark.slow
 def test_a_step_file_of_cells_that_differ_is_a_master_and_says_of_how_many(tmp_path):
     manifest = clacad.export(DESIGN, tmp_path / "out", formats=("step",))
     entry = next(one for one in manifest.files if one["format"] == "step")
@@ -62,6 +63,7 @@ def test_a_step_file_of_cells_that_differ_is_a_master_and_says_of_how_many(tmp_p
     assert found["volume"].value < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [one_vertex_moved, wrong_pitch, aimed_elsewhere])
 def test_light_finds_out_a_sheet_that_was_made_otherwise(spoil, tmp_path):
     made = spoil(clacad.prescribe(DESIGN))

@@ -194,6 +194,7 @@ class Dying(Farm):
         raise WorkersLost("a worker process died")
 
 
+@pytest.mark.slow
 def test_what_was_delivered_before_the_workers_were_lost_is_kept_and_said(tmp_path):
     design = Design.from_dict(tomllib.loads(SHEET))
     axes, kept = [parse_vary("pair.index=1.4:1.6:5")], tmp_path / "sweep.checkpoint"

@@ -108,6 +108,7 @@ def test_accuracy_has_the_sheet_itself_beside_one_of_equal_cells_like_its_worst(
         table.cheapest(1e-20)
 
 
+@pytest.mark.slow
 def test_rows_of_the_sheet_itself_are_measured_on_the_rays_given():
     window = clacad.prescribe(DESIGN)
     seen = worst_cell(window, DESIGN.check.field)

@@ -28,6 +28,7 @@ def failing(report):
     return {check.id for check in report.checks if check.state == "fail"}
 
 
+@pytest.mark.slow
 def test_two_plates_are_written_and_judged_as_masters(tmp_path):
     design = sheet("window-100mm")
     made = clacad.export(design, tmp_path, formats=["step", "sag"])

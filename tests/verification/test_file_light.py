@@ -50,6 +50,7 @@ def through(window, slide):
     return send
 
 
+@pytest.mark.daily_cases("-0.01-slab")
 @pytest.mark.parametrize("design", [DESIGN, SLAB], ids=["biconvex", "slab"])
 @pytest.mark.parametrize("part", [-0.01, 0.0, 0.003])
 def test_the_shift_that_was_made_is_the_shift_that_is_found(design, part):
@@ -234,6 +235,7 @@ def maps(tmp_path_factory):
     return made
 
 
+@pytest.mark.daily_cases("*back.u16.tiff", "*front.u16.png", "*back.xyz", "*front.cell.dat")
 @pytest.mark.parametrize(
     "pattern", ["*front.f32.tiff", "*back.u16.tiff", "*front.u16.png", "*back.xyz", "*front.cell.dat"]
 )
@@ -262,6 +264,7 @@ def test_light_through_the_map_of_another_lens_tells_by_how_much(maps, pattern, 
         assert states["file_law_eta"].value > 0.005
 
 
+@pytest.mark.slow
 def test_a_bare_scan_of_the_middle_cell_is_lit_there(tmp_path, monkeypatch):
     only_files(monkeypatch)
     window = prescribe(DESIGN)

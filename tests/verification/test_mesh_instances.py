@@ -97,6 +97,7 @@ def written_out(mesh):
 # -- the same verdict as of all cells written out ------------------------------------------------
 
 
+@pytest.mark.daily_cases("plano-glb")
 @pytest.mark.parametrize("suffix", ["3mf", "glb"])
 @pytest.mark.parametrize("design", [DESIGN, PLANO], ids=["biconvex", "plano"])
 def test_a_repeated_cell_gets_the_verdict_of_all_cells_written_out(tmp_path, suffix, design):
@@ -196,6 +197,7 @@ PLACES = {
 }
 
 
+@pytest.mark.daily_cases("3mf-beside the sheet")
 @pytest.mark.parametrize("what", PLACES)
 @pytest.mark.parametrize("suffix", ["3mf", "glb"])
 def test_one_instance_in_a_wrong_place_fails_placement(tmp_path, suffix, what):
@@ -232,6 +234,7 @@ def test_an_export_does_not_agree_with_a_file_whose_instance_stands_wrong(tmp_pa
         compare_mesh(mesh, window, replace(promise, facets=mesh.facet_count), "part.3mf")
 
 
+@pytest.mark.slow
 def test_a_hexagonal_sheet_of_repeated_cells_stands_on_its_lattice(tmp_path):
     design = DESIGN.replace({"lattice.kind": "hexagonal", "lattice.count": [5, 4]})
     path = written(tmp_path, "3mf", design)
@@ -360,6 +363,7 @@ def large(tmp_path_factory):
     return written(tmp_path_factory.mktemp("large"), "3mf", LARGE, 64)
 
 
+@pytest.mark.slow
 def test_a_sheet_of_40_000_cells_is_read_and_judged_without_expanding_it(large, monkeypatch):
     counter = Counter(monkeypatch)
     tracemalloc.start()
@@ -417,6 +421,7 @@ def test_what_walks_all_facets_is_refused_and_even_samples_and_the_box_are_not(l
     assert 0.45 < (middle[:, 2] > 2.5).mean() < 0.55
 
 
+@pytest.mark.slow
 def test_a_survey_of_40_000_cells_has_their_box_and_the_corners_of_their_hull_however_they_lie(large):
     mesh = read_mesh(large)
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
@@ -476,6 +481,7 @@ NORMALS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["glb", "ply"])
 @pytest.mark.parametrize("what", NORMALS)
 def test_wrong_stored_normals_fail(tmp_path, suffix, what):
@@ -492,6 +498,7 @@ def test_a_stored_normal_that_is_no_number_fails(tmp_path):
         read_mesh(normals_of(written(tmp_path, "ply"), _first_is_nan))
 
 
+@pytest.mark.slow
 def test_stored_normals_are_judged_by_their_angle_to_the_sphere(tmp_path):
     """All turned by an angle: that angle is found, on lenses whose normals are known in closed form."""
     path = normals_of(written(tmp_path, "glb", quads=32), _leaning)
@@ -525,6 +532,7 @@ WINDOW = Design.from_dict({
 })  # fmt: skip
 
 
+@pytest.mark.daily_cases("8")
 @pytest.mark.parametrize("quads", [8, 16, 32])
 def test_noise_of_a_tenth_of_a_micrometre_fails_where_the_honest_file_passes(tmp_path, quads):
     honest, _ = judged(stl(tmp_path, WINDOW, quads), WINDOW)
@@ -533,6 +541,7 @@ def test_noise_of_a_tenth_of_a_micrometre_fails_where_the_honest_file_passes(tmp
     assert "shape" in faults(noisy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [
     {"sag_error_max": 1.0, "slope_error_rms": 1.0, "unit": "mm"}, {"sag_error_max": 1.0, "unit": "mm"},
 ], ids=["both", "sag"])  # fmt: skip
@@ -617,6 +626,7 @@ def test_a_corner_that_is_no_number_is_told_as_it_is_read(tmp_path):
         list(read_mesh(path).chunks())
 
 
+@pytest.mark.slow
 def test_pieces_of_a_large_file_are_counted_or_the_sentence_says_that_they_are_not(tmp_path, monkeypatch):
     path = stl(tmp_path, DESIGN, QUADS)
     small = judged(path)[0]["pieces"]
@@ -667,6 +677,7 @@ def test_a_node_that_stands_under_two_others_is_no_tree(tmp_path):
         read_mesh(path)
 
 
+@pytest.mark.slow
 def test_a_cell_open_by_itself_fails_at_40_000_places(tmp_path):
     path = written(tmp_path, "3mf", LARGE, QUADS)
     path.write_bytes(

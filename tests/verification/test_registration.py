@@ -73,6 +73,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.daily_cases("as written")
 @pytest.mark.parametrize("name", [
     "as written", "upside down, moved", "turned a lot",
     *(pytest.param(n, marks=pytest.mark.long) for n in ("set down elsewhere", "axes exchanged", "turned a little")),
@@ -95,6 +96,7 @@ def test_the_unit_is_found_with_the_part_turned(tmp_path, soup, metres, word):
     assert placed.pose.scale == pytest.approx(1.0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_shrinkage_is_found_as_a_scale_and_judged(tmp_path, soup):
     report = judged(tmp_path, soup * 0.995)
     assert states(report)["scale"] == "fail"
@@ -120,6 +122,7 @@ def test_a_piece_cut_across_cells_is_judged_by_its_whole_cells(tmp_path, soup):
     }
 
 
+@pytest.mark.slow
 def test_a_scan_goes_through(tmp_path, soup):
     """Jitter of 1e-4 pitch, corners not merged, facets of all shapes, holes, any pose."""
     generator = np.random.default_rng(3)
@@ -179,6 +182,7 @@ def test_a_slicers_repair_is_the_part_and_its_rounding_is_held_against_its_light
     assert scanned.word == "passed as scan"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "culprits"), [
     pytest.param({"law.delta": [-0.01, 0.005]}, {"handedness"}, id="mirrored by its design", marks=pytest.mark.long),
     pytest.param({"law.delta": [-0.01, -0.005]}, {"pose"}, id="delta of the other sign"),
@@ -191,11 +195,13 @@ def test_wrong_parts_are_named(tmp_path, change, culprits):
     assert culprits & {c.id for c in report.checks if c.state == "fail"}
 
 
+@pytest.mark.slow
 def test_a_mirrored_part_fails_handedness(tmp_path, soup):
     report = judged(tmp_path, (soup * [-1.0, 1.0, 1.0])[:, ::-1] + [30.0, 0.0, 0.0])
     assert states(report)["handedness"] == "fail"
 
 
+@pytest.mark.slow
 def test_a_radius_one_percent_off_is_caught(tmp_path):
     """Lens 1's curvature alone: every height of the front face a hundredth too small."""
     window = prescribe(DESIGN)
@@ -209,6 +215,7 @@ def test_a_radius_one_percent_off_is_caught(tmp_path):
     assert {"shape", "faithful_eta"} & {c.id for c in report.checks if c.state == "fail"}
 
 
+@pytest.mark.slow
 def test_a_tilt_of_the_wrong_sign_is_named(tmp_path):
     tilted = DESIGN.replace({"law.euler": [0.0, 1.0, 0.0], "law.delta": [0.0, 0.0]})
     wrong = tilted.replace({"law.euler": [0.0, -1.0, 0.0]})
@@ -300,6 +307,7 @@ def labels(mapped, found):
         found += [axes.get_xlabel(), axes.get_ylabel()]
 
 
+@pytest.mark.slow
 def test_the_deviation_map_is_a_picture_and_a_table(soup):
     generator = np.random.default_rng(1)
     scan = soup + generator.normal(0.0, 1e-4, soup.shape)

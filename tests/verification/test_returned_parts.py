@@ -83,6 +83,7 @@ def failed(checks):
 # -- identity first -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [SLAB, PLANO, SYMMETRIC, HEXAGONAL, TILTED, ("galilean", "lattice.count=[8,8]")],
                          ids=lambda w: w[0])  # fmt: skip
 def test_a_copy_of_an_exported_mesh_lies_as_it_was_written(tmp_path, which):
@@ -125,6 +126,7 @@ def test_a_dent_in_a_symmetric_sheet_is_named_where_it_is(tmp_path):
 # -- however it lies ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [SLAB, THIN, PLANO, TILTED, HEXAGONAL, THIN_DISC, ROUND_SLAB],
                          ids=["block", "thin", "two plates", "tilted", "hexagonal disc", "thin disc", "round"])  # fmt: skip
 def test_a_part_turned_about_an_oblique_axis_is_found_and_judged_right(tmp_path, which):
@@ -140,6 +142,7 @@ def test_a_part_turned_about_an_oblique_axis_is_found_and_judged_right(tmp_path,
     assert np.abs(flat.mean(axis=0) - triangles.reshape(-1, 3).mean(axis=0)).max() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("metres", "word"), [(1.0, "m"), (0.0254, "in"), (1e-6, "um")])
 def test_a_turned_part_is_found_in_any_unit(tmp_path, metres, word):
     made = design(*THIN)
@@ -148,6 +151,7 @@ def test_a_turned_part_is_found_in_any_unit(tmp_path, metres, word):
     assert not failed(checks)
 
 
+@pytest.mark.slow
 def test_a_turned_mirror_image_is_still_told(tmp_path):
     made = Design.from_dict({
         "format": 1, "name": "part", "unit": "mm", "law": {"eta": [-0.5, -1.0], "delta": [0.01, 0.005]},
@@ -162,6 +166,7 @@ def test_a_turned_mirror_image_is_still_told(tmp_path):
     assert checks["handedness"].state == "pass"
 
 
+@pytest.mark.slow
 def test_a_disc_turned_about_its_normal_is_found_by_its_lenses(tmp_path):
     made = design(*THIN_DISC)
     placed, checks, _ = judged(tmp_path, made, facets(made) @ about([0.0, 0.0, 1.0], 37.0).T)
@@ -171,6 +176,7 @@ def test_a_disc_turned_about_its_normal_is_found_by_its_lenses(tmp_path):
     assert "turned" in checks["pose"].sentence
 
 
+@pytest.mark.slow
 def test_a_piece_sawn_askew_is_found_by_its_lenses(tmp_path):
     made = design(*THIN)
     turned = facets(made, 6) @ about([0.0, 0.0, 1.0], 27.0).T
@@ -192,6 +198,7 @@ HARMLESS = {
 }
 
 
+@pytest.mark.daily_cases("plano-turned a quarter")
 @pytest.mark.parametrize("how", HARMLESS)
 @pytest.mark.parametrize("which", [SLAB, TILTED, PLANO, ROUND_SLAB], ids=["slab", "tilted", "plano", "round"])
 def test_a_good_part_does_not_fail_shape_by_where_it_lies(tmp_path, which, how):
@@ -209,6 +216,7 @@ def test_a_good_part_does_not_fail_shape_by_where_it_lies(tmp_path, which, how):
     assert placed.window.lattice.count == made.lattice.count
 
 
+@pytest.mark.slow
 def test_a_shrink_beyond_the_limit_fails_scale_alone(tmp_path):
     made = design(*SLAB)
     _, checks, _ = judged(tmp_path, made, facets(made) * 0.998)
@@ -231,6 +239,7 @@ def drilled(triangles, x, y, diameter, low=-100.0, high=100.0):
 PIECE = ("slab", "lattice.count=[4,4]")
 
 
+@pytest.mark.daily_cases("as it lay")
 @pytest.mark.parametrize("motion", ["as it lay", "turned"])
 def test_a_drilled_piece_is_recognised_and_its_hole_named(tmp_path, motion):
     whole = design(*SLAB)
@@ -289,6 +298,7 @@ def test_walls_of_the_design_are_no_holes(which):
 # -- the dent map ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_dents_are_listed_with_depth_place_and_cell_face_by_face(tmp_path):
     made = design(*SLAB)
     window = prescribe(made)
@@ -318,6 +328,7 @@ def test_dents_are_listed_with_depth_place_and_cell_face_by_face(tmp_path):
     assert plot_deviation(mapped, "part.stl").startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_the_picture_of_deviations_has_units_on_every_axis(tmp_path, monkeypatch):
     from matplotlib.figure import Figure
 
@@ -336,6 +347,7 @@ def test_the_picture_of_deviations_has_units_on_every_axis(tmp_path, monkeypatch
 # -- scans ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_mesh_that_lacks_one_facet_is_broken_and_no_scan(tmp_path):
     made = design("slab", "lattice.count=[3,3]")
     triangles = facets(made, 16)
@@ -354,6 +366,7 @@ def test_a_mesh_that_lacks_one_facet_is_broken_and_no_scan(tmp_path):
     assert not report.passed
 
 
+@pytest.mark.slow
 def test_faces_alone_are_a_scan(tmp_path):
     made = design(*SLAB)
     triangles = facets(made)

@@ -141,6 +141,7 @@ EVERY = [
 ]
 
 
+@pytest.mark.daily_cases("INCH-one-assembly")
 @pytest.mark.parametrize(("unit", "bodies", "structure"), EVERY)
 def test_a_good_part_written_again_passes_as_an_optical_master_in_any_unit_and_structure(
     written, tmp_path, unit, bodies, structure
@@ -159,6 +160,7 @@ def test_a_good_part_written_again_passes_as_an_optical_master_in_any_unit_and_s
     assert facts["placement"]["instances"] == (12 * len(window.bodies) if structure == "instanced" else 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["fused", "instanced"])
 @pytest.mark.parametrize("bodies", ["one", "two"])
 def test_a_kernel_s_own_file_gets_the_same_rows(written, tmp_path, bodies, mode):
@@ -173,6 +175,7 @@ def test_a_kernel_s_own_file_gets_the_same_rows(written, tmp_path, bodies, mode)
     assert facts["placement"]["instances"] == (0 if mode == "fused" else 12 * len(window.bodies))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["flat", "assembly"])
 @pytest.mark.parametrize("unit", ["MM", "INCH"])
 def test_a_part_a_thousandth_too_small_fails(written, tmp_path, unit, structure):
@@ -184,6 +187,7 @@ def test_a_part_a_thousandth_too_small_fails(written, tmp_path, unit, structure)
     assert checks["shape"].state == "fail"
 
 
+@pytest.mark.slow
 def test_lenses_whose_radius_is_off_by_a_hundredth_fail(tmp_path):
     design = design_of(*ONE)
     window = clacad.prescribe(design)
@@ -201,6 +205,7 @@ def test_lenses_whose_radius_is_off_by_a_hundredth_fail(tmp_path):
     assert checks["file_law_eta"].value == pytest.approx(0.01, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_one_body_moved_by_a_two_hundredth_of_the_separation_fails(written, tmp_path, unit, axis):
@@ -239,6 +244,7 @@ def shifted_row(path, target, row, by):
     target.write_text(text[: where.start(1)] + repr(float(where[1]) + by) + text[where.end(1) :])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.04, 1e-3, 1e-6])
 def test_one_row_of_instances_off_the_lattice_is_named_with_its_cell_and_distance(tmp_path, part):
     design = design_of("slab", (2, 150))
@@ -259,6 +265,7 @@ def test_one_row_of_instances_off_the_lattice_is_named_with_its_cell_and_distanc
     assert "60" not in found.sentence.split("cell")[0]
 
 
+@pytest.mark.slow
 def test_a_cell_left_out_and_a_cell_put_twice_are_named(written, tmp_path):
     design, window = written["one"]
     text = written["one", "instanced"].read_text()
@@ -338,6 +345,7 @@ def rippled(shape, height):
     return shape
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bodies", ["one", "two"])
 def test_lens_faces_that_another_program_fitted_closely_pass_by_their_light(written, tmp_path, bodies):
     design, window = written[bodies]
@@ -349,6 +357,7 @@ def test_lens_faces_that_another_program_fitted_closely_pass_by_their_light(writ
     assert {checks[name].state for name in (*IDS, "placement")} == {"pass"}
 
 
+@pytest.mark.slow
 def test_lens_faces_that_another_program_fitted_badly_fail(written, tmp_path):
     design, window = written["one"]
     pitch = min(window.lattice.pitch) * window.unit * 1e3
@@ -364,6 +373,7 @@ def test_lens_faces_that_another_program_fitted_badly_fail(written, tmp_path):
 # -- files too large for a kernel ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bodies", ["one", "two"])
 def test_light_through_the_patches_of_the_text_goes_where_the_kernel_sends_it(
     written, tmp_path, monkeypatch, bodies
@@ -394,6 +404,7 @@ def test_what_a_file_holds_is_said(written):
 # -- what came back -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_piece_with_a_drilled_hole_is_recognised_and_the_hole_is_named(tmp_path):
     from OCP.BRepAlgoAPI import BRepAlgoAPI_Cut
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeCylinder

@@ -181,6 +181,7 @@ def test_nothing_to_vary_and_one_key_twice_are_refused():
             sweep(DESIGN, axes)
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_table_and_prints_it(tmp_path, capsys):
     path = tmp_path / "sheet.json"
     path.write_text(json.dumps(SHEET))
@@ -198,6 +199,7 @@ def test_the_command_writes_the_table_and_prints_it(tmp_path, capsys):
     assert main(["sweep", str(path), "--vary", "law.nothing=1,2", "--rays", "64", "--workers", "1"]) == 2
 
 
+@pytest.mark.slow
 def test_the_tolerance_command_prints_contributors_and_yield(tmp_path, capsys):
     path = tmp_path / "sheet.json"
     path.write_text(json.dumps(SHEET))

@@ -238,12 +238,14 @@ def test_own_limits_of_the_table_are_limits_too():
     assert found.yields()[0] == 0.0
 
 
+@pytest.mark.slow
 def test_two_processes_find_what_one_finds(study):
     other = tolerance(design(**TOLERANCES), samples=6, rays=64, farm=Farm(2))
     np.testing.assert_array_equal(other.measures, study.measures[:6])
     np.testing.assert_array_equal(other.slopes, study.slopes)
 
 
+@pytest.mark.slow
 def test_a_study_is_written_and_read_back_with_the_same_bytes_every_time(tmp_path, study):
     first = [p.read_bytes() for p in write_study(study, tmp_path / "a")]
     second = [p.read_bytes() for p in write_study(study, tmp_path / "b")]
@@ -259,6 +261,7 @@ def test_a_study_is_written_and_read_back_with_the_same_bytes_every_time(tmp_pat
     assert read_study(tmp_path / "nothing") is None
 
 
+@pytest.mark.slow
 def test_more_samples_go_on_from_a_checkpoint(tmp_path, study, monkeypatch):
     kept = tmp_path / "tolerances.checkpoint"
     tolerance(design(**TOLERANCES), samples=10, rays=64, farm=Farm(1), checkpoint=kept)

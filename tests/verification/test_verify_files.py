@@ -83,6 +83,7 @@ def test_a_coarse_file_that_is_the_design_is_a_shape_only(tmp_path, soup):
     assert {c.id for c in report.checks} >= LIGHT
 
 
+@pytest.mark.slow
 def test_a_coarse_file_declared_as_a_preview_is_accepted_as_a_shape(tmp_path, soup):
     report = judged(tmp_path, soup, role="preview")
     assert failed(report) == set()
@@ -101,6 +102,7 @@ def test_a_coarse_file_declared_as_a_preview_is_accepted_as_a_shape(tmp_path, so
     } <= {c.id for c in report.checks if c.state == "pass"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "culprit"), [
     pytest.param({"law.eta": [-0.255, -1.0]}, "faithful_eta", id="eta_x off by 2 %"),
     pytest.param({"law.eta": [-0.25, -1.02]}, "faithful_eta", id="eta_y off by 2 %"),
@@ -114,6 +116,7 @@ def test_a_file_of_another_design_fails_by_name(tmp_path, change, culprit):
     assert culprit in failed(report)
 
 
+@pytest.mark.daily_cases("empty")
 @pytest.mark.parametrize(("spoil", "culprit"), [
     pytest.param(lambda t: np.delete(t, 100, axis=0), "closed", id="facet dropped"),
     pytest.param(lambda t: np.concatenate([t[:77], t[77:78, ::-1], t[78:]]), "closed", id="facet flipped"),
@@ -201,6 +204,7 @@ def test_unit_and_cells_are_found_without_a_manifest(tmp_path, soup, unit, word)
     assert f"read in {word}, 5 x 4 cells" in placed.note
 
 
+@pytest.mark.slow
 def test_fewer_cells_than_designed_are_found(tmp_path):
     part = DESIGN.with_cells((3, 2))
     report = judged(tmp_path, sheet_facets(prescribe(part), 8), role="preview")
@@ -213,6 +217,7 @@ def test_something_else_is_no_part_of_this_design(tmp_path, soup):
         judged(tmp_path, soup * [1.0, 1.0, 3.0])
 
 
+@pytest.mark.slow
 def test_one_body_of_two_is_judged_against_that_body(tmp_path):
     window = prescribe(DESIGN)
     report = judged(tmp_path, facets(window, window.bodies[1], 8), role="preview")
@@ -231,6 +236,7 @@ def test_every_required_check_that_does_not_run_fails_the_report(tmp_path, soup)
             assert replace(report, checks=gone).exit_status == 1
 
 
+@pytest.mark.slow
 def test_the_same_files_give_the_same_json(tmp_path, soup):
     first, second = (judged(tmp_path, soup, role="preview").to_json() for _ in range(2))
     assert first == second
@@ -277,6 +283,7 @@ def test_an_entry_that_names_no_file_fails(tmp_path, soup, files):
     assert "integrity" in failed(report)
 
 
+@pytest.mark.slow
 def test_a_role_is_declared_for_a_format_or_a_file_and_for_nothing_else(tmp_path, soup):
     assert judged(tmp_path, soup, role={"stl": "preview"}).exit_status == 0
     assert judged(tmp_path, soup, role={"part.stl": "preview"}).exit_status == 0
@@ -286,6 +293,7 @@ def test_a_role_is_declared_for_a_format_or_a_file_and_for_nothing_else(tmp_path
         judged(tmp_path, soup, role="draft")
 
 
+@pytest.mark.slow
 def test_a_preview_of_a_manifest_counts_as_declared_only_where_it_was(tmp_path, soup):
     for declared, status in ((True, 0), (False, 1)):
         told = {"role": "shape-preview", "role_declared": declared}

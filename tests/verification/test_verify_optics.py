@@ -70,6 +70,7 @@ def swapped(design):
     return prescribe(design.replace({"law.eta": eta}))
 
 
+@pytest.mark.daily_cases("turned by 90 degrees")
 @pytest.mark.parametrize(("window", "culprit"), [
     pytest.param(lambda: scaled_lens_2(prescribe(BASE), 1.01), "confocality", id="f2 + 1 %"),
     pytest.param(lambda: prescribe(BASE.replace({"law.euler": [0.0, -0.5, 0.0]})), "tilt", id="tilt sign"),
@@ -129,6 +130,7 @@ def by_light(design, window):
     return {c.id: c for c in law_checks(design, seen)}
 
 
+@pytest.mark.daily_cases("one virtual focus")
 @pytest.mark.parametrize("name", ANGLES)
 def test_meridians_turned_with_delta_to_suit_fail_tilt_alone_and_the_right_ones_pass(name):
     design = angled(name)

@@ -39,6 +39,7 @@ def judged(path):
     return {check.id: check for check in found}
 
 
+@pytest.mark.daily_cases("obj")
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_true_file_of_any_format_is_the_design(tmp_path, format):
     checks = judged(sent_back(tmp_path / f"part.{format}"))
@@ -46,6 +47,7 @@ def test_a_true_file_of_any_format_is_the_design(tmp_path, format):
         assert checks[name].state == "pass", checks[name].sentence
 
 
+@pytest.mark.daily_cases("stl")
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_part_whose_lenses_were_made_ten_per_cent_flatter_is_not(tmp_path, format):
     def flatter(vertices):

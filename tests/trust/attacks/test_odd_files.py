@@ -154,6 +154,7 @@ def attacked(design: Path, rounds: int, seed: int) -> None:
         assert status in (0, 1, 2)
 
 
+@pytest.mark.slow
 def test_a_few_odd_values_in_a_manifest_are_answered(design: Path) -> None:
     attacked(design, 8, 0)
 
@@ -196,6 +197,7 @@ def test_whatever_the_header_of_an_array_says_is_refused_in_one_line(
 # -- handles ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("check t.toml-5", "export t.toml -o out --format step -q-9")
 @pytest.mark.parametrize(("line", "handles"), [
     ("check t.toml", 5), ("export t.toml -o out --format stl -q", 6), ("export t.toml -o out --format stl -q", 7),
     ("export t.toml -o out --format step -q", 9),

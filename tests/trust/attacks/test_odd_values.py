@@ -37,6 +37,7 @@ def test_a_tenth_of_the_odd_values_is_answered(tmp_path: Path, capsys: pytest.Ca
     judged(attack(tmp_path, 0.1, 2), capsys)
 
 
+@pytest.mark.slow
 def test_every_key_of_every_form_is_among_them() -> None:
     keys = len(ROOT) + sum(map(len, SECTIONS.values()))
     assert sum(1 for _ in cases(2.0, 0)) == len(BASES) * keys * len(VALUES)
