@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
-
 import ast
 import re
 from collections import defaultdict
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 RUN = 6

@@ -703,6 +703,7 @@ def test_a_plate_stands_for_a_lens_on_the_homogeneous_sheet():
 # -- compiled passes ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper-a-covered", "tilted-biconvex", "hexagonal"])
 @pytest.mark.parametrize("wave", [None, 486e-9])
 def test_compiled_passes_say_what_the_numpy_ones_say(name, wave):

@@ -50,6 +50,7 @@ def named(cells):
     return np.where((cells == NO_CELL).any(axis=1)[:, None], NOWHERE, cells)
 
 
+@pytest.mark.daily_cases("round, with border and seams")
 @pytest.mark.parametrize("name", [
     name if name in EVERYDAY else pytest.param(name, marks=pytest.mark.slow) for name in CASES])  # fmt: skip
 def test_a_thousand_pixels_agree_with_rung_thin_in_slope_cell_and_fate(chromium, tmp_path, name):

@@ -41,6 +41,7 @@ def test_check_and_export_foresee_the_same_facets_and_light_within_the_limits(na
     assert rows["3mf"].bytes < 10_000_000
 
 
+@pytest.mark.slow
 def test_a_mesh_without_room_for_a_master_is_a_declared_preview_and_its_delivery_passes(
     tmp_path, monkeypatch
 ):

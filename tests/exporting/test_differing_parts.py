@@ -120,6 +120,7 @@ def test_what_repeats_or_samples_one_cell_is_refused_by_one_code(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_gdsii_levels_of_every_cell_are_the_heights_of_its_own_lens(tmp_path):
     gdstk = pytest.importorskip("gdstk", reason="the extra gds is not installed")
     design = PAIR.with_cells((3, 2))

@@ -59,6 +59,7 @@ def command(*words: object) -> subprocess.CompletedProcess[str]:
 # -- forecast of light -----------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize("name", MEASURED)
 def test_light_through_coarse_and_fine_facets_is_forecast_as_measured(name):
     grader, (exact, rows) = grader_of(name), MEASURED[name]
@@ -100,6 +101,7 @@ def test_heights_in_steps_make_fine_facets_worse_and_the_formula_knows():
     assert grader.foreseen() in (16, 32)
 
 
+@pytest.mark.daily_cases("0.01-8")
 @pytest.mark.parametrize(("limit", "expected"), [(2e-2, 4), (1e-2, 8), (3e-3, 32), (1e-9, None)])
 def test_the_smallest_power_of_two_within_95_percent_is_taken(limit, expected):
     """k/m with k = 63.7 mrad: 15.9 at 4, 8.0 at 8, 4.1 at 16, 2.1 at 32 quads, .25 of the exact surfaces beside."""
@@ -225,6 +227,7 @@ def test_roles_that_cannot_be_understood_are_one_sentence(tmp_path, role, words)
         export(small(), tmp_path / "out", ("stl", "frame"), role=role)
 
 
+@pytest.mark.daily_cases("words1-named twice", "words0-did you mean stl")
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

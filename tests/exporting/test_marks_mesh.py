@@ -414,6 +414,7 @@ def test_an_engraved_part_that_was_moved_is_found_where_it_lies(exported, tmp_pa
     assert not [check for check in checks.values() if check.state == "fail"]
 
 
+@pytest.mark.daily_cases("elsewhere")
 @pytest.mark.parametrize("change", ["deeper", "elsewhere"])
 def test_letters_at_another_depth_or_place_are_not_taken_for_marks(
     exported, tmp_path: Path, change: str

@@ -52,6 +52,7 @@ def test_solids_of_too_many_cells_are_refused_before_the_other_files(tmp_path):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("format", "limit"), [("glb", "formats.mesh.glb.MOST_NODES"), ("3mf", "formats.mesh.threemf.MOST_PLACES")]
 )

@@ -34,7 +34,7 @@ def off(one: float, other: float) -> float:
     return max(one, other) / min(one, other)
 
 
-@pytest.mark.daily_cases("paper-base", "plano", "tilted-seam", "tilted-biconvex", "window-100mm")
+@pytest.mark.daily_cases("plano", "paper-base")
 @pytest.mark.parametrize("name", NAMES)
 def test_rough_sizes_are_near_the_close_ones(name: str) -> None:
     asked = clacad.load(ROOT / "designs" / f"{name}.toml")
@@ -77,6 +77,7 @@ def test_a_check_loads_no_mesher_no_solids_and_no_writer() -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "aperture",
     [[0.01, 0.004], pytest.param({"point": [3, -2, -150]}, marks=pytest.mark.slow)],

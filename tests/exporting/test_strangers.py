@@ -61,6 +61,7 @@ def test_freecad_finds_the_same_solids_faces_and_volume(tmp_path, mode):
     assert volume == pytest.approx(sum(column_volume(window, body) for body in window.bodies), rel=1e-9)
 
 
+@pytest.mark.daily_cases("hexagonal", "slab")
 @pytest.mark.parametrize("name", ["tilted-biconvex", "hexagonal", "slab"])
 def test_gdsii_levels_are_the_heights_of_the_lens(tmp_path, name):
     gdstk = pytest.importorskip("gdstk", reason="the extra gds is not installed")

@@ -55,6 +55,7 @@ def texts(path):
     return [text.dxf.text for text in document.modelspace().query("TEXT")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "design",
     [pytest.param(part("tilted-biconvex", (2, 2)), marks=pytest.mark.slow), round_slab(4, 1.6)],
@@ -154,6 +155,7 @@ def test_the_text_of_the_pdf_holds_sizes_tolerances_radii_conics_and_sags(tmp_pa
     assert re.search(r"0\.0563\d+ ±0\.006", text)
 
 
+@pytest.mark.daily_cases("plano-a3", "slab-a4")
 @pytest.mark.parametrize("paper", PAPERS)
 @pytest.mark.parametrize("name", ["tilted-biconvex", "plano", "slab"])
 def test_nothing_on_a_sheet_overlaps_or_leaves_the_frame(paper, name):
@@ -183,6 +185,7 @@ def test_the_title_of_the_section_counts_the_cells_of_the_row_that_is_drawn():
     assert views.row_text(clacad.prescribe(part("slab", (5, 3)))) == "5 cells of 0.5"
 
 
+@pytest.mark.slow
 def test_what_an_error_costs_is_taken_from_the_study_of_this_very_design(tmp_path):
     design = part("slab", (4, 4))
     study = {
@@ -330,6 +333,7 @@ def emptiest_share(sheet):
     return largest / taken.size
 
 
+@pytest.mark.daily_cases("flange-a4", "slab-a3")
 @pytest.mark.parametrize("paper", ["a4", "a3"])
 @pytest.mark.parametrize(
     "name", ["slab", FLANGE, "hexagonal", "tilted-biconvex", POLYGON], ids=lambda name: name if isinstance(name, str) else name["name"]

@@ -148,6 +148,7 @@ def test_a_plate_apart_is_refused_where_each_cell_is_aimed():
     assert carried.outline.diameter == 10.5
 
 
+@pytest.mark.daily_cases("instanced")
 @pytest.mark.parametrize("mode", ["fused", "instanced"])
 def test_cad_finds_round_holes_corners_and_edges_as_cylinders_of_their_radius_and_axis(tmp_path, mode):
     from OCP.BRepAdaptor import BRepAdaptor_Surface

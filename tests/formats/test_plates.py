@@ -73,6 +73,7 @@ def test_corners_and_holes_take_their_closed_forms_off_solid_and_mesh(tmp_path, 
         assert one.value - two.value == pytest.approx(lost * land_thickness(before), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["square", pytest.param("hexagonal", marks=pytest.mark.slow)])
 def test_outlines_that_are_not_convex_make_closed_meshes_and_valid_solids(tmp_path, kind):
     sheet = window(

@@ -135,6 +135,7 @@ def test_crossed_cylinders_as_a_pair_are_refused_and_two_sheets_of_cylinders_are
     np.testing.assert_allclose(slopes[1], -slopes[0], atol=1e-3)  # eta = -1 in x by sheet a, in y by sheet b
 
 
+@pytest.mark.slow
 def test_light_through_long_facets_goes_as_through_the_cylinders():
     """Within twice what the slopes of the facets, p/(q R sqrt 12) on either face, bend by n - 1."""
     window = clacad.prescribe(SHEET)

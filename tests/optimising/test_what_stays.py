@@ -143,6 +143,7 @@ def _radii(face):
 EVERY_TIME = (("plano", "both", "conic"), ("slab", "offset", "a4"))
 
 
+@pytest.mark.daily_cases("plano-both-conic")
 @pytest.mark.parametrize(
     ("pair", "law", "word"),
     [

@@ -39,6 +39,7 @@ def test_each_lens_is_as_thick_as_the_cells_of_its_own_array_ask(change):
     assert [c.state for c in checks] == ["pass", "pass"]
 
 
+@pytest.mark.slow
 def test_a_lens_that_is_too_thin_for_its_array_is_the_one_that_fails():
     made = prescribe(Design.from_dict(BICONVEX | WIDER))
     thick = [lens.thickness for lens in feasibility(made).lenses]

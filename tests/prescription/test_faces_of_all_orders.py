@@ -105,6 +105,7 @@ def test_light_through_them_is_that_of_fifty_digits_and_of_the_oracle(name):
         )
 
 
+@pytest.mark.daily_cases("skew")
 @pytest.mark.parametrize("name", ["skew", "tilted"])
 def test_both_paths_say_the_same_of_every_ray(name):
     window = prescribe(DESIGNS[name])

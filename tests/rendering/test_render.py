@@ -584,6 +584,7 @@ def test_a_photograph_is_decoded_once_while_its_file_is_the_same(tmp_path):
 # -- the tint of a sheet -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
 def test_a_tint_takes_its_part_of_each_colour_seen_through_the_sheet_and_of_nothing_else(compiled):
     """Light is linear: through the sheet each colour is the untinted one times the tint, beside and before it the same."""

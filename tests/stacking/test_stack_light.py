@@ -374,6 +374,7 @@ def test_two_sheets_of_minus_one_are_negative_space():
     assert thin.error < 1e-3
 
 
+@pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize("form", ["slab", "biconvex"])
 def test_field_lenses_give_each_sheet_its_light_and_a_stack_all_of_its_space(form):
     """Prototype: share .649 to 1.000 an axis, B = −100.02: chief rays cross a sheet from a middle to a middle, B = G/η."""

@@ -58,6 +58,7 @@ def bulge(folder: Path) -> list[str]:
     return ["check", "made.toml", "--set", 'lattice.outline={dxf="outline.dxf"}']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "status", "said"), [
     (points, 2, "x is empty"), (source, 2, "--source 1e300"), (scales, (1, 2), "multiply to more"), (bulge, (0, 1), ""),
 ], ids=["empty cell of a table", "half angle of 1e300", "scales of a GLB file", "bulge of 1e-300"])  # fmt: skip

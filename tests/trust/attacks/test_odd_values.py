@@ -20,6 +20,7 @@ def judged(tally: Tally, capsys: pytest.CaptureFixture[str]) -> None:
     assert tally.faults == []
 
 
+@pytest.mark.slow
 def test_a_few_of_the_odd_values_are_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     judged(attack(tmp_path, 0.002, 0), capsys)
 
