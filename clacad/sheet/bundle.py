@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import cos, degrees, pi, sin, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
-from clacad.optics.rays import Rays, TraceResult
+from clacad.optics.rays import Rays
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
 
@@ -127,22 +125,6 @@ def launched(
     below = window.z_range[0] - 0.5 * max(window.lattice.pitch)
     start = at + direction * (below / direction[:, 2:])
     return Bundle(middle, field, aperture, cell, Rays(start, direction), local)
-
-
-def sent_together(
-    lit: Sequence[Bundle], send: Callable[[Bundle], TraceResult]
-) -> list[tuple[Floats, NDArray[np.uint8]]]:
-    """Directions (n, 3) and fates (n,) of each of several bundles over one cell, traced in one call.
-
-    Additional rays add little to the cost of a call.
-    """
-    starts, ways = (
-        np.concatenate([getattr(one.rays, name) for one in lit]) for name in ("position", "direction")
-    )
-    joined = replace(lit[0], rays=Rays(starts, ways), points=np.concatenate([one.points for one in lit]))
-    seen = send(joined)
-    ends = np.cumsum([len(one.rays) for one in lit])[:-1]
-    return list(zip(np.split(seen.direction, ends), np.split(seen.fate, ends), strict=True))
 
 
 def field_points(window: Window, field: float, centre: str = "axis") -> Floats:

@@ -12,10 +12,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Floats, Ints
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.sheet.asked_focus import less_focus
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle, central_cell
 from clacad.sheet.like_cell import SAMPLED, like_cell, outer_cells, sampled_cells
 from clacad.sheet.window import Window
@@ -131,18 +131,18 @@ def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
     """Rms angle (n,) of the light of each cell to the law, by `count` rays; infinite where almost no light
     gets through.
     """
-    rays, alive, direction = through_all(tried, field, count)
-    each = rays.direction.reshape(len(tried), -1, 3)
+    rays, seen = through_all(tried, field, count)
+    alive, each = seen.fate == Fate.ALIVE, rays.direction.reshape(len(tried), -1, 3)
     asked = np.concatenate([one.like.law.refract(some) for one, some in zip(tried, each, strict=True)])
-    error = np.where(alive, angle_between(direction, asked), np.nan).reshape(len(tried), -1)
+    error = np.where(alive, angle_between(seen.direction, asked), np.nan).reshape(len(tried), -1)
     through = alive.reshape(len(tried), -1).sum(axis=1)
     rms = np.sqrt(np.nansum(error**2, axis=1) / np.maximum(through, 1))
     return np.where(through < FEWEST_TRIED * count / TRIED_RAYS, np.inf, rms)
 
 
-def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, Bools, Floats]:
-    """Trace `count` rays through every tried cell of a sheet; return them, which are ALIVE, and where they
-    go.
+def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, TraceResult]:
+    """Trace `count` rays through every tried cell of a sheet; the result is without the effect of the requested
+    focus.
     """
     starts, rays, points = [], [], []
     for one in tried:
@@ -152,5 +152,6 @@ def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) ->
         points.append(lit.points)
     sent = Rays(np.concatenate(starts), np.concatenate(rays))
     result = trace(tried[0].window, sent, path="size")
-    direction = less_focus(tried[0].window, np.concatenate(points), result.direction)
-    return sent, result.fate == Fate.ALIVE, direction
+    law = RequestedLaw.of(tried[0].window)
+    direction = law.without_focus(np.concatenate(points), result.direction)
+    return sent, replace(result, direction=direction)

@@ -13,7 +13,7 @@ from oracle import varying as oracle
 import clacad
 from clacad.optics.law.focusing import SharpPair, cell_width
 from clacad.optics.rays import Fate
-from clacad.sheet.asked_focus import less_focus
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.verification.light.image_checks import image_checks
 from clacad.verification.light.through_window import judge_light
 
@@ -144,7 +144,7 @@ def test_light_is_held_to_the_law_less_what_the_focus_was_asked_to_do():
     out, points = seen.direction[alive], points[alive]
     asked = window.law_at((4, 4)).refract(d)
     assert np.abs(out - asked).max() > 1e-3
-    assert np.abs(less_focus(window, points, out) - asked).max() < 1e-14
+    assert np.abs(RequestedLaw.of(window).without_focus(points, out) - asked).max() < 1e-14
 
 
 def test_a_sharp_sheet_passes_its_checks_and_another_focus_fails():

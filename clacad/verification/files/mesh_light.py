@@ -11,11 +11,12 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.formats.mesh.closed_stream import Measure
-from clacad.optics.law import Law, angle_between
+from clacad.light.compare import Comparison, rms_between
+from clacad.light.measure import Light
+from clacad.optics.law import Law
 from clacad.optics.rays import Fate
-from clacad.sheet.asked_focus import asked_directions
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle, launched
-from clacad.sheet.light_against_law import fitted_laws
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
@@ -112,11 +113,11 @@ def checks_of_light(
     likes = (like_cell(window, np.array(cell, dtype=np.int64), widest=False) for cell in gathered.cells)
     forecasts = np.array([forecast_rms(like, d) for like, d in zip(likes, off, strict=True)])
     evidence = MeshEvidence(
-        found, gathered.cells, rms, light.rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost.tolist()}, gathered
+        found, gathered.cells, rms, light.light.rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost.tolist()}, gathered
     )  # fmt: skip
     noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
     checks = light_checks(asked, light, rms=to_law.tolist(), cells=gathered.cells, noise=noise)
-    checks.append(_faithful_rms(asked, evidence, str(light.rays), clean))
+    checks.append(_faithful_rms(asked, evidence, str(light.light.lit), clean))
     return checks + _faithful_fit(asked, evidence, passed), evidence
 
 
@@ -131,11 +132,11 @@ def _by_cell(
     asked: Inspection, window: Window, gathered: CellFacets, light: FileLight, present: Sequence[str] | None
 ) -> Iterator[tuple[float, float, float]]:
     """For each cell: rms direction error (radians) to the exact surfaces and to the law, and the share of lost light."""
-    main, spec = light.rays, asked.design.check
+    main, spec = light.light.lit, asked.design.check
     for number, cell in enumerate(gathered.cells):
         asked.progress("tracing the triangles", number / len(gathered.cells))
         one, count = seen_cell(window, cell), len(main.rays)
-        lit, seen, truth = one.placed(main), light.seen, light.truth
+        lit, seen, truth = one.placed(main), light.light.seen, light.compared.exact.seen
         if number:
             count = min(asked.rays, CELL_RAYS)
             if window.uniform:
@@ -150,12 +151,8 @@ def _by_cell(
         if lost > LOST:
             ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
             lost = _lost(good, ideal.fate == Fate.ALIVE, alive, field=bool(window.thin.field))
-        law = asked_directions(one.like, lit)[alive]
-        yield (
-            _rms_between(seen.direction[both], truth.direction[:count][both]),
-            _rms_between(seen.direction[alive], law),
-            lost,
-        )
+        law = RequestedLaw.of(one.like)
+        yield rms_between(seen, truth.rows(slice(count)), both), Light(lit, seen, law, fewest=1).rms, lost
 
 
 def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
@@ -202,13 +199,6 @@ def _lost(good: Bools, ideal: Bools, alive: Bools, *, field: bool = False) -> fl
     whole = min(good.sum(), ideal.sum()) if field else good.sum()
     kept = [alive.sum() / max(1, whole), (known & alive).sum() / max(1, known.sum())]
     return float(1.0 - min(kept))
-
-
-def _rms_between(one: Floats, other: Floats) -> float:
-    """Rms angle between directions (n, 3), radians; NaN for none."""
-    angle = angle_between(one, other)
-    angle = angle[np.isfinite(angle)]
-    return float(np.sqrt(np.mean(angle**2))) if len(angle) else np.nan
 
 
 def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> Bundle:
@@ -258,9 +248,9 @@ def _fits(
     lit = one.placed(bundle(one.like, asked.rays, angle, spec.field_centre))
     seen = trace_facets(held, lit.rays)
     ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
-    both = (ideal.fate == Fate.ALIVE) & (seen.fate == Fate.ALIVE)
-    laws = fitted_laws(one.like.law, lit.rays, seen, ideal, both, LEAST_FITTED) or (None, None)
-    return *laws, int(both.sum())
+    law = RequestedLaw(one.like.law)
+    found = Comparison(Light(lit, seen, law), Light(lit, ideal, law), LEAST_FITTED)
+    return *(found.laws or (None, None)), int(found.both.sum())
 
 
 def _faithful_fit(asked: Inspection, evidence: MeshEvidence, passed: int) -> list[Check]:
