@@ -1,13 +1,14 @@
 """Light of the same rays sent in two ways, for instance through a file and through the exact surfaces.
 
-Aberration alone changes fits over a field of a degree (2 % for the paper's sheet). Fitted laws and the focus are
-therefore differences: the light minus that of the exact surfaces, over the rays ALIVE in both.
+Aberration alone changes fits over a field of a degree (2 % for the paper's sheet). Fitted laws and the focus
+are therefore differences: the light minus that of the exact surfaces, over the rays ALIVE in both.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,10 +59,11 @@ class Comparison:
         return None if law is None or exact is None else (law, exact)
 
     def focus(self, window: Window, change: Floats | None = None) -> Floats:
-        """Shift of array 2 along the normal that minimises the rms error to the law, minus that of the exact surfaces.
+        """Shift of array 2 along the normal that minimises the rms error to the law, minus that of the exact
+        surfaces.
 
-        One Gauss–Newton step with the derivative of the exact surfaces. A small shift does not change the slopes
-        of facets, but their mean over a lens is the lens's slope.
+        One Gauss–Newton step with the derivative of the exact surfaces. A small shift does not change the
+        slopes of facets, but their mean over a lens is the lens's slope.
 
         Parameters
         ----------
@@ -127,12 +129,37 @@ def change_with_shift(window: Window, cell: tuple[int, int], rays: Rays) -> Floa
 
 
 def angles(one: TraceResult, other: TraceResult, last: Fate = Fate.ALIVE) -> Floats:
-    """Angles (k,), radians, between exit directions of rays that pass both traces with one fate, up to `last`, and order."""
+    """Angles (k,), radians, between exit directions of rays that pass both traces with one fate, up to `last`,
+    and one order.
+    """
     same = (one.fate <= last) & (one.fate == other.fate) & (one.order == other.order).all(axis=1)
     return angle_between(one.direction[same], other.direction[same])
 
 
-def rms_between(one: TraceResult, other: TraceResult, rays: Bools) -> float:
-    """Rms angle (radians) between exit directions of some of the rays (n,); NaN for none."""
-    angle = angle_between(one.direction[rays], other.direction[rays])
+def rms_between(one: Floats, other: Floats, rays: Bools) -> float:
+    """Rms angle (radians) between directions (n, 3) of some of the rays (n,); NaN for none."""
+    angle = angle_between(one[rays], other[rays])
     return rms_angle(angle[np.isfinite(angle)])
+
+
+class AngleSummary(NamedTuple):
+    """Root mean square, 95 % quantile and largest of some angles, radians; NaN for none."""
+
+    rms: float
+    p95: float
+    worst: float
+
+    @staticmethod
+    def of(angle: Floats) -> AngleSummary:
+        """Summary of angles (k,)."""
+        return AngleSummary(rms_angle(angle), *(_quantile(angle, percent) for percent in (95.0, 100.0)))
+
+    @staticmethod
+    def between(one: Floats, other: Floats) -> AngleSummary:
+        """Summary of the angles between directions (n, 3), where both are finite."""
+        angle = angle_between(one, other)
+        return AngleSummary.of(angle[np.isfinite(angle)])
+
+
+def _quantile(values: Floats, percent: float) -> float:
+    return float(np.percentile(values, percent)) if len(values) else float("nan")

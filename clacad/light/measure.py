@@ -1,8 +1,8 @@
 """Light of a bundle of rays behind a sheet, compared with the law: error, bias, spread, share, fitted law.
 
-The caller gives the sender: any callable that traces a bundle. Only ALIVE rays count; a number from fewer rays than
-`Light.fewest` is NaN. Light of several wavelengths and temperatures is the light of all of them together, each with its
-weight; `Light.lines` holds them one by one.
+The caller gives the sender: any callable that traces a bundle. Only ALIVE rays count; a number from fewer rays
+than `Light.fewest` is NaN. Light of several wavelengths and temperatures is the light of all of them together,
+each with its weight; `Light.lines` holds them one by one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FEWEST = 64
 """Least number of ALIVE rays for a result other than NaN."""
 
 Send = Callable[[Bundle], TraceResult]
-"""Traces a bundle: through exact surfaces, facets, the faces of a file, a measured map, or a displaced copy."""
+"""Traces a bundle: through exact surfaces, facets, a file's faces, a measured map, or a displaced copy."""
 
 Weights = Mapping[float, float] | Sequence[float]
 """Value → weight, or values of equal weights."""
@@ -153,9 +153,9 @@ class Light:
 
     @cached_property
     def fit(self) -> Fit | None:
-        """Law fitted to the ALIVE rays in the axes of the requested law, with uncertainties; None for too few.
+        """Law fitted to the ALIVE rays in the axes of the requested law, with uncertainties.
 
-        Light of several lines has none: its scatter is not that of one law.
+        None for too few; light of several lines has none: its scatter is not that of one law.
         """
         if self.dark or self.lines:
             return None
@@ -205,9 +205,9 @@ def measure(
     lit : Bundle
     law : RequestedLaw
     wavelengths : mapping of metres to weight, or metres
-        None: the design's, without weights.
+        Empty: the design's, without weights.
     temperatures : mapping of kelvin above the design's temperature to weight, or kelvin
-        None: the design's. Other than 0 needs a sender with a method `heated`.
+        Empty: the design's. Other than 0 needs a sender with a method `heated`.
     fewest : int
         Least number of ALIVE rays for a result other than NaN; of all lines together.
 
@@ -216,7 +216,8 @@ def measure(
     TypeError
         The sender has no temperature.
     ValueError
-        A weight is not a positive number; or the index is not known at a wavelength, or its change with temperature.
+        A weight is not a positive number; or the index is not known at a wavelength, or its change with
+        temperature.
     """
     if not wavelengths and not temperatures:
         return Light(lit, send(lit), law, fewest)
@@ -232,7 +233,10 @@ def measure(
 def measure_each(
     send: Send, bundles: Sequence[Bundle], law: RequestedLaw, fewest: int = FEWEST
 ) -> tuple[Light, ...]:
-    """Light of several bundles over one cell, sent in one call: additional rays add little to the cost of a call."""
+    """Light of several bundles over one cell, sent in one call.
+
+    Additional rays add little to the cost of a call.
+    """
     return tuple(lights(send(_joined(bundles)), bundles, law, fewest))
 
 
@@ -248,7 +252,10 @@ def lights(
 
 
 def fitted_law(into: Floats, out: Floats, axes: Law) -> Law | None:
-    """Law of rays (n, 3) before and behind a sheet in the axes of another law; None where they determine none."""
+    """Law of rays (n, 3) before and behind a sheet in the axes of another law.
+
+    None where they determine none.
+    """
     try:
         return law_in_axes(into, out, axes)
     except ValueError:  # exit directions that do not depend on the incident ones

@@ -127,6 +127,11 @@ def launched(
     return Bundle(middle, field, aperture, cell, Rays(start, direction), local)
 
 
+def of_rays(rays: Rays) -> Bundle:
+    """Bundle of rays over no one cell, those of a scene for instance; their points are not known."""
+    return Bundle(np.full(3, np.nan), np.nan, np.nan, (0, 0), rays, np.full((len(rays), 2), np.nan))
+
+
 def field_points(window: Window, field: float, centre: str = "axis") -> Floats:
     """Nine directions (9, 3): the centre of the field, and eight on its rim, 45 degrees apart,
     the first towards +x.

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from clacad.base.types import Floats, Ints
+from clacad.light.measure import Light, Weights, measure
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.asked_focus import RequestedLaw
@@ -60,6 +61,24 @@ class SeenCell:
     cell: Ints
     tried: int = 0
 
+    def __call__(self, lit: Bundle) -> TraceResult:
+        """Send a bundle that was made for `like` through this cell of the sheet."""
+        return self.send(lit)
+
+    def heated(self, kelvin: float) -> SeenCell:
+        """The cell at a temperature `kelvin` higher.
+
+        Raises
+        ------
+        ValueError
+            The change of an index with temperature is not known.
+        """
+        whole, like = (
+            replace(one, bodies=tuple(body.heated(kelvin) for body in one.bodies))
+            for one in (self.window, self.like)
+        )
+        return replace(self, window=whole, like=whole if self.like is self.window else like)
+
     @property
     def buildable(self) -> Window:
         """`like` without a cut outline, with room for displaced partners: the window that meshes and solids
@@ -82,6 +101,39 @@ class SeenCell:
         """Starts (n, 3) of a bundle that was made for `like`, moved in front of this cell of the sheet."""
         apart = self.window.centres(0, self.cell) - self.like.centres(0, np.array(lit.cell))
         return np.asarray(lit.rays.position + [*apart, 0.0])
+
+
+def measure_light(
+    window: Window, field: float, wavelengths: Weights = (), temperatures: Weights = (), rays: int = 16384
+) -> Light:
+    """Measure the light of a sheet in several colours and at several temperatures.
+
+    Parameters
+    ----------
+    window : Window
+    field : float, radians
+        Half angle of the cone of rays about the axis; 0 for parallel light.
+    wavelengths : mapping of metres to weight, or sequence of metres
+        Lines of the light; empty: the design's.
+    temperatures : mapping of kelvin to weight, or sequence of kelvin
+        Temperatures above that of the design, at which the index is n + dn/dT times that; empty: the design's.
+    rays : int
+        Rays of each line, over the cell by which the sheet is judged.
+
+    Returns
+    -------
+    Light
+        Of all lines together; `Light.lines` holds them one by one.
+
+    Raises
+    ------
+    ValueError
+        A weight is not positive; or an index is not known at a wavelength, or its change with temperature.
+    """
+    cell = worst_cell(window, field)
+    return measure(
+        cell, bundle(cell.like, rays, field), RequestedLaw.of(cell.like), wavelengths, temperatures
+    )
 
 
 def worst_cell(window: Window, field: float) -> SeenCell:

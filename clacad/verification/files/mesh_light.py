@@ -152,7 +152,11 @@ def _by_cell(
             ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
             lost = _lost(good, ideal.fate == Fate.ALIVE, alive, field=bool(window.thin.field))
         law = RequestedLaw.of(one.like)
-        yield rms_between(seen, truth.rows(slice(count)), both), Light(lit, seen, law, fewest=1).rms, lost
+        yield (
+            rms_between(seen.direction, truth.direction[:count], both),
+            Light(lit, seen, law, fewest=1).rms,
+            lost,
+        )
 
 
 def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:

@@ -84,7 +84,7 @@ def converge(
         found = Comparison(seen, truth)
         if found.laws is None:
             raise ValueError("too little light gets through the facets to fit a law")
-        errors.append(rms_between(seen.seen, truth.seen, found.both))
+        errors.append(rms_between(seen.direction, truth.direction, found.both))
         etas.append(difference_of_laws(*found.laws)[0])
     size = np.log(1.0 / np.array(quads, dtype=np.float64))
     slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]
