@@ -23,8 +23,9 @@ from clacad.light.compare import Comparison, change_with_shift
 from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
 from clacad.optics.law import difference_of_laws
 from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import bundle, central_cell, field_points
-from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.bundle import bundle, field_points
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import WALL, Window
 
 if TYPE_CHECKING:
@@ -230,7 +231,7 @@ def _judged_cell(window: Window, field: float, centre: str) -> Window:
     Candidates are the central cell and those with the most displaced lenses; the worst has the largest rms
     error to the law.
     """
-    tried = [np.array(central_cell(window)), *([] if window.uniform else outer_cells(window))]
+    tried = representative_cells(window, "forecast")
     alone = [like_cell(window, cell, widest=False).with_cells((1, 1)) for cell in tried]
     if len(alone) == 1:
         return alone[0]

@@ -8,7 +8,8 @@ from clacad.base.sobol import sobol
 from clacad.design import Design
 from clacad.light.measure import measure
 from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import central_cell, cone, launched, middle_direction
+from clacad.sheet.bundle import cone, launched, middle_direction
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Window
 
 FRESH = 16384

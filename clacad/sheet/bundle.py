@@ -10,6 +10,7 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.optics.rays import Rays
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
 
@@ -41,20 +42,6 @@ class Bundle:
             f"{len(self.rays)} Sobol rays, seed 0, cone of {degrees(self.field):.4g} deg, "
             f"{self.aperture:g} of the cell"
         )
-
-
-def central_cell(window: Window) -> tuple[int, int]:
-    """Kept cell nearest to the centre of the sheet, so that rays find neighbours on all sides."""
-    lattice = window.lattice
-    n1, n2 = lattice.count
-    middle = np.array([[0.0], [0.0]])
-    index, _, _ = lattice.locate(middle[0], middle[1])
-    if lattice.contains(index)[0]:
-        return int(index[0, 0]), int(index[0, 1])
-    cells = lattice.cells()
-    centres = lattice.centres(cells)
-    near = cells[int(np.argmin((centres**2).sum(axis=1)))]
-    return int(near[0]), int(near[1])
 
 
 def middle_direction(window: Window, centre: str = "axis") -> Floats:

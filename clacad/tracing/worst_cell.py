@@ -17,8 +17,9 @@ from clacad.light.measure import Light, Weights, measure
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, bundle, central_cell
-from clacad.sheet.like_cell import SAMPLED, like_cell, outer_cells, sampled_cells
+from clacad.sheet.bundle import Bundle, bundle
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import SAMPLED, central_cell, representative_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 
@@ -150,7 +151,7 @@ def tried_cells(window: Window, field: float) -> list[SeenCell]:
     """
     if window.uniform:
         return [SeenCell(window, window, np.array(central_cell(window)))]
-    cells = np.concatenate([outer_cells(window), sampled_cells(window)])
+    cells = representative_cells(window, "light")
     if SAMPLED < window.lattice.cell_count <= MOST_SCREENED:
         cells = np.concatenate([cells, _screened(window, field)])
     return _as_seen(window, np.unique(cells, axis=0))

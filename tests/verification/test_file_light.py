@@ -15,7 +15,8 @@ from clacad.exporting.export_design import export
 from clacad.exporting.roles import Role
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.bundle import bundle, central_cell
+from clacad.sheet.bundle import bundle
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.telescopelet import interfaces
 from clacad.tracing.sampled_face import height_and_slope, meet_sampled, sampled_face
 from clacad.tracing.trace import trace, trace_sequence

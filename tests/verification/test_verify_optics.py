@@ -11,8 +11,9 @@ from clacad.design import Design
 from clacad.optics.rays import Fate
 from clacad.optics.surface import Quadric
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.bundle import bundle, central_cell, cone, field_points, middle_direction
+from clacad.sheet.bundle import bundle, cone, field_points, middle_direction
 from clacad.sheet.feasibility import feasibility
+from clacad.sheet.representative_cells import central_cell
 from clacad.tracing.trace import trace
 from clacad.verification.checks import passed
 from clacad.verification.design.design_rules import design_checks

@@ -19,8 +19,9 @@ from clacad.light.compare import rms_between
 from clacad.mesh import Mesh
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Window
-from clacad.verification.accuracy.file_rounding import EXACT, Holding, outermost_cell, rounded
+from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
 
 RAYS = 4096
 SMALL = 64
@@ -143,7 +144,7 @@ class Probe:
     def __init__(self, window: Window, rays: Rays, truth: TraceResult) -> None:
         self.window, self.rays = window, rays
         self.truth = truth
-        self.cell = outermost_cell(window)
+        self.cell = representative_cells(window, "rounding")[0]
         self._meshes: dict[int, Mesh] = {}
 
     def held(self, quads: int, holding: Holding, normals: str) -> TraceResult:

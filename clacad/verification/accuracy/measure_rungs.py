@@ -220,14 +220,15 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     """Facets of one tessellation: facet and exact vertex normals, vertices in float64 and float32."""
     from clacad.formats.mesh.stl import stl_bytes
     from clacad.mesh import tessellate
+    from clacad.sheet.representative_cells import representative_cells
     from clacad.tracing.trace import trace
-    from clacad.verification.accuracy.file_rounding import EXACT, Holding, outermost_cell, rounded
+    from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
 
     window, rays = ladder.window, ladder.rays
     began = time.process_time()
     mesh = tessellate(window, quads=quads)
     prepare = time.process_time() - began
-    cell, rows = outermost_cell(window), []
+    cell, rows = representative_cells(window, "rounding")[0], []
     for kind, holding in (("f64", EXACT), ("f32", Holding("sheet"))):
         facets = rounded(mesh, cell, holding)
         for normals in ("facet", "vertex"):

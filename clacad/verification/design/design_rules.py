@@ -16,8 +16,9 @@ from clacad.base.text import count_text
 from clacad.design.process_profiles import profile
 from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
-from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.own_steps import highest_step
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Window
 from clacad.verification.checks import NEAR, Check, State, accepted, judge, not_run
 from clacad.verification.design.part_rules import part_checks
@@ -69,7 +70,7 @@ def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple
     worst: dict[tuple[str, str], Check] = {}
     highest = max((highest_step(window, body) for body in window.bodies), key=lambda step: step.height)
     fields = [min(whole.half_field)]
-    for cell in outer_cells(window):
+    for cell in representative_cells(window, "displaced"):
         like = like_cell(window, cell)
         facts = cell_feasibility(window, cell, *design.viewing_places).with_steps_of(whole)
         fields += facts.half_field if window.many_sizes else ()

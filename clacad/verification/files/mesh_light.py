@@ -18,12 +18,13 @@ from clacad.optics.rays import Fate
 from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
 from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
 from clacad.verification.checks import RAYS_NEEDED, Check, judge, not_run
-from clacad.verification.files.cell_triangles import CellFacets, chosen_cells, telescopelet
+from clacad.verification.files.cell_triangles import CellFacets, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import (
@@ -165,7 +166,7 @@ def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
     In a non-uniform sheet they are the tried cells, the worst by the exact surfaces first.
     """
     if window.uniform:
-        return chosen_cells(window)
+        return tuple((int(i), int(j)) for i, j in representative_cells(window, "file"))
     tried = tried_cells(window, field)
     cells = [worst_of(tried, field).cell, *(one.cell for one in tried)]
     return tuple(dict.fromkeys((int(i), int(j)) for i, j in cells))

@@ -12,7 +12,8 @@ from clacad.base.types import Floats
 from clacad.light.measure import measure
 from clacad.optics.rays import Fate, TraceResult
 from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, central_cell, launched, middle_direction
+from clacad.sheet.bundle import Bundle, launched, middle_direction
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 

@@ -36,6 +36,7 @@ from clacad.optics.rays import Rays
 from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle, field_about, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
+from clacad.sheet.representative_cells import places_of_errors
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.tolerance.misaligned import Errors, telescopelet
@@ -203,7 +204,7 @@ def bench(
     bundles = _bundles(window, spec, rays, None if incident is None else sloped(incident))
     kept = float(share(thin_cells(window), bundles["cone"].rays.direction[:64]).mean())
     blank = Bench(
-        window, RequestedLaw.of(window), bundles, places(window), np.zeros(2), np.eye(2), kept,
+        window, RequestedLaw.of(window), bundles, places_of_errors(window), np.zeros(2), np.eye(2), kept,
         window.wavelength or DEFAULT_WAVELENGTH,
     )  # fmt: skip
     return replace(blank, chief=blank.chief_slopes({})[0], per_decentre=_per_decentre(blank))
@@ -247,21 +248,6 @@ def _chief_rays(window: Window, middle: Floats, low: float) -> Rays:
     at = np.array([0.0 * u, u, -u, v, -v]) * size
     start = at + middle * ((low - at[:, 2:]) / middle[2])
     return Rays(start, np.broadcast_to(middle, start.shape).copy())
-
-
-def places(window: Window) -> Floats:
-    """Centres of the sheet's middle and of its farthest cells along the four diagonals, (m, 2)."""
-    lattice = window.lattice
-    if lattice.cell_count == 1:
-        return np.zeros((1, 2))
-    x0, x1, y0, y1 = lattice.extent()
-    if lattice.outline is None:
-        half = 0.5 * np.array([x1 - x0, y1 - y0]) - 0.5 * np.array(lattice.pitch)
-        signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
-        return np.concatenate([np.zeros((1, 2)), np.unique(signs * np.maximum(half, 0.0), axis=0)])
-    centres = lattice.centres(lattice.cells())
-    far = [centres[int(np.argmax(centres @ np.array(way)))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
-    return np.concatenate([np.zeros((1, 2)), np.array(far)])
 
 
 def _worst(values: list[float]) -> float:
