@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from clacad.design import Design
-from clacad.verification.checks import not_run
+from clacad.verification.check_kinds.file_light import CONVERGENCE
 
 _SEEN: dict[Any, Any] = {}
 
@@ -17,7 +17,7 @@ _SEEN: dict[Any, Any] = {}
 def only_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave refinement out of `verify`, and trace each design once whatever files it is asked about."""
     run = importlib.import_module("clacad.verification.run")
-    nothing = (None, not_run("convergence", "left out", required=False))
+    nothing = (None, CONVERGENCE.not_run("left out", required=False))
     monkeypatch.setattr(run, "_convergence", lambda *_: nothing)
     for name in ("judge_window", "meridians"):
         monkeypatch.setattr(run, name, _once(name, getattr(run, name)))

@@ -15,12 +15,13 @@ from typing import Any
 
 from clacad.advice.hints import changes_text, outcome_text
 from clacad.advice.judged import Judged
-from clacad.advice.levers import UNBUILT, Changes, Lever, levers_of, mends, settings, size_of
+from clacad.advice.levers import Changes, levers_of, mends, settings, size_of
 from clacad.advice.trials import NoMoreTrials, Trials, badness, settled
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
 from clacad.config.edit_text import value_text
 from clacad.design import Design
+from clacad.verification.check_kinds.levers import UNBUILT, Lever
 from clacad.verification.checks import Check
 
 TRIALS = 100

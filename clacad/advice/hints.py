@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clacad.advice.judged import Judged
-from clacad.advice.levers import Changes, Lever, levers_of, mends, settings, size_of
+from clacad.advice.levers import Changes, levers_of, mends, settings, size_of
 from clacad.advice.sharper import Sharper, sharper
 from clacad.advice.trials import NoMoreTrials, Trials, found_in, settled
 from clacad.base.digits import shown
@@ -15,6 +15,7 @@ from clacad.base.text import plain
 from clacad.base.types import Progress
 from clacad.config.edit_text import value_text
 from clacad.design import Design
+from clacad.verification.check_kinds.levers import Lever
 from clacad.verification.checks import Check
 
 TRIALS = 60

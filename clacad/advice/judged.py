@@ -15,7 +15,8 @@ from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
-from clacad.verification.checks import Check, accepted, passed, wrong
+from clacad.verification.allowances import ALLOWANCE, accepted
+from clacad.verification.checks import Check, passed, wrong
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
 
@@ -24,9 +25,6 @@ RAYS, POINT_RAYS = 8192, 1024
 
 TIGHT = 0.03
 """Error of a number measured with so few rays, as a share of its limit."""
-
-SAME_RAYS = frozenset({"viewed", "field_throughput"})
-"""Checks that use the same number of rays as verify: their numbers are those of verify."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +80,15 @@ class Judged:
     def warning(self) -> tuple[Check, ...]:
         """Warnings that the design does not allow; unused allowances are not reported."""
         return tuple(
-            c for c in self.checks if c.state == "warn" and "accepted" not in c.detail and c.id != "allowance"
+            c
+            for c in self.checks
+            if c.state == "warn" and "accepted" not in c.detail and c.kind is not ALLOWANCE
         )
 
 
 def tight(check: Check) -> bool:
     """Whether a measured number is within TIGHT of its limit; counts of mistakes (limit 0) are excluded."""
-    if check.id in SAME_RAYS or not (
+    if check.kind.own_rays or not (
         isinstance(check.value, float) and isinstance(check.limit, float) and check.bundle and check.limit
     ):
         return False

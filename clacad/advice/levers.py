@@ -8,12 +8,13 @@ another pitch keeps its size: `lattice.count` follows `lattice.pitch`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from math import ceil, isfinite, log10
 from typing import TYPE_CHECKING, Any, Final
 
 from clacad.design import Design
-from clacad.verification.checks import Check
+from clacad.verification.check_kinds.levers import FORMS, WORDS, Lever
+from clacad.verification.check_kinds.light import VIEWED
+from clacad.verification.checks import Check, kinds
 
 if TYPE_CHECKING:
     from clacad.advice.judged import Judged
@@ -42,78 +43,11 @@ near.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Lever:
-    """One key and the direction of its change.
-
-    key : str
-    way : "up", "down", "word", "aim" or "shape"
-        A shape has no nearest sufficient value: too much is as bad as too little.
-    """
-
-    key: str
-    way: str
-
-
-_SPREAD = Lever("pair.separation", "up")
-_CLOSER = Lever("pair.separation", "down")
-_FINER = Lever("lattice.pitch", "down")
-_COARSER = Lever("lattice.pitch", "up")
-_THICKER = Lever("pair.thickness", "up")
-_THINNER = Lever("pair.thickness", "down")
-_WEB = Lever("pair.web", "up")
-_NECK = Lever("body.neck", "up")
-_BORDER = Lever("body.border", "up")
-_SEAM = Lever("lattice.seam", "up")
-_LESS_SEAM = Lever("lattice.seam", "down")
-_RECIPE = Lever("pair.confocal", "word")
-_SHAPE = Lever("pair.surface", "word")
-_CONIC = Lever("pair.conic", "shape")
-_TURNED = Lever("pair.curved", "word")
-_APERTURE = Lever("lattice.aperture", "word")
-_AIM = Lever("lattice.aperture", "aim")
-_FIELD_LENS = Lever("pair.field_lens", "word")
-
 INTENTS: Final = frozenset({"lattice.aperture", "body.border"})
 """Keys that stay fixed where the design states them: the direction of its cells, and its flange."""
 
 MOST_AIMED: Final = 5000
 """Largest number of cells of a sheet that is tried with aimed cells: tracing takes 1 ms per cell."""
-
-_LIGHT = (_RECIPE, _SPREAD, _SHAPE, _FINER, _TURNED, _APERTURE)
-_WHOLE = (_THICKER, _SPREAD, _FINER)
-_FLAT = (_SPREAD, _FINER, _SHAPE)
-
-LEVERS: Final[Mapping[str, tuple[Lever, ...]]] = {
-    "law_rms": _LIGHT, "law_bias": _LIGHT, "spread": _LIGHT, "eta": _LIGHT, "delta": _LIGHT, "tilt": _LIGHT,
-    "residual": (_RECIPE, _SPREAD, _TURNED, _SHAPE, _CONIC, _FINER), "confocality": (_RECIPE, _TURNED, _SPREAD, _THICKER, _SHAPE),
-    "throughput": (_APERTURE, _SPREAD, _FINER, _LESS_SEAM, _CLOSER), "field": (_APERTURE, _CLOSER, _COARSER),
-    "fresnel_number": (_COARSER, _CLOSER),
-    "one_piece": (*_WHOLE, _NECK, _WEB, _SEAM), "cover": _WHOLE, "graph": _FLAT,
-    "clearance": (_SPREAD, _THINNER, _FINER), "edge": (_THICKER, _WEB, _BORDER, _SPREAD, _FINER),
-    "neck": (_NECK, _WEB, *_WHOLE), "radius": (_SPREAD, _COARSER), "sag": _FLAT, "pitch": (_COARSER,), "part_height": (_CLOSER, _THINNER),
-    "tool": (_SPREAD, _COARSER, _SEAM), "wall": (_SPREAD, _SEAM, _FINER, _APERTURE), "draft": (_SEAM, _SPREAD, _FINER),
-    "slope": _FLAT, "voxel": (_COARSER, _SEAM), "layer": (_CLOSER, _COARSER), "aspect": (_SPREAD, _SEAM, _FINER),
-    "undercut": _FLAT, "viewed": (_FIELD_LENS, _CLOSER, _AIM),
-}  # fmt: skip
-"""Levers of each check, by its id: those with the least cost to the part come first. A check without levers
-cannot be mended.
-"""
-
-UNBUILT: Final = (_SPREAD, _FINER, _THICKER, _THINNER, _LESS_SEAM, _RECIPE)
-"""Levers of a design that cannot be built."""
-
-_WORDS: Final[Mapping[str, tuple[str | bool, ...]]] = {
-    "pair.field_lens": (True,),
-    "pair.confocal": ("exact", "best"), "pair.surface": ("biconic",), "pair.curved": ("outside", "inside"),
-    "lattice.aperture": ("centred", "aligned"),
-}  # fmt: skip
-_FORMS: Final[Mapping[str, tuple[str, ...]]] = {
-    "pair.confocal": ("biconvex", "plano"), "pair.surface": ("plano", "slab"), "pair.curved": ("plano",),
-    "pair.conic": ("biconvex", "plano", "slab"), "pair.web": ("biconvex",), "pair.thickness": ("biconvex", "plano"),
-}  # fmt: skip
-"""Forms that have the key, or accept it without another one."""
-
 
 _HELD: Final = ("pair.separation", "pair.thickness", "lattice.pitch", "lattice.aperture")
 """Keys that `clacad optimise` keeps fixed: its faces are those of the pair with these values."""
@@ -125,10 +59,10 @@ def levers_of(design: Design, checks: Iterable[Check]) -> tuple[Lever, ...]:
     None changes an intent of the design, or undoes a search for its faces. No lever serves an eye that is
     only assumed: the check itself names the remedies.
     """
-    mended = [check for check in checks if check.id != "viewed" or check.state == "fail"]
-    found = dict.fromkeys(lever for check in mended for lever in LEVERS.get(check.id, ()))
+    mended = [kinds()[check.id] for check in checks if check.id != VIEWED.id or check.state == "fail"]
+    found = dict.fromkeys(lever for kind in mended for lever in kind.levers)
     form = design.pair.form
-    fitting = (lever for lever in found if form in _FORMS.get(lever.key, (form,)))
+    fitting = (lever for lever in found if form in FORMS.get(lever.key, (form,)))
     return tuple(lever for lever in fitting if not _is_held(lever, design))
 
 
@@ -141,7 +75,7 @@ def _is_held(lever: Lever, design: Design) -> bool:
 
 def mends(lever: Lever, check: Check) -> bool:
     """Whether a lever is one of those for a check."""
-    return lever in LEVERS.get(check.id, ())
+    return lever in check.kind.levers
 
 
 def settings(
@@ -162,7 +96,7 @@ def settings(
         return _aimed(design)
     if lever.way == "word":
         present = getattr(design.pair, lever.key.partition(".")[2], design.lattice.aperture)
-        return tuple({lever.key: word} for word in _WORDS[lever.key] if word != present)
+        return tuple({lever.key: word} for word in WORDS[lever.key] if word != present)
     if lever.way == "shape":
         return tuple(_conic(k, k) for k in CONICS)
     making: Callable[[Design, str, Judged | None], tuple[Changes, ...]] | None = _SCALED.get(lever.key)

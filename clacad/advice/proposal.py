@@ -13,6 +13,7 @@ from clacad.advice.wish import Wish, read_wish
 from clacad.advice.wish_search import Search, Tried
 from clacad.base.types import Progress, silent
 from clacad.design import Design
+from clacad.verification.check_kinds.light import VIEWED
 
 
 class NoSuchSheet(ValueError):
@@ -91,7 +92,7 @@ def _for_the_eye(found: Proposal) -> Iterator[str]:
     """Construction that serves a stated eye, and the share of its light that obeys the law."""
     if found.wish.viewing is None:
         return
-    share = next(check.value for check in found.judged.checks if check.id == "viewed")
+    share = next(check.value for check in found.judged.checks if check.kind is VIEWED)
     means = {"": "aligned cells alone", "field lens": "field lenses", "aimed": "cells aimed at the eye"}
     yield (
         f"viewer at {found.wish.viewing:g} mm: {means[found.chosen.variant.eye]} keep {100.0 * float(share or 0.0):.3g} % of its light "

@@ -15,6 +15,7 @@ from clacad.advice.judged import Judged
 from clacad.advice.levers import Changes
 from clacad.advice.trials import NoMoreTrials, Trials
 from clacad.base.digits import digits
+from clacad.verification.check_kinds.light import LAW_RMS
 
 CHANGES: Final[Changes] = {"pair.surface": "biconic"}
 
@@ -68,4 +69,4 @@ def sharper(judged: Judged, trials: Trials) -> Sharper | None:
 
 def _law_rms(judged: Judged) -> float:
     """Rms error to the law (radians); NaN where there is too little light."""
-    return next((c.value for c in judged.checks if c.id == "law_rms" and isinstance(c.value, float)), nan)
+    return next((c.value for c in judged.checks if c.kind is LAW_RMS and isinstance(c.value, float)), nan)

@@ -13,6 +13,7 @@ from clacad.advice.wish import Wish
 from clacad.base.digits import digits
 from clacad.design import Design, DesignError
 from clacad.sheet.feasibility.pitch_for_eye import ARC_MINUTE
+from clacad.verification.check_kinds.light import LAW_RMS
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +88,7 @@ def _row(name: str, wish: Wish, judged: Judged) -> Trade:
     to_mm = design.unit_m * MILLIMETRES
     pitch = min(design.lattice.pitch) * to_mm
     half = min(facts.half_field)
-    found = {check.id: check for check in judged.checks}
-    rms = found["law_rms"].value
+    rms = next(check.value for check in judged.checks if check.kind is LAW_RMS)
     faults = list(dict.fromkeys(c.id for c in judged.failing)) or list(
         dict.fromkeys(c.id for c in judged.warning)
     )

@@ -29,6 +29,8 @@ from clacad.design import Design, DesignError
 from clacad.design.process_profiles import profile
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
+from clacad.verification.check_kinds.light import FIELD, LAW_RMS, VIEWED
+from clacad.verification.check_kinds.process import DRAFT, WALL
 from clacad.verification.checks import Check
 from clacad.verification.light.viewed import thin_share, viewer_of
 
@@ -151,7 +153,7 @@ class Search:
         found, before = None, None
         for ratio in RATIOS[start : start + STEPS]:
             one = self._judged(variant, ratio)
-            if one is not None and [check.id for check in one.judged.failing] == ["viewed"]:
+            if one is not None and [check.kind for check in one.judged.failing] == [VIEWED]:
                 found = self._nearer(
                     variant, ratio, needed
                 )  # a larger separation gives an even smaller share
@@ -186,7 +188,7 @@ class Search:
             one = self._judged(variant, ratio)
             if one is None or one.good:
                 return one
-            if {check.id for check in one.judged.failing} - {"viewed"}:
+            if {check.kind for check in one.judged.failing} - {VIEWED}:
                 return None
         return None
 
@@ -351,17 +353,17 @@ def returned_share(wish: Wish) -> float:
 def avoidable(tried: Tried, wish: Wish) -> float:
     """Penalty of a design that passes: warnings that are not due to the wish alone, and bulk."""
     rules = profile(wish.process)
-    inherent = {"wall", "draft"} if wish.steps and (rules.wall < inf or rules.draft > 0.0) else set()
+    inherent = {WALL, DRAFT} if wish.steps and (rules.wall < inf or rules.draft > 0.0) else set()
     if not wish.straight and rules.wall < inf:
-        inherent |= {"field"}
-    warnings = {check.id for check in tried.judged.warning} - inherent
+        inherent |= {FIELD}
+    warnings = {check.kind for check in tried.judged.warning} - inherent
     bodies = tried.judged.facts.bodies
     height = max(body.high for body in bodies) - min(body.low for body in bodies)
     return len(warnings) + 0.5 * (height > max(wish.size.size))
 
 
 def _rms(tried: Tried) -> float:
-    value = next(check.value for check in tried.judged.checks if check.id == "law_rms")
+    value = next(check.value for check in tried.judged.checks if check.kind is LAW_RMS)
     return value if isinstance(value, float) else inf
 
 

@@ -155,10 +155,11 @@ def check_text(
     title: str, derived: Iterable[Sequence[str]], checks: Iterable[Any], forecast: Iterable[dict[str, Any]]
 ) -> str:
     """All that `clacad check` derives and judges; what verify will say stands below it."""
+    from clacad.verification.check_kinds.light import RESIDUAL
     from clacad.verification.light.viewed_check import headline
 
     checks = list(checks)
-    light = [check for check in checks if check.where.startswith("surfaces") and check.id != "residual"]
+    light = [check for check in checks if check.where.startswith("surfaces") and check.kind is not RESIDUAL]
     rules = [check for check in checks if check not in light]
     blocks = (
         derived_text(derived), "design rules", checks_text(rules), "light through one cell", checks_text(light),

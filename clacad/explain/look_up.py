@@ -9,15 +9,13 @@ from clacad.base.units import LENGTHS, Unit
 from clacad.base.whole_numbers import whole_number
 from clacad.config.mistakes import CODES as DESIGN
 from clacad.design.keys import ROOT, SECTIONS, homes
-from clacad.explain.check_explanations import CHECKS
 from clacad.explain.design_mistakes import MISTAKES
 from clacad.explain.entry import Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.explain.named_things import materials_text, named_things
 from clacad.optics.material.catalogue import find
 from clacad.topology.cannot_build import CODES as BODIES
-from clacad.verification.checks import CODES as JUDGED
-from clacad.verification.checks import FORMER
+from clacad.verification.checks import kinds
 
 __all__ = ["Entry", "Unexplained", "entries", "explain"]
 
@@ -41,9 +39,10 @@ def entries() -> dict[str, Entry]:
     for code, title in sorted({**DESIGN, **BODIES}.items()):
         means, why, formula, do = MISTAKES[code]
         found[code] = Entry(code, "", title, means, why, formula, do)
-    for name, code in sorted(JUDGED.items(), key=lambda pair: pair[1]):
-        means, why, formula, do = CHECKS[name]
-        found[code] = Entry(code, name, f"check {name}", means, why, formula, do)
+    for kind in sorted(kinds().values(), key=lambda kind: kind.code):
+        found[kind.code] = Entry(
+            kind.code, kind.id, f"check {kind.id}", kind.means, kind.why, kind.formula, kind.do
+        )
     for word, (means, key) in WORDS.items():
         found[word] = Entry("", word, word, means, "", "", _see(key))
     taken = {entry.name for entry in found.values()}
@@ -76,7 +75,7 @@ def explain(asked: str) -> Entry:
         return known[code]
     by_name = {entry.name: entry for entry in known.values() if entry.name}
     folded = word.lower().replace("é", "e").replace("-", "_")
-    former = {old: name for name, old in FORMER.items()}
+    former = {kind.former: kind.id for kind in kinds().values() if kind.former}
     if folded in former:
         now = by_name[former[folded]]
         return replace(now, title=f"{now.title} ({folded} is now called {now.name})")

@@ -21,6 +21,8 @@ from clacad.optimising.measured_light import FIELDS
 from clacad.prescription.given import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
+from clacad.verification.check_kinds.process import SLOPE
+from clacad.verification.check_kinds.shape import EDGE, NECK, RADIUS, SAG
 from clacad.verification.design.process_rules import process_limit
 
 GRID = 21
@@ -67,16 +69,15 @@ class Walls:
     def of(design: Design, window: Window, field: float | None = None) -> Walls:
         """Walls of a design and its built start window; field in radians, None: the design's `check.field`."""
         rules = profile(design.check.process)
-        limit = {
-            name: process_limit(design, rules, name)[0] for name in ("edge", "neck", "radius", "sag", "slope")
-        }
+        kinds = (EDGE, NECK, RADIUS, SAG, SLOPE)
+        edge, least_neck, radius, sag, slope = (process_limit(design, rules, kind)[0] for kind in kinds)
         tile = optical_tile(window)
         low, high = tile.min(axis=0), tile.max(axis=0)
         x, y = (g.ravel() for g in np.meshgrid(*(np.linspace(low[k], high[k], GRID) for k in (0, 1))))
         inside, rim = in_optical_tile(window, x, y), outline(tile, GRID)
         x, y = np.append(x[inside], rim[:, 0]), np.append(y[inside], rim[:, 1])
         neck = design.body.neck or min(window.lattice.pitch) / 50.0
-        asked = max(limit["edge"], limit["neck"])
+        asked = max(edge, least_neck)
         cone = design.check.field if field is None else field
         needs = tuple(
             max(asked, min(neck, (1.0 - 2.0 * MARGIN) * _thinnest(body, x, y))) for body in window.bodies
@@ -84,9 +85,9 @@ class Walls:
         return Walls(
             x,
             y,
-            max(design.check.graph, cos(limit["slope"])),
-            limit["radius"],
-            limit["sag"],
+            max(design.check.graph, cos(slope)),
+            radius,
+            sag,
             needs,
             ShareOfLight.of(window, [part * cone for part in FIELDS], design.check.field_centre),
             LightInCells.of(window),

@@ -75,7 +75,7 @@ def _measured(design: Design) -> Report:
     from clacad.sheet.feasibility import feasibility
     from clacad.tracing.trace import trace
     from clacad.verification import Report, design_checks
-    from clacad.verification.checks import accepted
+    from clacad.verification.allowances import accepted
     from clacad.verification.light.direction_curves import meridians
     from clacad.verification.light.through_window import judge_light
 

@@ -19,6 +19,7 @@ from clacad.sheet.lattice import Circle, polygon_area
 from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
 from clacad.sheet.window import Window, optical_tile
+from clacad.verification.check_kinds.shape import RADIUS
 
 if TYPE_CHECKING:
     from clacad.sheet.feasibility import BodyFacts, LensFacts
@@ -186,7 +187,7 @@ def _smallest(report: Report, mm: float) -> list[FabricationLine]:
     """Least radius and least feature of the whole part: what a tool, a voxel or a pixel must reach."""
     facts = report.facts
     # checks look at the extreme cells of a sheet whose lenses are of many sizes, facts are of the cell that it is judged by
-    told = [check.value for check in report.checks if check.id == "radius" and isinstance(check.value, float)]
+    told = [check.value for check in report.checks if check.kind is RADIUS and isinstance(check.value, float)]
     radii = [abs(r) for r in (*told, *(r for lens in facts.lenses for r in lens.radii)) if isfinite(r)]
     features = {
         "pitch": min(report.window.lattice.pitch),

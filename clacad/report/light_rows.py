@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.digits import plainly
 from clacad.base.units import millimetres
 from clacad.effects.registry import declared
+from clacad.verification.check_kinds.light import IMAGE_POINT, SPOT, VIEWED
 
 if TYPE_CHECKING:
     from clacad.verification import Report
@@ -41,12 +42,12 @@ class LightRows:
     @property
     def viewed(self) -> str:
         """What one eye gets of the whole sheet, in a sentence."""
-        return next(check.sentence for check in self.report.checks if check.id == "viewed")
+        return next(check.sentence for check in self.report.checks if check.kind is VIEWED)
 
     @property
     def image(self) -> str:
         """Where the asked point is imaged and how wide, in a sentence; "" of a sheet that is made to image none."""
-        found = [check.sentence for check in self.report.checks if check.id in ("image_point", "spot")]
+        found = [check.sentence for check in self.report.checks if check.kind in (IMAGE_POINT, SPOT)]
         return "; ".join(found)
 
     @property

@@ -13,6 +13,7 @@ from clacad.imaging.through_focus import heights, reach_of
 from clacad.report.figures import ACCENT, SECOND, svg
 from clacad.report.panels import Margins, panels
 from clacad.sheet.own_steps import greatest_steps
+from clacad.verification.check_kinds.light import LAW_RMS, THROUGHPUT
 from clacad.verification.light.image_checks import RAYS, asked_image
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def _named_cells(panel: Any, report: Report, window: Window, mm: float) -> str:
     named: dict[tuple[int, int], list[str]] = {}
     for check in report.checks:
         cell = (check.detail or {}).get("cell")
-        if cell is not None and check.where == "surfaces" and check.id in ("law_rms", "throughput"):
+        if cell is not None and check.where == "surfaces" and check.kind in (LAW_RMS, THROUGHPUT):
             named.setdefault((int(cell[0]), int(cell[1])), []).append(check.id)
     for cell in named:
         x, y = window.lattice.centres(np.array(cell)) * mm

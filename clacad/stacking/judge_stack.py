@@ -20,7 +20,9 @@ from clacad.stacking.stack_rays import launched
 from clacad.storage.atomic import file_hash, read_manifest
 from clacad.storage.errors import BadRequest, ExportError
 from clacad.tracing.through_stack import StackTrace, StackTracer
-from clacad.verification.checks import Check, judge, not_run, unreadable
+from clacad.verification.check_kinds.file_light import STACK_LIGHT
+from clacad.verification.check_kinds.files import INTEGRITY, SHAPE, unreadable
+from clacad.verification.checks import Check
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_file import DIRECTION_LIMIT, judge_solid
@@ -93,8 +95,8 @@ def _same_bytes(path: Path, entry: Mapping[str, Any]) -> list[Check]:
     sentence = (
         "its bytes are those that were written" if same else "its bytes are not those that were written"
     )
-    return [Check("integrity", "pass" if same else "fail", sentence, found[:16], str(entry["sha256"])[:16],
-                  relation="=", where="file", subject=path.name)]  # fmt: skip
+    return [INTEGRITY.check("pass" if same else "fail", sentence, found[:16], str(entry["sha256"])[:16],
+                  subject=path.name)]  # fmt: skip
 
 
 def _judge_faces(
@@ -116,7 +118,7 @@ def _light_through(stack: Stack, path: Path, field: float) -> Check:
     common: dict[str, Any] = {"where": "file", "subject": path.name, "unit": "rad"}
     sent, exact = _through_exact(stack, field)
     if not len(sent):
-        return not_run("stack_light", "no light gets through all sheets of the stack", **common)
+        return STACK_LIGHT.not_run("no light gets through all sheets of the stack", **common)
     mm = millimetres(stack.unit)
     low, high = _column(stack, exact)
     indices = [body.index for one in stack.sheets for body in one.window.bodies]
@@ -127,17 +129,17 @@ def _light_through(stack: Stack, path: Path, field: float) -> Check:
                 timeout=SECONDS + longest_wait(path),
             )  # fmt: skip
     except (ExportError, OSError) as error:
-        return not_run("stack_light", f"no light could be sent through its faces: {error}", **common)
+        return STACK_LIGHT.not_run(f"no light could be sent through its faces: {error}", **common)
     through = np.array(found["end"], dtype=int) == 0
     if not through.all():
         sentence = f"{int((~through).sum())} of {len(through)} rays end inside the assembly that pass the exact sheets"
-        return Check("stack_light", "fail", sentence, float((~through).sum()), 0.0, **common)
+        return STACK_LIGHT.check("fail", sentence, float((~through).sum()), 0.0, **common)
     worst = float(angle_between(np.array(found["direction"]), exact.direction).max())
     sentence = (
         f"{len(through)} rays through the {2 * len(indices)} faces of all {len(stack.sheets)} sheets leave within {worst:.3g} rad "
         "of those through the exact surfaces"
     )
-    return judge("stack_light", worst, DIRECTION_LIMIT, sentence, limit_source=default("1e-6 rad"), **common)
+    return STACK_LIGHT.judge(worst, DIRECTION_LIMIT, sentence, limit_source=default("1e-6 rad"), **common)
 
 
 def _through_exact(stack: Stack, field: float) -> tuple[Rays, StackTrace]:
@@ -174,13 +176,13 @@ def _judge_facets(stack: Stack, path: Path, entry: Mapping[str, Any]) -> Check:
     common: dict[str, Any] = {"where": "file", "subject": path.name}
     quads = entry.get("quads")
     if not isinstance(quads, int) or not 1 <= quads <= 1024:
-        return not_run("shape", "no manifest says of how many facets it is", required=False, **common)
+        return SHAPE.not_run("no manifest says of how many facets it is", required=False, **common)
     try:
         whole = read_glb(path)
         for one, place in zip(stack.sheets, places(stack), strict=True):
             promise = Meshes(one.window).at(quads).promise(instanced=instanceable(one.window), single=True)
             compare_mesh(mesh_of_sheet(whole, place), one.window, promise, f"sheet {one.id}")
     except ExportError as error:
-        return Check("shape", "fail", str(error), **common)
+        return SHAPE.check("fail", str(error), **common)
     sentence = f"the facets of all {len(stack.sheets)} sheets lie on their faces, each sheet where it stands in the stack"
-    return Check("shape", "pass", sentence, limit_source=other("chords of the stated facets"), **common)
+    return SHAPE.check("pass", sentence, limit_source=other("chords of the stated facets"), **common)

@@ -10,22 +10,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from clacad.verification.checks import CODES, Check, passed
+    from collections.abc import Mapping
+
+    from clacad.verification.checks import Check, passed
     from clacad.verification.design.design_rules import design_checks
     from clacad.verification.files.unit_and_cells import CannotRegister
     from clacad.verification.run import verify
     from clacad.verification.verification_report import Report
 
+    CODES: Mapping[str, str]
+
 __all__ = ["CODES", "CannotRegister", "Check", "Report", "design_checks", "passed", "verify"]
 
 _HOME = {
-    "CODES": "checks", "Check": "checks", "passed": "checks", "CannotRegister": "files.unit_and_cells",
+    "Check": "checks", "passed": "checks", "CannotRegister": "files.unit_and_cells",
     "design_checks": "design.design_rules", "Report": "verification_report", "verify": "run",
 }  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its module when it is first used."""
+    if name == "CODES":
+        kinds = import_module("clacad.verification.checks").kinds()
+        return {id: kind.code for id, kind in kinds.items()}
     if name not in _HOME:
         raise AttributeError(f"module 'clacad.verification' has no attribute {name!r}")
     return getattr(import_module(f"clacad.verification.{_HOME[name]}"), name)

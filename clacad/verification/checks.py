@@ -5,47 +5,141 @@ A check that did not run is "not run" and never green: a required one fails the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import import_module
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from clacad.base.text import plain
-from clacad.storage.errors import ExportError, OverBudget, WorkerDied
-from clacad.verification.limit_sources import OWN_KEY, LimitSource, other
-
-if TYPE_CHECKING:
-    from clacad.design import Design
+from clacad.verification.check_kinds.levers import Lever
+from clacad.verification.limit_sources import OWN_KEY, LimitSource, from_key, other
 
 State = Literal["pass", "fail", "warn", "not run"]
 
 NEAR = 0.8
 """Part of a limit of a process profile from which a pass becomes a warning."""
 
-CODES: Mapping[str, str] = {
-    "law_rms": "CL301", "law_bias": "CL302", "eta": "CL303", "delta": "CL304", "tilt": "CL305",
-    "confocality": "CL306", "spread": "CL307", "throughput": "CL308", "field": "CL309", "residual": "CL310",
-    "fresnel_number": "CL311", "accounting": "CL312", "viewed": "CL313", "image_point": "CL314", "spot": "CL315",
-    "field_focus": "CL316", "pupil": "CL317", "field_throughput": "CL318", "field_law": "CL319", "orders": "CL320",
-    "one_piece": "CL321", "cover": "CL322", "clearance": "CL323",
-    "graph": "CL324", "workable": "CL325", "part_height": "CL326", "part_width": "CL327", "edge": "CL331", "neck": "CL332", "radius": "CL333", "sag": "CL334", "pitch": "CL335",
-    "tool": "CL336", "wall": "CL337", "draft": "CL338", "allowance": "CL360", "slope": "CL361", "voxel": "CL362",
-    "layer": "CL363", "aspect": "CL364", "undercut": "CL365",
-    "integrity": "CL341", "closed": "CL342", "pieces": "CL343", "volume": "CL344", "shape": "CL345",
-    "faithful_rms": "CL346", "faithful_eta": "CL347", "faithful_delta": "CL348", "file_law_rms": "CL349", "scale": "CL350",
-    "pose": "CL351", "handedness": "CL352", "convergence": "CL353", "solids": "CL354", "file_target": "CL355",
-    "file_law_bias": "CL356", "file_law_eta": "CL357", "file_law_delta": "CL358", "file_confocality": "CL359",
-    "file_throughput": "CL366", "file_normals": "CL367", "bodies": "CL368", "placement": "CL369", "delivery": "CL370",
-    "table": "CL371", "design": "CL340", "readable": "CL339", "stack_light": "CL380",
-}  # fmt: skip
-"""Stable code of each check; a design may accept a warning by its code."""
+FAMILIES = (
+    "clacad.verification.check_kinds.shape",
+    "clacad.verification.check_kinds.process",
+    "clacad.verification.check_kinds.light",
+    "clacad.verification.check_kinds.files",
+    "clacad.verification.check_kinds.file_light",
+    "clacad.verification.allowances",
+)
+"""Modules that declare kinds of checks, in the order in which stages run their functions."""
 
-FORMER: Mapping[str, str] = {
-    "faithful_rms": "file_rms",
-    "faithful_eta": "file_eta",
-    "faithful_delta": "file_delta",
-}
-"""Former names of checks; kept in JSON as "alias", and known to `explain`."""
+Stage = Literal["cell", "part"]
+"""Stage of the design rules: in one cell, or of the whole part."""
+
+
+@dataclass(frozen=True, eq=False)
+class CheckKind:
+    """A kind of check: all that is known of it before anything is judged.
+
+    Parameters
+    ----------
+    id, code : str
+        Stable name, and stable code; a design may accept a warning by its code.
+    unit : str
+        "" for a count, and for a length, whose unit is that of the design or of the file.
+    relation : "<=", ">=", ">" or "="
+        Relation of value to limit that passes.
+    where : str
+        law, thin, surfaces, geometry, or file.
+    limit : str
+        Key of [check] that gives the limit, or from which it is derived; "" for none.
+    rule : str
+        Source of a limit that no key gives.
+    levers : tuple of Lever
+        Keys that may mend it; those with the least cost to the part come first. Without levers it cannot be mended.
+    former : str
+        Former name; kept in JSON as "alias", and known to `explain`.
+    own_rays : bool
+        Whether `check` traces as many rays for it as `verify`.
+    means, why, formula, do : str
+        Explanation: what is judged, why it matters, what is computed ("" where nothing is), and the remedy.
+    """
+
+    id: str
+    code: str
+    unit: str = ""
+    relation: str = "<="
+    where: str = "geometry"
+    limit: str = ""
+    rule: str = ""
+    levers: tuple[Lever, ...] = ()
+    former: str = ""
+    own_rays: bool = False
+    means: str = ""
+    why: str = ""
+    formula: str = ""
+    do: str = ""
+
+    def explained(self, *, means: str, do: str, why: str = "", formula: str = "") -> CheckKind:
+        """Copy with an explanation."""
+        return replace(self, means=means, why=why, formula=formula, do=do)
+
+    @property
+    def limit_source(self) -> LimitSource:
+        """Source of a limit that is not given with the check."""
+        if self.rule:
+            return other(self.rule)
+        return OWN_KEY if self.limit in ("", self.id) else from_key(self.limit)
+
+    def check(
+        self, state: State, sentence: str, value: float | str | None = None, limit: float | str | None = None, **rest: Any
+    ) -> Check:  # fmt: skip
+        """Check of this kind; `rest` are further fields of `Check`, by default as declared."""
+        declared = {"unit": self.unit, "relation": self.relation, "where": self.where}
+        fields = declared | {"limit_source": self.limit_source} | rest
+        return Check(self.id, state, sentence, value, limit, **fields)
+
+    def judge(
+        self, value: float, limit: float, sentence: str, *, near: float | None = None, **rest: Any
+    ) -> Check:
+        """Compare a value with its limit; NaN is "not run".
+
+        near : part of the limit from which a pass becomes a warning, None for no such zone.
+        """
+        if value != value:
+            return self.check("not run", sentence, None, limit, **rest)
+        relation = rest.get("relation", self.relation)
+        good = value <= limit if relation == "<=" else value >= limit
+        state: State = "pass" if good else "fail"
+        if good and near is not None and isfinite(limit):
+            used = value / limit if relation == "<=" else limit / value if value else 1.0
+            if limit > 0.0 and used > near:
+                state = "warn"
+                sentence += f"; that is {100.0 * used:.3g} % of the limit, and from {100.0 * near:.3g} % on it is a warning"
+        return self.check(state, sentence, value, limit, **rest)
+
+    def not_run(self, why: str, **rest: Any) -> Check:
+        """Check whose input is missing; it has no declared fields but those in `rest`."""
+        return Check(self.id, "not run", why, **rest)
+
+    def first(self, checks: Iterable[Check]) -> Check | None:
+        """First check of this kind; None if there is none."""
+        return next((check for check in checks if check.id == self.id), None)
+
+
+@cache
+def kinds() -> Mapping[str, CheckKind]:
+    """Every kind of check by its id, family by family."""
+    declared = (one for family in FAMILIES for one in vars(import_module(family)).values())
+    return {one.id: one for one in declared if isinstance(one, CheckKind)}
+
+
+@cache
+def found_by(stage: Stage) -> tuple[Callable[[Any], Iterable[Check]], ...]:
+    """Functions that compute the checks of a stage, as the families name them."""
+    names = (
+        name for family in FAMILIES for name in getattr(import_module(family), "FOUND_BY", {}).get(stage, ())
+    )
+    pairs = (name.split(":") for name in names)
+    return tuple(getattr(import_module(module), function) for module, function in pairs)
 
 
 @dataclass(frozen=True)
@@ -93,9 +187,14 @@ class Check:
     detail: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def kind(self) -> CheckKind:
+        """Declaration of its kind."""
+        return kinds()[self.id]
+
+    @property
     def code(self) -> str:
         """Stable code for programs."""
-        return CODES[self.id]
+        return self.kind.code
 
     @property
     def source(self) -> str:
@@ -109,89 +208,22 @@ class Check:
             "limit": plain(self.limit), "unit": self.unit, "relation": self.relation, "where": self.where,
             "bundle": self.bundle, "required": self.required, "source": self.source, "subject": self.subject,
             "sentence": self.sentence, "detail": plain(dict(self.detail)),
-            **({"alias": alias} if (alias := FORMER.get(self.id)) is not None else {}),
+            **({"alias": self.kind.former} if self.kind.former else {}),
         }  # fmt: skip
 
 
-def judge(
-    id: str, value: float, limit: float, sentence: str, *, relation: str = "<=", near: float | None = None, **rest: Any
-) -> Check:  # fmt: skip
-    """Compare a value with its limit; NaN is "not run".
+def judge(id: str, value: float, limit: float, sentence: str, **rest: Any) -> Check:
+    """Check of the kind with an id; see `CheckKind.judge`."""
+    return kinds()[id].judge(value, limit, sentence, **rest)
 
-    near : part of the limit from which a pass becomes a warning, None for no such zone.
-    """
-    if value != value:
-        return Check(id, "not run", sentence, None, limit, relation=relation, **rest)
-    good = value <= limit if relation == "<=" else value >= limit
-    state: State = "pass" if good else "fail"
-    if good and near is not None and isfinite(limit):
-        used = value / limit if relation == "<=" else limit / value if value else 1.0
-        if limit > 0.0 and used > near:
-            state = "warn"
-            sentence += f"; that is {100.0 * used:.3g} % of the limit, and from {100.0 * near:.3g} % on it is a warning"
-    return Check(id, state, sentence, value, limit, relation=relation, **rest)
+
+def not_run(id: str, why: str, **rest: Any) -> Check:
+    """Check of the kind with an id; see `CheckKind.not_run`."""
+    return kinds()[id].not_run(why, **rest)
 
 
 RAYS_NEEDED = "rays_needed"
 """Key in the detail of a check that did not run for lack of rays: the number of rays it needs."""
-
-
-def not_run(id: str, why: str, **rest: Any) -> Check:
-    """Return a check whose input is missing."""
-    return Check(id, "not run", why, **rest)
-
-
-def unreadable(error: Exception, **rest: Any) -> Check:
-    """Return the failed check of a file that could not be read; its detail names an exceeded budget."""
-    known = isinstance(error, (ExportError, OSError))
-    why = str(error) if known else f"damaged ({type(error).__name__}: {str(error)[:200]})"
-    beyond = isinstance(error, (OverBudget, MemoryError))
-    beyond |= isinstance(error, WorkerDied) and error.over_budget
-    detail = {"over_budget": True} if beyond else {}
-    return Check("readable", "fail", f"it cannot be read: {why}", detail=detail, **rest)
-
-
-def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Mark the warnings that the design accepts, with its reason; add notices of idle allowances and sources of limits.
-
-    An allowance is idle if no check has its code, or if the checks of that code ran and none of them warned. Checks
-    that were marked before are unchanged.
-    """
-    found = [check for check in _sourced(checks, design) if check.id != "allowance"]
-    reasons = {allowed.code: allowed.reason for allowed in design.check.allow}
-    marked = [
-        replace(c, sentence=f"{c.sentence}. Accepted in the design: {reasons[c.code]}", detail={**c.detail, "accepted": reasons[c.code]})
-        if c.state == "warn" and c.code in reasons and "accepted" not in c.detail
-        else c
-        for c in found
-    ]  # fmt: skip
-    return (*marked, *(notice for code in reasons if (notice := _idle(code, found)) is not None))
-
-
-def _sourced(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Checks whose limit sources record whether the design file gives the key of the limit."""
-    return tuple(
-        replace(c, limit_source=c.limit_source.known_to(design, c.id))
-        if c.limit is not None or c.state == "not run"
-        else c
-        for c in checks
-    )
-
-
-def _idle(code: str, checks: Iterable[Check]) -> Check | None:
-    """Notice that an allowance is idle; None if it has an effect, or its check has not run."""
-    if code not in CODES.values():
-        why = f"the design allows {code}, which is the code of no check"
-    else:
-        states = [check.state for check in checks if check.code == code]
-        if not states or "warn" in states:
-            return None
-        if "fail" in states:
-            why = f"the design allows {code}, but a check of that code failed: only warnings can be allowed"
-        else:
-            why = f"the design allows {code}, but no check of that code warns: the allowance can go"
-    source = other("check.allow of the design")
-    return Check("allowance", "warn", why, code, None, required=False, limit_source=source)
 
 
 def passed(checks: Iterable[Check]) -> bool:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from math import ceil, log2
 from typing import TYPE_CHECKING
 
-from clacad.verification.checks import Check, judge
-from clacad.verification.limit_sources import other
+from clacad.verification.check_kinds.file_light import FAITHFUL_RMS, FILE_TARGET
+from clacad.verification.checks import Check
 
 if TYPE_CHECKING:
     from clacad.verification.verification_report import Report
@@ -44,10 +44,10 @@ def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
     """One check for each file whose light was measured."""
     found = []
     for check in checks:
-        if check.id != "faithful_rms":
+        if check.kind is not FAITHFUL_RMS:
             continue
         if not isinstance(check.value, float):
-            found.append(replace(check, id="file_target", limit=target, detail={}))
+            found.append(replace(check, id=FILE_TARGET.id, limit=target, detail={}))
             continue
         within = "within" if check.value <= target else "not within"
         text = (
@@ -55,7 +55,7 @@ def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
             f"{1e3 * target:.4g} mrad asked"
         )
         found.append(
-            judge("file_target", check.value, target, text, unit="rad", limit_source=other("--target"), bundle=check.bundle,
+            FILE_TARGET.judge(check.value, target, text, bundle=check.bundle,
                   where=check.where, subject=check.subject)
         )  # fmt: skip
     return found

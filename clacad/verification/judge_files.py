@@ -12,7 +12,9 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 from clacad.storage.overheard import Overheard
-from clacad.verification.checks import Check, not_run, unreadable
+from clacad.verification.check_kinds.file_light import FAITHFUL_DELTA, FAITHFUL_ETA, FAITHFUL_RMS
+from clacad.verification.check_kinds.files import CLOSED, READABLE, SHAPE, VOLUME, unreadable
+from clacad.verification.checks import Check
 from clacad.verification.file_report import FileReport
 from clacad.verification.files.copied_table import table_check
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
@@ -21,7 +23,7 @@ from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.map_file import format_of, judge_map
 from clacad.verification.files.mesh_file import judge_mesh
 from clacad.verification.files.step_file import judge_solid, lies_elsewhere
-from clacad.verification.files.unit_and_cells import held_bodies, unit_of, written_window
+from clacad.verification.files.unit_and_cells import MISREAD, held_bodies, unit_of, written_window
 from clacad.verification.returned.judge_part import judge_placed
 from clacad.verification.returned.registration import place
 from clacad.verification.returned.turned_step_file import judge_turned
@@ -101,8 +103,8 @@ def _judge_one(
     if format is not None:
         asked.progress(f"reading {subject.name}", 0.0)
         return judge_map(asked, whole, subject, format), FileReport(subject, "judged by the numbers in it")
-    check = not_run(
-        "readable", f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
+    check = READABLE.not_run(
+        f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
     )
     return [check], FileReport(subject, "unknown format")
 
@@ -127,7 +129,7 @@ def _judge_triangles(
     """Judge a mesh file in the pose of its manifest, or in the registered pose."""
     from clacad.formats.mesh.readers import read_mesh
 
-    note = ""
+    note, odd = "", False
     asked.progress(f"reading {subject.name}", 0.0)
     try:
         mesh = read_mesh(subject.path, heard)
@@ -139,6 +141,7 @@ def _judge_triangles(
             asked.progress("finding where the part lies", 0.0)
             placed = place(asked.design, subject, mesh, window)
             window, present, note = placed.window, placed.present, placed.note
+            odd = placed.pose.unit == MISREAD
             found, evidence = judge_placed(asked, placed)
     except UnreadableFile as error:
         return _unreadable(asked, error), FileReport(subject)
@@ -146,18 +149,17 @@ def _judge_triangles(
     if missing:
         held = f"it holds {', '.join(present)}; {', '.join(missing)} taken from the design"
         note = f"{note}; {held}" if note else held
-    odd = "mm / 25.4" in note  # not a real unit: millimetres that were interpreted as inches
     note += ": it is 25.4 times as large as the design" if odd else ""
     sentence = f"{mesh.format}, {mesh.facet_count} facets" + (f"; {note}" if note else "")
-    readable = Check("readable", "warn" if odd else "pass", sentence, **asked.common)
+    readable = READABLE.check("warn" if odd else "pass", sentence, **asked.common)
     role = Role(evidence.facts.get("role", asked.role))
     return [readable, *found], FileReport(subject, note, evidence, window=window, present=present, role=role)
 
 
 def _unreadable(asked: Inspection, error: UnreadableFile) -> list[Check]:
     """Checks of a mesh file that cannot be read."""
-    later = ("closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta")
+    later = (CLOSED, VOLUME, SHAPE, FAITHFUL_RMS, FAITHFUL_ETA, FAITHFUL_DELTA)
     return [
         unreadable(error, **asked.common),
-        *(not_run(name, "the file cannot be read", **asked.common) for name in later),
+        *(kind.not_run("the file cannot be read", **asked.common) for kind in later),
     ]

@@ -13,7 +13,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
-from clacad.verification import checks as judging
+from clacad.verification.allowances import accepted
 from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.files.copied_table import with_copied_table
@@ -86,11 +86,11 @@ def verified(
     """
     design = with_copied_table(design, delivery)
     found = _judge_design(design, rays, progress)
-    yield replace(found, checks=judging.accepted(found.checks, design))
+    yield replace(found, checks=accepted(found.checks, design))
     if delivery is not None:
         found = _with_files(found, delivery, cells, rays, progress)
         found = replace(found, checks=(*found.checks, *written_meanwhile(delivery)))
-        yield replace(found, checks=judging.accepted(found.checks, design))
+        yield replace(found, checks=accepted(found.checks, design))
     progress("done", 1.0)
 
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from clacad.exporting.roles import Role
+from clacad.verification.check_kinds.file_light import FAITHFUL_RMS, FILE_LAW_ETA, FILE_LAW_RMS, THROUGH_FILE
+from clacad.verification.check_kinds.files import DELIVERY
 from clacad.verification.checks import RAYS_NEEDED, Check, wrong
-from clacad.verification.files.law_through_file import IDS
 
 Word = Literal["passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged"]
 """Verdicts; the first is for a design without files."""
@@ -63,20 +64,20 @@ def file_verdict(
     cut : str
         Fineness of a mesh ("in 4 quads a cell"), "" where unknown.
     """
-    rms = next((c for c in checks if c.id == "file_law_rms"), None)
+    rms = FILE_LAW_RMS.first(checks)
     # for a scan the check judges the error without noise; the total error of the light includes it
     whole = None if rms is None else rms.detail.get("with_noise", rms.value)
     value = whole if isinstance(whole, float) else None
     limit = rms.limit if rms is not None and isinstance(rms.limit, float) else None
     bad = wrong(checks)
-    faithful = mesh and any(c.id == "faithful_rms" and c.state != "not run" for c in checks)
-    light = [c for c in checks if c.id in IDS and c.state in ("fail", "warn")]
+    faithful = mesh and any(c.kind is FAITHFUL_RMS and c.state != "not run" for c in checks)
+    light = [c for c in checks if c.kind in THROUGH_FILE and c.state in ("fail", "warn")]
     word: Word
-    if any(c.id == "delivery" for c in bad) or (bad and all(RAYS_NEEDED in c.detail for c in bad)):
+    if any(c.kind is DELIVERY for c in bad) or (bad and all(RAYS_NEEDED in c.detail for c in bad)):
         word = "not judged"
     elif role is Role.OTHER:
         word = "failed" if bad else "not judged"
-    elif [c for c in bad if not (faithful and c.id in IDS)]:
+    elif [c for c in bad if not (faithful and c.kind in THROUGH_FILE)]:
         word = "failed"
     elif role is Role.SCAN:
         word = "failed" if bad else "passed as scan"
@@ -102,7 +103,7 @@ def _sentence(
         said += (
             through.replace("is", "misses the law by", 1).replace(" from the law", "") if beyond else through
         )
-        eta = next((c for c in light if c.id == "file_law_eta"), None)
+        eta = FILE_LAW_ETA.first(light)
         if eta is not None and "measured" in eta.detail:
             said += _worst_eta(eta)
         return said or "a shape to look at"
@@ -135,12 +136,12 @@ def word_of(judged: Sequence[FileVerdict], checks: Sequence[Check]) -> Word:
         All checks of the report, including those of no file.
     """
     names = {one.name for one in judged}
-    if wrong(c for c in checks if c.subject not in names and c.id != "delivery"):
+    if wrong(c for c in checks if c.subject not in names and c.kind is not DELIVERY):
         return "failed"
     words = {one.word for one in judged}
     if "failed" in words:
         return "failed"
-    if wrong(c for c in checks if c.id == "delivery"):
+    if wrong(c for c in checks if c.kind is DELIVERY):
         return "not judged"
     optical = [one for one in judged if one.role is not Role.OTHER]
     if any(one.word == "not judged" for one in optical):

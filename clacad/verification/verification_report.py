@@ -17,6 +17,8 @@ from clacad.sheet.feasibility import Feasibility, describe, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification import checks as judging
+from clacad.verification.check_kinds.file_light import CONVERGENCE
+from clacad.verification.check_kinds.files import DELIVERY
 from clacad.verification.checks import RAYS_NEEDED, Check, wrong
 from clacad.verification.file_report import FileReport
 from clacad.verification.light.direction_curves import Meridian
@@ -143,7 +145,7 @@ class Report:
         if self.word == "shape only":
             return f"shape only: {told[0].name} {told[0].sentence}{self._remedy(told[0])}"
         if self.word == "not judged":
-            lacking = wrong(c for c in self.checks if c.id == "delivery" or RAYS_NEEDED in c.detail)
+            lacking = wrong(c for c in self.checks if c.kind is DELIVERY or RAYS_NEEDED in c.detail)
             return "not judged: " + (
                 lacking[0].sentence if lacking else "none of the files carries light of the law"
             )
@@ -167,7 +169,8 @@ class Report:
         """Text of the change that gives a master: a number of quads, or the STEP."""
         if settled(one):
             return "; declared as a preview"
-        masters = next((c.detail.get("masters") for c in self.checks if c.id == "convergence"), None)
+        found = CONVERGENCE.first(self.checks)
+        masters = None if found is None else found.detail.get("masters")
         kind = one.name.rpartition(".")[2].lower()
         quads = (masters or {}).get(kind, {}).get("quads")
         return f"; cut it in {quads} quads, or send the STEP" if quads else "; cut it finer, or send the STEP"

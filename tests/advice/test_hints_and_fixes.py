@@ -10,11 +10,14 @@ from types import SimpleNamespace
 import pytest
 
 from clacad.advice import advise, fewest_keys, fix, judge
-from clacad.advice.levers import LEVERS, levers_of, settings
+from clacad.advice.levers import levers_of, settings
 from clacad.cli.entry_point import main
 from clacad.design import Design, load
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import passed
+from clacad.verification.check_kinds.light import RESIDUAL
+from clacad.verification.check_kinds.shape import EDGE
+from clacad.verification.checks import kinds
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
 
@@ -161,7 +164,7 @@ def test_an_edge_too_thin_is_told_of_the_keys_of_its_form_and_one_of_them_passes
     edge = next(c for c in judged.failing if c.id == "edge")
     for key in ("pair.thickness", "pair.web", "body.border"):
         assert key in edge.sentence
-        assert key in {lever.key for lever in LEVERS["edge"]}
+        assert key in {lever.key for lever in EDGE.levers}
     fixed = fix(design)
     assert fixed.passes
     assert set(fixed.changes) <= {"pair.thickness", "pair.web", "body.border"}
@@ -172,7 +175,7 @@ def test_an_edge_too_thin_is_told_of_the_keys_of_its_form_and_one_of_them_passes
 ])  # fmt: skip
 def test_no_lever_moves_what_a_design_states_as_its_intent(key, value):
     design = Design.from_dict(BICONVEX)
-    checks = [SimpleNamespace(id=id, state="fail") for id in LEVERS]
+    checks = [SimpleNamespace(id=id, state="fail") for id in kinds()]
     section, name = key.split(".")
     stated = Design.from_dict(BICONVEX | {section: BICONVEX.get(section, {}) | {name: value}})
     assert key in {lever.key for lever in levers_of(design, checks)}
@@ -199,7 +202,7 @@ def test_a_fix_for_a_stated_eye_gives_it_a_field_lens_and_keeps_the_eye():
 
 
 def test_the_residual_of_a_recipe_names_the_key_of_recipes():
-    assert "pair.confocal" in {lever.key for lever in LEVERS["residual"]}
+    assert "pair.confocal" in {lever.key for lever in RESIDUAL.levers}
 
 
 def test_another_pitch_keeps_the_size_of_the_sheet():

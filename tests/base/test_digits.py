@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import example, given, settings
@@ -17,9 +18,11 @@ from clacad.prescription.prescribe import prescribe
 from clacad.report.content import row
 from clacad.report.fabrication import FabricationLine
 from clacad.sheet.feasibility import describe, feasibility
-from clacad.verification.checks import Check, judge
+from clacad.verification.check_kinds.shape import EDGE, GRAPH, SAG
+from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.law_checks import confocality_check
+from clacad.verification.limit_sources import DEFAULT
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,7 +55,7 @@ def test_printed_numbers_stand_to_one_another_as_the_numbers_do(value, other, re
     st.floats(1e-9, 1e6), st.floats(-1e-3, 1e-3), st.sampled_from(["<=", ">="]), st.sampled_from(["", "rad"])
 )
 def test_no_line_of_a_table_says_fail_where_its_numbers_hold(limit, off, relation, unit):
-    check = judge("graph", limit * (1.0 + off**3), limit, "x", relation=relation, unit=unit)
+    check = GRAPH.judge(limit * (1.0 + off**3), limit, "x", relation=relation, unit=unit)
     page = row(check)
     signs = {"≤": "<=", "≥": ">="}
     sign, printed = page["limit"].split()
@@ -89,7 +92,7 @@ def test_the_conic_constant_of_a_sphere_prints_as_zero():
 
 
 def test_a_warning_near_its_limit_says_so():
-    check = judge("sag", 0.9, 1.0, "height", near=0.8)
+    check = SAG.judge(0.9, 1.0, "height", near=0.8)
     assert check.state == "warn"
     assert "90 % of the limit" in check.sentence
     assert Check("sag", "warn", "x", 0.9, 1.0).state == "warn"
@@ -106,11 +109,12 @@ def test_a_gap_of_nothing_is_not_told_that_nothing_would_do():
     """Where the limit is 0 a value of 0 fails: the line must not say 0 >= 0."""
     from clacad.verification.design.design_rules import _at_least
 
-    check = _at_least("edge", 0.0, 0.0, "default", "mm", "least thickness")
+    built = SimpleNamespace(limit=lambda kind: (0.0, DEFAULT), design=SimpleNamespace(unit="mm"))
+    check = _at_least(built, EDGE, 0.0, "least thickness")
     assert (check.state, check.relation) == ("fail", ">")
     assert "FAIL" in checks_text([check])
     assert ">= 0" not in checks_text([check])
-    assert _at_least("edge", 0.1, 0.0, "default", "mm", "least thickness").state == "pass"
+    assert _at_least(built, EDGE, 0.1, "least thickness").state == "pass"
 
 
 @pytest.mark.parametrize(
@@ -136,6 +140,6 @@ def test_no_rounding_is_told_of_a_sheet_that_is_confocal():
 
 
 def test_an_infinite_limit_is_printed_as_no_limit_without_a_sense_or_unit():
-    check = judge("sag", 0.2, float("inf"), "x", unit="mm")
+    check = SAG.judge(0.2, float("inf"), "x", unit="mm")
     assert row(check)["limit"] == "no limit"
     assert checks_text([check]).split() == ["ok", "sag", "0.2", "no", "limit", "x"]

@@ -34,7 +34,7 @@ from clacad import __version__
 from clacad.design import Design, DesignError
 from clacad.exporting.export_design import LimitRefused, export
 from clacad.verification import verify
-from clacad.verification.checks import not_run
+from clacad.verification.check_kinds.file_light import CONVERGENCE
 
 RECORD = Path(__file__).parents[1] / "trust" / "soak.json"
 INDEXED = ("3mf", "ply", "glb")
@@ -102,7 +102,7 @@ def formats_of(number: int) -> tuple[str, ...]:
 def without_curves() -> Iterator[None]:
     """Leave out what verify says of the design by many more traces, whatever the files are."""
     run = importlib.import_module("clacad.verification.run")
-    nothing = (None, not_run("convergence", "left out", required=False))
+    nothing = (None, CONVERGENCE.not_run("left out", required=False))
     with mock.patch.multiple(run, _convergence=lambda *_: nothing, meridians=lambda *_: ()):
         yield
 

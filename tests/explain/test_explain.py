@@ -15,7 +15,7 @@ from clacad.effects import NAMES
 from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.explain.look_up import Unexplained, entries, explain
 from clacad.optics.material.catalogue import names as materials
-from clacad.verification.checks import CODES, Check
+from clacad.verification import CODES, Check
 
 PACKAGE = Path(__file__).parents[2] / "clacad"
 

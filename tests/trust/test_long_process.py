@@ -17,7 +17,7 @@ from trust.running import TINY
 from clacad.design import Design
 from clacad.exporting.export_design import export
 from clacad.verification import verify
-from clacad.verification.checks import not_run
+from clacad.verification.check_kinds.file_light import CONVERGENCE
 
 FORMATS = (
     ("stl", "table"),
@@ -76,7 +76,7 @@ def test_a_process_that_goes_on_holds_no_more_than_before(
     """The study of refinement is left out: it makes, of the design alone, the meshes that the export makes."""
     run = importlib.import_module("clacad.verification.run")
     monkeypatch.setattr(
-        run, "_convergence", lambda *_: (None, not_run("convergence", "left out", required=False))
+        run, "_convergence", lambda *_: (None, CONVERGENCE.not_run("left out", required=False))
     )
     (tmp_path / "scratch").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))

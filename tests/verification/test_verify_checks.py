@@ -9,7 +9,11 @@ import pytest
 
 from clacad.base.text import plain
 from clacad.design import Design
-from clacad.verification.checks import CODES, Check, accepted, judge, not_run, passed
+from clacad.verification import CODES
+from clacad.verification.allowances import accepted
+from clacad.verification.check_kinds.light import ETA
+from clacad.verification.check_kinds.shape import RADIUS
+from clacad.verification.checks import Check, passed
 
 GOOD = Check("eta", "pass", "fine")
 
@@ -27,22 +31,22 @@ def test_one_check_decides(state, required, expected):
 
 
 def test_a_number_that_is_missing_is_not_run():
-    assert judge("eta", float("nan"), 0.01, "said").state == "not run"
-    assert not_run("eta", "why").value is None
+    assert ETA.judge(float("nan"), 0.01, "said").state == "not run"
+    assert ETA.not_run("why").value is None
 
 
 @pytest.mark.parametrize(("value", "relation", "state"), [
     (1.0, "<=", "pass"), (1.0 + 1e-12, "<=", "fail"), (1.0, ">=", "pass"), (1.0 - 1e-12, ">=", "fail"),
 ])  # fmt: skip
 def test_a_limit_itself_passes_and_a_hair_beyond_fails(value, relation, state):
-    assert judge("eta", value, 1.0, "said", relation=relation).state == state
+    assert ETA.judge(value, 1.0, "said", relation=relation).state == state
 
 
 @pytest.mark.parametrize(("value", "relation", "state"), [
     (0.79, "<=", "pass"), (0.81, "<=", "warn"), (1.2, ">=", "warn"), (1.3, ">=", "pass"),
 ])  # fmt: skip
 def test_a_value_near_its_limit_is_a_warning(value, relation, state):
-    assert judge("radius", value, 1.0, "said", relation=relation, near=0.8).state == state
+    assert RADIUS.judge(value, 1.0, "said", relation=relation, near=0.8).state == state
 
 
 def test_a_warning_is_accepted_by_its_code_and_with_its_reason():

@@ -11,7 +11,8 @@ import pytest
 from clacad.cli.entry_point import main
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
-from clacad.verification.checks import accepted, passed
+from clacad.verification.allowances import accepted
+from clacad.verification.checks import passed
 from clacad.verification.light.viewed_check import viewed_check
 
 SHEET = {

@@ -5,6 +5,7 @@ No light is traced; the values are the derived numbers of `clacad.sheet.feasibil
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from math import hypot, inf, isfinite, tan
 from typing import TYPE_CHECKING
@@ -13,17 +14,29 @@ import numpy as np
 
 from clacad.base.digits import digits
 from clacad.base.text import count_text
-from clacad.design.process_profiles import profile
 from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.own_steps import highest_step
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Window
-from clacad.verification.checks import NEAR, Check, State, accepted, judge, not_run
-from clacad.verification.design.part_rules import part_checks
-from clacad.verification.design.process_rules import making_checks, process_limit
-from clacad.verification.limit_sources import DEFAULT, LimitSource, from_key, other
+from clacad.verification.allowances import accepted
+from clacad.verification.check_kinds.light import FIELD, FRESNEL_NUMBER, ORDERS, RESIDUAL
+from clacad.verification.check_kinds.process import WALL
+from clacad.verification.check_kinds.shape import (
+    CLEARANCE,
+    COVER,
+    EDGE,
+    GRAPH,
+    NECK,
+    ONE_PIECE,
+    PITCH,
+    RADIUS,
+    SAG,
+)
+from clacad.verification.checks import NEAR, Check, CheckKind, State, found_by
+from clacad.verification.design.process_rules import Built
+from clacad.verification.limit_sources import DEFAULT
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -44,29 +57,21 @@ def design_checks(
     solved : bool
         Whether to compute a thickness, index or pitch that covers the cell of a lens that does not: about a second.
     """
-    found = [*_cell_checks(design, window, facts, solved), *part_checks(design, window, facts)]
+    built = Built(design, window, facts, solved)
+    found = [*_cell_checks(built), *(check for judge in found_by("part") for check in judge(built))]
     return accepted(found, design)
 
 
-def _cell_checks(
-    design: Design, window: Window, facts: Feasibility, solved: bool = False
-) -> tuple[Check, ...]:
+def _cell_checks(built: Built) -> tuple[Check, ...]:
     """Judge the cells of a window; in a uniform sheet one cell represents all."""
-    if not window.uniform:
-        return _in_outer_cells(design, window, facts)
-    found: list[Check] = [_one_piece(body) for body in facts.bodies]
-    found += [_cover(design, window, lens, solved=solved) for lens in facts.lenses]
-    found += [_graph(design, lens) for lens in facts.lenses]
-    found += _process_checks(design, facts)
-    found += making_checks(design, window, facts)
-    found += [_field(design, facts), _fresnel_number(design, facts), _residual(design, window)]
-    if design.light.coherent:
-        found.append(_orders(design, window, facts))
-    return tuple(found)
+    if not built.window.uniform:
+        return _in_outer_cells(built)
+    return tuple(check for judge in found_by("cell") for check in judge(built))
 
 
-def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple[Check, ...]:
+def _in_outer_cells(built: Built) -> tuple[Check, ...]:
     """The checks of a non-uniform sheet: each in the worst of the cells whose lenses lie farthest out."""
+    design, window, whole = built.design, built.window, built.facts
     worst: dict[tuple[str, str], Check] = {}
     highest = max((highest_step(window, body) for body in window.bodies), key=lambda step: step.height)
     fields = [min(whole.half_field)]
@@ -74,20 +79,20 @@ def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple
         like = like_cell(window, cell)
         facts = cell_feasibility(window, cell, *design.viewing_places).with_steps_of(whole)
         fields += facts.half_field if window.many_sizes else ()
-        for check in _cell_checks(design, like, facts):
+        for check in _cell_checks(Built(design, like, facts, solved=False)):
             key, known = (check.id, check.subject), worst.get((check.id, check.subject))
             if known is None or _worse(check, known):
-                at = cell.tolist() if check.id != "wall" else list(highest.cell)
+                at = cell.tolist() if check.kind is not WALL else list(highest.cell)
                 named = f"in cell ({at[0]}, {at[1]}): {check.sentence}"
                 worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": at})
-    found = [_priced(check) for check in worst.values() if check.id != "field"]
+    found = [_priced(check) for check in worst.values() if check.kind is not FIELD]
     reach, half = tan(design.check.field), min(fields)
     sentence = "each cell is for the light of its own place; the cone of test rays about it"
     inside = reach <= half
     found.append(
-        Check(
-            "field", "pass" if inside else "warn", f"{sentence} lies {'in' if inside else 'out'}side its field of view", reach,
-            half, "slope", where="thin", required=False, limit_source=other("derived from pitch, separation and law"),
+        FIELD.check(
+            "pass" if inside else "warn", f"{sentence} lies {'in' if inside else 'out'}side its field of view", reach,
+            half, required=False,
         )
     )  # fmt: skip
     return tuple(found)
@@ -95,7 +100,7 @@ def _in_outer_cells(design: Design, window: Window, whole: Feasibility) -> tuple
 
 def _priced(check: Check) -> Check:
     """Fail the check of steps between neighbours of a non-uniform sheet where the process cannot make them."""
-    if check.id != "wall" or check.state != "warn":
+    if check.kind is not WALL or check.state != "warn":
         return check
     sentence, _, _ = check.sentence.rpartition("; ")
     return replace(
@@ -113,8 +118,12 @@ def _worse(one: Check, other: Check) -> bool:
     return one.value > other.value if one.relation == "<=" else one.value < other.value
 
 
+def one_piece(built: Built) -> Iterator[Check]:
+    """Judge whether each body is in one piece, without pinholes."""
+    return map(_one_piece, built.facts.bodies)
+
+
 def _one_piece(body: BodyFacts) -> Check:
-    """Judge whether a body is in one piece, without pinholes."""
     whole = body.pieces == 1 and body.holes == 0
     if whole:
         sentence = f"{body.name} is one piece without holes"
@@ -130,16 +139,20 @@ def _one_piece(body: BodyFacts) -> Check:
             f"{body.name} is one piece with {count_text(body.holes, 'pinhole')} where the corners of the lenses do not meet; they "
             f"lack {-body.edge:.4g} of thickness there"
         )
-    return Check(
-        "one_piece", "pass" if whole else "fail", sentence, f"{count_text(body.pieces, 'piece')}, {count_text(body.holes, 'hole')}",
-        "1 piece, 0 holes", relation="=", subject=body.name, where="geometry (closed form)",
+    return ONE_PIECE.check(
+        "pass" if whole else "fail", sentence, f"{count_text(body.pieces, 'piece')}, {count_text(body.holes, 'hole')}",
+        "1 piece, 0 holes", subject=body.name,
         detail={"pieces": body.pieces, "holes": body.holes},
     )  # fmt: skip
 
 
-def _cover(design: Design, window: Window, lens: LensFacts, *, solved: bool) -> Check:
-    name = lens.name
-    limit = design.check.cover
+def cover(built: Built) -> Iterator[Check]:
+    """Judge the share of its cell that each lens covers."""
+    return (_cover(built, lens) for lens in built.facts.lenses)
+
+
+def _cover(built: Built, lens: LensFacts) -> Check:
+    name, limit = lens.name, built.design.check.cover
     if lens.cover >= limit:
         sentence = f"{name} fills its cell"
     else:
@@ -148,10 +161,10 @@ def _cover(design: Design, window: Window, lens: LensFacts, *, solved: bool) -> 
             f"{name} fills {lens.cover:.3f} of its cell: its rim ends at {lens.rim[0]:.4g}, {lens.rim[1]:.4g} along "
             f"its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness"
         )
-        if solved:
-            sentence += f". {_way_to_cover(design, window, lens)}"
-    return judge(
-        "cover", lens.cover, limit, sentence, relation=">=", subject=name,
+        if built.solved:
+            sentence += f". {_way_to_cover(built.design, built.window, lens)}"
+    return COVER.judge(
+        lens.cover, limit, sentence, subject=name,
         detail={"rim": lens.rim, "least_thickness": lens.least_thickness, "corner": lens.corner},
     )  # fmt: skip
 
@@ -254,9 +267,13 @@ def _covering_index(design: Design, lens: LensFacts) -> float | None:
     return None
 
 
-def _graph(design: Design, lens: LensFacts) -> Check:
-    value, limit = lens.least_normal_z, design.check.graph
-    name = lens.name
+def graph(built: Built) -> Iterator[Check]:
+    """Judge the steepest place of each lens."""
+    return (_graph(lens, built.design.check.graph) for lens in built.facts.lenses)
+
+
+def _graph(lens: LensFacts, limit: float) -> Check:
+    value, name = lens.least_normal_z, lens.name
     if value >= limit:
         slope = np.degrees(np.arccos(min(1.0, value)))
         sentence = f"steepest slope of {name} against the sheet is {slope:.3g} deg"
@@ -264,62 +281,37 @@ def _graph(design: Design, lens: LensFacts) -> Check:
         sentence = (
             f"{name} is too steep or undercut at its border: a larger radius, a smaller pitch or less tilt"
         )
-    return judge("graph", value, limit, sentence, relation=">=", subject=name)
+    return GRAPH.judge(value, limit, sentence, subject=name)
 
 
-def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
+def lengths(built: Built) -> Iterator[Check]:
     """Judge the lengths that every process limits: gaps, edges, necks, radii, heights, pitch."""
-    rules, unit = profile(design.check.process), design.unit
-    found: list[Check] = []
+    facts, unit = built.facts, built.design.unit
     if isfinite(facts.clearance):
-        limit, source = process_limit(design, rules, "clearance")
-        found.append(
-            _at_least(
-                "clearance",
-                facts.clearance,
-                limit,
-                source,
-                unit,
-                "gap between the two bodies, steps included",
-            )
-        )
+        yield _at_least(built, CLEARANCE, facts.clearance, "gap between the two bodies, steps included")
     for body in facts.bodies:
-        limit, source = process_limit(design, rules, "edge")
         text = f"least thickness along the outer side of {body.name}"
-        found.append(_thicker(design, _at_least("edge", body.edge, limit, source, unit, text, body.name)))
-        limit, source = process_limit(design, rules, "neck")
+        yield _thicker(built.design, _at_least(built, EDGE, body.edge, text, body.name))
         if isfinite(body.neck):
             text = f"least thickness that joins neighbours in {body.name} after the step between them"
-            found.append(_thicker(design, _at_least("neck", body.neck, limit, source, unit, text, body.name)))
+            yield _thicker(built.design, _at_least(built, NECK, body.neck, text, body.name))
     for lens in facts.lenses:
-        name = lens.name
-        limit, source = process_limit(design, rules, "radius")
         smallest = min(abs(r) for r in lens.radii)
-        found.append(
-            _at_least("radius", smallest, limit, source, unit, f"smallest apex radius of {name}", name)
-        )
-        limit, source = process_limit(design, rules, "sag")
-        text = f"height of {name} over its cell is {lens.sag:.4g} {unit}"
-        found.append(
-            judge("sag", lens.sag, limit, text, near=NEAR, unit=unit, subject=name, limit_source=source)
-        )
-    limit, source = process_limit(design, rules, "pitch")
-    found.append(_at_least("pitch", min(design.lattice.pitch), limit, source, unit, "pitch of the lattice"))
-    return found
+        yield _at_least(built, RADIUS, smallest, f"smallest apex radius of {lens.name}", lens.name)
+        limit, source = built.limit(SAG)
+        text = f"height of {lens.name} over its cell is {lens.sag:.4g} {unit}"
+        yield SAG.judge(lens.sag, limit, text, near=NEAR, unit=unit, subject=lens.name, limit_source=source)
+    yield _at_least(built, PITCH, min(built.design.lattice.pitch), "pitch of the lattice")
 
 
-def _at_least(
-    id: str, value: float, limit: float, source: LimitSource, unit: str, text: str, subject: str = ""
-) -> Check:
+def _at_least(built: Built, kind: CheckKind, value: float, text: str, subject: str = "") -> Check:
     """Judge a length that must reach its limit; where the limit is 0 it must exceed it."""
+    (limit, source), unit = built.limit(kind), built.design.unit
     sentence = f"{text}: {value:.4g} {unit}"
     if value <= 0.0:
-        sentence += (
-            "; the part has no material there" if id != "clearance" else "; the bodies run into one another"
-        )
-    check = judge(
-        id, value, limit, sentence, relation=">=", near=NEAR, unit=unit, subject=subject, limit_source=source
-    )
+        nothing = "the bodies run into one another" if kind is CLEARANCE else "the part has no material there"
+        sentence += f"; {nothing}"
+    check = kind.judge(value, limit, sentence, near=NEAR, unit=unit, subject=subject, limit_source=source)
     if limit == 0.0:  # a length of 0 fails
         return replace(check, relation=">", state="fail" if value <= 0.0 else check.state)
     return check
@@ -337,10 +329,11 @@ def _thicker(design: Design, check: Check) -> Check:
     return replace(check, sentence=f"{check.sentence}; {keys[design.pair.form]} makes it thicker")
 
 
-def _field(design: Design, facts: Feasibility) -> Check:
+def field(built: Built) -> Iterator[Check]:
     """Judge whether the sheet's normal, with the cone of test rays about it, lies in the field of view."""
+    facts = built.facts
     off = [abs(a) for a in facts.aperture]
-    reach = tan(design.check.field)
+    reach = tan(built.design.check.field)
     half = min(facts.half_field)
     value = hypot(*off) + reach
     if value <= half:
@@ -351,33 +344,37 @@ def _field(design: Design, facts: Feasibility) -> Check:
             f"half width is {half:.4g}; lattice.aperture steers the field"
         )
     state: State = "pass" if value <= half else "warn"
-    return Check(
-        "field", state, sentence, value, half, "slope", where="thin", required=False,
-        limit_source=other("derived from pitch, separation and law"),
+    yield FIELD.check(
+        state, sentence, value, half, required=False,
+
         detail={"aperture": facts.aperture, "half_field": facts.half_field, "ghost_onset": facts.ghost_onset},
     )  # fmt: skip
 
 
-def _fresnel_number(design: Design, facts: Feasibility) -> Check:
-    value, limit = facts.fresnel_number, design.check.fresnel_number
+def fresnel_number(built: Built) -> Iterator[Check]:
+    """Judge whether rays describe the light of one lenslet."""
+    facts = built.facts
+    value, limit = facts.fresnel_number, built.design.check.fresnel_number
     sentence = f"Fresnel number {value:.4g}"
     if value < 1.0:
-        return Check(
-            "fresnel_number", "fail", f"{sentence}: below 1 the ray picture is void; a larger pitch or a shorter "
-            "separation", value, 1.0, relation=">=", where="thin", limit_source=DEFAULT,
-        )  # fmt: skip
+        sentence += ": below 1 the ray picture is void; a larger pitch or a shorter separation"
+        yield FRESNEL_NUMBER.check("fail", sentence, value, 1.0, limit_source=DEFAULT)
+        return
     if value < limit:
         sentence += (
             f": diffraction blurs as much as {1e3 * max(facts.diffraction_blur):.3g} mrad, and takes up to "
         )
         sentence += f"{100.0 * max(facts.viewing.lost):.2g} % of the light to other cells, along that axis"
     state: State = "warn" if value < limit else "pass"
-    return Check("fresnel_number", state, sentence, value, limit, relation=">=", where="thin")
+    yield FRESNEL_NUMBER.check(state, sentence, value, limit)
 
 
-def _orders(design: Design, window: Window, facts: Feasibility) -> Check:
+def orders(built: Built) -> Iterator[Check]:
     """Judge the deviation of coherent light from the law: half a step of the grating that identical cells form."""
-    steps = order_steps(window.lattice, facts.wavelength / window.unit)
+    design, window = built.design, built.window
+    if not design.light.coherent:
+        return
+    steps = order_steps(window.lattice, built.facts.wavelength / window.unit)
     value, limit = 0.5 * max(steps), design.check.law_rms
     first, second = (digits(1e3 * step, count=3) for step in steps)
     cells = "equal" if window.uniform else "neighbouring"
@@ -385,19 +382,17 @@ def _orders(design: Design, window: Window, facts: Feasibility) -> Check:
         f"in coherent light {cells} cells send orders {first} and {second} mrad apart, so the law is met to "
         f"±{digits(1e3 * value, count=3)} mrad only"
     )
-    return Check(
-        "orders", "pass" if value <= limit else "warn", sentence, value, limit, "rad", where="thin", required=False,
-        limit_source=from_key("law_rms"), detail={"steps": steps},
-    )  # fmt: skip
+    state: State = "pass" if value <= limit else "warn"
+    yield ORDERS.check(state, sentence, value, limit, required=False, detail={"steps": steps})
 
 
-def _residual(design: Design, window: Window) -> Check:
+def residual(built: Built) -> Iterator[Check]:
     """Judge the residual of the recipe along the axis ray: parabasal law error and decollimation."""
+    design, window = built.design, built.window
     left = [float(v) for v in window.residual.values()]
     if not left:
-        return not_run(
-            "residual", "the window does not say what its recipe leaves", unit="rad", required=False
-        )
+        yield RESIDUAL.not_run("the window does not say what its recipe leaves", unit="rad", required=False)
+        return
     value, limit = max(left, default=inf), design.check.law_rms
     sentence = f"along the axis ray the recipe leaves {digits(1e3 * value, count=3)} mrad"
     if value == inf:
@@ -407,7 +402,4 @@ def _residual(design: Design, window: Window) -> Check:
     elif value > limit:
         recipe = "" if design.pair.form == "slab" else 'pair.confocal = "exact" or "best", '
         sentence += f"; another recipe ({recipe}pair.conic), less tilt or another form would leave less"
-    return judge(
-        "residual", value, limit, sentence, unit="rad", where="surfaces, parabasal", limit_source=from_key("law_rms"),
-        detail=dict(window.residual),
-    )  # fmt: skip
+    yield RESIDUAL.judge(value, limit, sentence, detail=dict(window.residual))

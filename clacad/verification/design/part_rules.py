@@ -6,53 +6,52 @@ from collections.abc import Iterator
 from math import inf
 from typing import TYPE_CHECKING
 
-from clacad.design.process_profiles import ProcessProfile, profile, profiles
+from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
-from clacad.sheet.feasibility import Feasibility
 from clacad.sheet.volume_and_extent import body_extent
 from clacad.sheet.window import Window
-from clacad.verification.checks import NEAR, Check, judge, not_run
-from clacad.verification.design.process_rules import process_limit
+from clacad.verification.check_kinds.process import PART_HEIGHT, PART_WIDTH, WORKABLE
+from clacad.verification.checks import NEAR, Check, CheckKind
+from clacad.verification.design.process_rules import Built
 from clacad.verification.limit_sources import DESIGN_FILE, from_profile
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
-_WAYS = {"part_height": "high", "part_width": "wide"}
+_WAYS = {PART_HEIGHT: "high", PART_WIDTH: "wide"}
 VISIBLE = 550e-9
 """Metres; wavelength at which two materials are compared, if both indices are known there."""
 
 
-def part_checks(design: Design, window: Window, facts: Feasibility) -> Iterator[Check]:
-    """Judge the material, height and width of the parts by the design's process; no checks where it sets no limit."""
-    rules = profile(design.check.process)
-    if rules.materials or design.check.materials is not None:
-        yield from _workable(design, window, rules)
+def sizes(built: Built) -> Iterator[Check]:
+    """Judge the height and width of the parts by the design's process; no checks where it sets no limit."""
+    design, window = built.design, built.window
     extents = {body.name: body_extent(window, body) for body in window.bodies}
-    sizes = {
-        "part_height": {body.name: body.high - body.low for body in facts.bodies},
-        "part_width": {name: max(x1 - x0, y1 - y0) for name, (x0, x1, y0, y1) in extents.items()},
+    found = {
+        PART_HEIGHT: {body.name: body.high - body.low for body in built.facts.bodies},
+        PART_WIDTH: {name: max(x1 - x0, y1 - y0) for name, (x0, x1, y0, y1) in extents.items()},
     }
-    for id, size in sizes.items():
-        limit, source = process_limit(design, rules, id)
+    for kind, size in found.items():
+        limit, source = built.limit(kind)
         if limit < inf:
             name = max(size, key=lambda name: size[name])
-            sentence = f"{name} is {size[name]:.4g} {design.unit} {_WAYS[id]}"
+            sentence = f"{name} is {size[name]:.4g} {design.unit} {_WAYS[kind]}"
             if size[name] > limit:
-                sentence += f"; {_larger(id, size[name], design, window)}"
-            yield judge(
-                id, size[name], limit, sentence, near=NEAR, unit=design.unit, subject=name, limit_source=source
-            )  # fmt: skip
+                sentence += f"; {_larger(kind, size[name], design, window)}"
+            yield kind.judge(
+                size[name], limit, sentence, near=NEAR, unit=design.unit, subject=name, limit_source=source
+            )
 
 
-def _larger(id: str, value: float, design: Design, window: Window) -> str:
+def _larger(kind: CheckKind, value: float, design: Design, window: Window) -> str:
     """Name the process that makes parts of this size and these materials with the smallest margin."""
-    larger = [p for p in _other_processes(design, window) if getattr(p, id) >= value * design.unit_m]
+    most = {p.name: float(getattr(p, kind.limit)) for p in _other_processes(design, window)}
+    larger = [name for name, size in most.items() if size >= value * design.unit_m]
     if not larger:
         return "no other process known here makes such parts of this material"
-    nearest = min(larger, key=lambda p: float(getattr(p, id)))
-    return f"{nearest.name} makes parts up to {getattr(nearest, id) / design.unit_m:.4g} {design.unit} {_WAYS[id]}"
+    nearest = min(larger, key=lambda name: most[name])
+    return f"{nearest} makes parts up to {most[nearest] / design.unit_m:.4g} {design.unit} {_WAYS[kind]}"
 
 
 def _other_processes(design: Design, window: Window) -> list[ProcessProfile]:
@@ -65,23 +64,26 @@ def _other_processes(design: Design, window: Window) -> list[ProcessProfile]:
     ]
 
 
-def _workable(design: Design, window: Window, rules: ProcessProfile) -> Iterator[Check]:
-    """Judge each material of the parts once; a bare index does not identify a material."""
+def workable(built: Built) -> Iterator[Check]:
+    """Judge each material of the parts once, by the design's process; a bare index does not identify a material."""
+    design, window, rules = built.design, built.window, built.rules
     own = design.check.materials
+    if not rules.materials and own is None:
+        return
     source = from_profile(rules) if own is None else DESIGN_FILE
     worked = None if own is None else {find(name).name for name in own}
     for material in {body.material.name: body.material for body in window.bodies if body.material}.values():
         good = rules.works(material) if worked is None else material.name in worked
         if not good and not material.kind and worked is None:
             why = f"nothing is known of how {material.name} is worked"
-            yield not_run("workable", why, required=False, subject=material.name)
+            yield WORKABLE.not_run(why, required=False, subject=material.name)
             continue
         sentence = f"{rules.name} {'works' if good else 'does not work'} {material.name}"
         if not good:
             sentence += f" ({material.kind}); {_way_out(material, design, rules)}"
-        yield Check(
-            "workable", "pass" if good else "fail", sentence, material.name, " or ".join(worked or rules.materials),
-            relation="=", subject=material.name, limit_source=source,
+        yield WORKABLE.check(
+            "pass" if good else "fail", sentence, material.name, " or ".join(worked or rules.materials),
+            subject=material.name, limit_source=source,
         )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from clacad.design.cell_table import digest
 from clacad.exporting.copied_table import FORMAT
+from clacad.verification.check_kinds.files import TABLE
 from clacad.verification.checks import Check
 
 if TYPE_CHECKING:
@@ -37,4 +38,4 @@ def table_check(design: Design, subject: Subject) -> Check:
     if not same:
         stated = "no table" if table is None else table.sha256
         text = f"the table has the sha256 {subject.sha256}, the design states {stated}"
-    return Check("table", "pass" if same else "fail", text, where="file", subject=subject.name)
+    return TABLE.check("pass" if same else "fail", text, subject=subject.name)

@@ -19,7 +19,8 @@ from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError
-from clacad.verification.checks import Check, judge, not_run, unreadable
+from clacad.verification.check_kinds.files import BODIES, CLOSED, DELIVERY, READABLE, VOLUME, unreadable
+from clacad.verification.checks import Check
 from clacad.verification.files.find_files import SUFFIXES, Subject
 from clacad.verification.files.map_file import format_of
 from clacad.verification.files.unit_and_cells import FACTORS, SAME_EXTENT
@@ -134,7 +135,7 @@ def judge_other(subject: Subject, reason: Reason) -> list[Check]:
     """Judge a non-optical file by its shape, and report a file that is withheld from judgement."""
     common: dict[str, Any] = {"where": "file", "subject": subject.name}
     if reason.withheld:
-        return [Check("delivery", "fail", f"{subject.name}: {reason.withheld}", **common)]
+        return [DELIVERY.check("fail", f"{subject.name}: {reason.withheld}", **common)]
     try:
         return _shape(subject, common)
     except (ExportError, OSError, ValueError) as error:
@@ -149,23 +150,23 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
         scan = scan_step(subject.path)
         loose = scan.open_edges + scan.dangling
         sentence = f"{scan.open_edges} edges have one face, {scan.dangling} references lead nowhere"
-        state = Check("closed", "fail" if loose else "pass", sentence, float(loose), 0.0, **common)
-        return [Check("readable", "pass", f"{scan.solids} solids with {scan.faces} faces", **common), state]
+        state = CLOSED.check("fail" if loose else "pass", sentence, float(loose), 0.0, **common)
+        return [READABLE.check("pass", f"{scan.solids} solids with {scan.faces} faces", **common), state]
     if not subject.is_mesh:
-        return [Check("readable", "pass", "judged by its bytes", required=False, **common)]
+        return [READABLE.check("pass", "judged by its bytes", required=False, **common)]
     from clacad.formats.mesh.closed_stream import measure
     from clacad.formats.mesh.readers import read_mesh
 
     found = measure(read_mesh(subject.path).chunks())
     checks = [
-        Check("readable", "pass", f"{found.facets} facets", **common),
-        Check("closed", "pass" if found.closed else "fail", "every edge is met once in each direction"
+        READABLE.check("pass", f"{found.facets} facets", **common),
+        CLOSED.check("pass" if found.closed else "fail", "every edge is met once in each direction"
               if found.closed else "the surface is not closed or not consistently wound", **common),
     ]  # fmt: skip
     stated = subject.entry.get("volume")
     if isinstance(stated, (int, float)) and stated > 0.0:
         text = f"it encloses {found.volume:.9g}, {stated:.9g} stated"
-        checks.append(judge("volume", abs(found.volume / stated - 1.0), SAME_VOLUME, text, unit="relative",
+        checks.append(VOLUME.judge(abs(found.volume / stated - 1.0), SAME_VOLUME, text, unit="relative",
                             limit_source=derived("stated volume of the file"), **common))  # fmt: skip
     return checks
 
@@ -187,10 +188,10 @@ def whole_delivery(
         held |= set(present if present is not None else subject.bodies or names)
     if not optical:
         text = "no file of this delivery was judged by light: nothing says that a part made from it obeys the law"
-        return [not_run("delivery", text, where="file")]
+        return [DELIVERY.not_run(text, where="file")]
     lacking = [name for name in names if name not in held]
     if not lacking:
         return []
     text = f"no file holds {' or '.join(lacking)}: the light was traced with {'it' if len(lacking) == 1 else 'them'} taken from the design"
-    return [Check("bodies", "warn", text, ", ".join(sorted(held)), ", ".join(names), relation="=", where="file",
+    return [BODIES.check("warn", text, ", ".join(sorted(held)), ", ".join(names),
                   required=False)]  # fmt: skip

@@ -11,6 +11,7 @@ from clacad.exporting.roles import NOT_OPTICAL, WORDS, Role
 from clacad.storage.atomic import MANIFEST, file_hash, read_manifest
 from clacad.storage.errors import BadRequest
 from clacad.storage.overheard import Overheard
+from clacad.verification.check_kinds.files import DESIGN, INTEGRITY
 from clacad.verification.checks import Check
 from clacad.verification.files.stranger_words import believable, is_there, shown_name
 
@@ -253,18 +254,13 @@ def _bare(path: Path) -> Subject:
 
 def integrity(subject: Subject) -> Check:
     """Compare a file's bytes with the manifest."""
-    common: dict[str, Any] = {"where": "file", "subject": subject.name, "relation": "="}
+    name = subject.name
     if not subject.entry:
-        return Check(
-            "integrity",
-            "not run",
-            "no manifest lists this file; it is judged by what is in it",
-            required=False,
-            **common,
-        )
+        why = "no manifest lists this file; it is judged by what is in it"
+        return INTEGRITY.check("not run", why, required=False, subject=name)
     if not subject.sha256:
         why = " again" if subject.name.endswith(AGAIN) else ", but it is not there"
-        return Check("integrity", "fail", f"the manifest lists this file{why}", **common)
+        return INTEGRITY.check("fail", f"the manifest lists this file{why}", subject=name)
     stated = str(subject.entry.get("sha256", ""))
     same = stated == subject.sha256
     sentence = (
@@ -272,9 +268,9 @@ def integrity(subject: Subject) -> Check:
         if same
         else f"its bytes are not those that were written ({subject.bytes} bytes, {subject.entry.get('bytes')} in the manifest)"
     )
-    return Check(
-        "integrity", "pass" if same else "fail", sentence, subject.sha256[:16], stated[:16], detail={"sha256": subject.sha256},
-        **common,
+    return INTEGRITY.check(
+        "pass" if same else "fail", sentence, subject.sha256[:16], stated[:16], detail={"sha256": subject.sha256},
+        subject=name,
     )  # fmt: skip
 
 
@@ -285,7 +281,7 @@ def written_meanwhile(delivery: Delivery) -> list[Check]:
     if read_manifest(delivery.subjects[0].path.parent) == delivery.manifest:
         return []
     sentence = "an export wrote into the folder while its files were judged: judge them again"
-    return [Check("integrity", "fail", sentence, where="file", relation="=", subject=MANIFEST)]
+    return [INTEGRITY.check("fail", sentence, subject=MANIFEST)]
 
 
 def same_design(design: Design, manifest: Mapping[str, Any]) -> Check:
@@ -298,12 +294,9 @@ def same_design(design: Design, manifest: Mapping[str, Any]) -> Check:
         if same
         else f"the files were made from another text than this design ({name!r}); they are judged by this one"
     )
-    return Check(
-        "design",
+    return DESIGN.check(
         "pass" if same else "warn",
         sentence,
-        where="file",
-        relation="=",
         required=False,
         subject="manifest.json",
     )

@@ -32,16 +32,6 @@ from clacad.verification.limit_sources import DESIGN_FILE, from_key, other
 if TYPE_CHECKING:
     from clacad.design import Design
 
-IDS = (
-    "file_law_rms",
-    "file_law_bias",
-    "file_law_eta",
-    "file_law_delta",
-    "file_confocality",
-    "file_throughput",
-)
-"""Checks of light through a file."""
-
 POINT_RAYS = 4096
 """Rays of each of the nine field points through triangles."""
 

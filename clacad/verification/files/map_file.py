@@ -33,7 +33,8 @@ from clacad.formats.maps.sag import (
 from clacad.sheet.window import Face, Window, face_height, lens_height_and_normal
 from clacad.storage.errors import ExportError, UnreadableFile
 from clacad.storage.spending import Spending
-from clacad.verification.checks import Check, judge, not_run, unreadable
+from clacad.verification.check_kinds.files import READABLE, SHAPE, unreadable
+from clacad.verification.checks import Check
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.map_light import FaceFile, map_light
@@ -99,17 +100,15 @@ def judge_map(asked: Inspection, window: Window, subject: Subject, format: str) 
     try:
         worst, room, what, label = _compared(window, subject, format)
     except DAMAGED as error:
-        return [unreadable(error, **common), not_run("shape", "the file cannot be read", **common)]
+        return [unreadable(error, **common), SHAPE.not_run("the file cannot be read", **common)]
     sentence = (
         f"{what}: up to {worst:.3g} off the design's" if worst < inf else f"{what}: other than the design's"
     )
-    found = Check("readable", "pass", f"{format}, {what}", **common)
+    found = READABLE.check("pass", f"{format}, {what}", **common)
     unit = "" if format in ("surface-table", "height-calibration") else "mm"
     return [
         found,
-        judge(
-            "shape", worst, room, sentence, unit=unit, limit_source=other("rounding of the format"), **common
-        ),
+        SHAPE.judge(worst, room, sentence, unit=unit, limit_source=other("rounding of the format"), **common),
         *(map_light(asked, window, subject.path, format, label) if label else ()),
     ]
 

@@ -26,9 +26,10 @@ from clacad.sheet.window import Body, Face, Window, in_optical_tile
 from clacad.storage.errors import ExportError
 from clacad.tracing.sampled_face import sampled_face
 from clacad.tracing.triangles.telescopelet_facets import AnyFace, ExactFace, FacetBody, trace_facets
-from clacad.verification.checks import Check, not_run
+from clacad.verification.check_kinds.file_light import THROUGH_FILE
+from clacad.verification.checks import Check
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
+from clacad.verification.files.law_through_file import light_checks, measure_light
 from clacad.verification.files.mesh_light import lit_cells, seen_cell
 
 RAYS, POINT_RAYS = 8192, 1024
@@ -93,7 +94,7 @@ def map_light(asked: Inspection, window: Window, path: Path, format: str, label:
         through = _bodies(one.like, like, cell, held)
     except (ExportError, OSError, ValueError) as error:
         why = f"no light can be sent through it: {error}"
-        return [not_run(name, why, **asked.common) for name in IDS]
+        return [kind.not_run(why, **asked.common) for kind in THROUGH_FILE]
     seen = measure_light(
         asked.design,
         one.like,

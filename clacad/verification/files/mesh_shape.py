@@ -15,7 +15,8 @@ from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import Integral, body_volume, whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.tracing.triangles.telescopelet_facets import on_land
-from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.check_kinds.files import SHAPE, VOLUME
+from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import CellFacets, exact_height, owner, telescopelet
 from clacad.verification.files.facet_deviation import (
     FEWER,
@@ -87,12 +88,12 @@ def volume_check(
     integrals = [volume_of(window, body) for body in window.bodies]
     known = [i for i in integrals if i is not None]
     if len(known) < len(integrals):
-        return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand", required=False, **common)  # fmt: skip
+        return VOLUME.not_run("the outline cuts through lenslets; no integral of the design is at hand", required=False, **common)  # fmt: skip
     if found.facets and found.volume <= 0.0:
-        return Check("volume", "fail", f"it encloses {found.volume:.4g}: its facets face inwards", found.volume, 0.0,
+        return VOLUME.check("fail", f"it encloses {found.volume:.4g}: its facets face inwards", found.volume, 0.0,
                      relation=">=", **common)  # fmt: skip
     if not any(gathered.facets):
-        return not_run("volume", "no triangles lie where the design has its cells", **common)
+        return VOLUME.not_run("no triangles lie where the design has its cells", **common)
     exact, error = sum(i.value for i in known), sum(i.error for i in known)
     difference = found.volume - exact
     sentence = (
@@ -103,8 +104,8 @@ def volume_check(
     if gathered.engraved:
         sentence += f"; letters engraved in the border take {gathered.engraved:.4g}"
         detail["engraved"] = gathered.engraved
-    return judge(
-        "volume", abs(difference + gathered.engraved - chord), _volume_room(window, reach, chord, exact) + error, sentence,
+    return VOLUME.judge(
+        abs(difference + gathered.engraved - chord), _volume_room(window, reach, chord, exact) + error, sentence,
         limit_source=derived("forecast ± 2 % of the chord error"), detail=detail, **common,
     )  # fmt: skip
 
@@ -133,8 +134,8 @@ def shape_check(
     if not all(d.complete for d in off):
         dark = [str(c) for c, d in zip(gathered.cells, off, strict=True) if not d.complete]
         if len(dark) == len(off):
-            return not_run("shape", "no triangles lie where the design has its faces", **common)
-        return Check("shape", "fail", f"faces of the cells {', '.join(dark)} lack triangles", None, **common)
+            return SHAPE.not_run("no triangles lie where the design has its faces", **common)
+        return SHAPE.check("fail", f"faces of the cells {', '.join(dark)} lack triangles", None, **common)
     # a copy of another cell has the deviation of that cell
     own = [k for k in range(len(off)) if gathered.source(k) == k]
     clean = [clean_cut(window, gathered, k, present) for k in own]
@@ -147,11 +148,11 @@ def shape_check(
     if slopes is not None:
         words, value, limit, source = slopes
         common["unit"] = "rad"
-        return Check("shape", "fail", sentence + words, value, limit, limit_source=source, **common)
+        return SHAPE.check("fail", sentence + words, value, limit, limit_source=source, **common)
     sag = float(max(d.distance.max() for d in clean))
     limit, source = _shape_limit(asked, window, sag)
     worst = max(detail["distance"], at_corners, gathered.farthest)
-    return judge("shape", worst, limit, sentence, limit_source=source, **common)
+    return SHAPE.judge(worst, limit, sentence, limit_source=source, **common)
 
 
 def _shape_words(

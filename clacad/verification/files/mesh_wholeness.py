@@ -17,7 +17,8 @@ from clacad.sheet.feasibility import body_facts
 from clacad.sheet.pieces_and_holes import connect
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
-from clacad.verification.checks import Check, State, judge, not_run
+from clacad.verification.check_kinds.files import CLOSED, PIECES, SCALE
+from clacad.verification.checks import Check, State
 from clacad.verification.files.cell_triangles import CellFacets
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def closed_check(
     """
     common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
     if found.facets == 0:
-        return Check("closed", "fail", "the file holds no triangles", **common)
+        return CLOSED.check("fail", "the file holds no triangles", **common)
     facts: dict[str, Any] = {
         "facets": found.facets,
         "walls": gathered.walls,
@@ -118,7 +119,7 @@ def closed_check(
                 sentence += (
                     f"; {crowded} edges are shared by four facets, where steps of both signs meet in a corner"
                 )
-        return Check("closed", "pass", sentence, 0.0, detail=facts, **common)
+        return CLOSED.check("pass", sentence, 0.0, detail=facts, **common)
     sentence = "the surface is not closed or not consistently wound"
     value = None
     if found.facets > COUNTED_FACETS >= mesh.stored_count:
@@ -130,7 +131,7 @@ def closed_check(
         value, place = _open_edges(np.concatenate(list(mesh.chunks())))
         at = ", ".join(f"{v:.6g}" for v in place)
         sentence += f": {value} edges have no partner, one at ({at}) in file units"
-    return Check("closed", "fail", sentence, value, detail=facts, **common)
+    return CLOSED.check("fail", sentence, value, detail=facts, **common)
 
 
 def _open_edges(corners: Floats) -> tuple[int, Floats]:
@@ -160,13 +161,13 @@ def pieces_check(
     """Judge the number of connected pieces and holes of the file; `counted` was counted while measuring facets."""
     common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
     if found.facets == 0:
-        return [not_run("pieces", "the file holds no triangles", **common)]
+        return [PIECES.not_run("the file holds no triangles", **common)]
     if mesh.stored_count > COUNTED_PIECES:
         why = (
             f"not counted and not required: {mesh.stored_count} facets in the file, and pieces are counted up to "
             f"{COUNTED_PIECES}; one_piece says what the design gives"
         )
-        return [not_run("pieces", why, **common)]
+        return [PIECES.not_run(why, **common)]
     bodies = [body_facts(window, body) for body in window.bodies]
     expected = {sum(b.pieces for b in bodies), len(bodies) * window.lattice.cell_count}
     if "solids" in stated:
@@ -182,7 +183,7 @@ def pieces_check(
         pieces = counted.pieces if counted else sum(connected(p) * len(p.places) for p in mesh.parts)
         sentence = f"{count_text(pieces, 'connected piece')}; {wanted} expected"
     state: State = "pass" if pieces in expected else "fail"
-    return [Check("pieces", state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
+    return [PIECES.check(state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
 
 
 def connected(part: Part) -> int:
@@ -247,14 +248,14 @@ def scale_check(design: Design, window: Window, found: Measure, name: str) -> Ch
     got = np.subtract(found.high, found.low)
     ratio = got / want
     if not np.isfinite(ratio).all() or found.facets == 0:
-        return not_run("scale", "the file has no extent", where="file", subject=name)
+        return SCALE.not_run("the file has no extent", where="file", subject=name)
     # x and y alone show a uniform shrink; facets cut a little off the top of a lens in z
     lateral = ratio[:2]
     value = float(np.abs(lateral - 1.0).max())
     sentence = "extent over the design's: " + ", ".join(
         f"{axis} {r:.6g}" for axis, r in zip("xyz", ratio, strict=True)
     )
-    return judge(
-        "scale", value, design.check.scale, sentence, unit="relative", where="file", subject=name,
+    return SCALE.judge(
+        value, design.check.scale, sentence, subject=name,
         detail={"ratio": ratio},
     )  # fmt: skip

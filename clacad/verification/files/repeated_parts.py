@@ -11,6 +11,7 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.exporting.compare_instances import PartPlaces, RowPlaces, Standing
 from clacad.exporting.measure_instances import MOST_KINDS
 from clacad.formats.mesh.file_mesh import Part, kinds
+from clacad.verification.check_kinds.files import PLACEMENT
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gatherer
 from clacad.verification.limit_sources import other
@@ -29,9 +30,9 @@ MOST_LOOKS = 64
 def placement_check(design: Design, found: Standing, name: str) -> Check:
     """Judge whether every instance of a repeated cell lies on a cell of its array, each cell once."""
     missing, doubled, outside = found.faults
-    return Check(
-        "placement", "pass" if found.sound else "fail", found.words, found.worst, found.limit, design.unit,
-        where="file", subject=name, limit_source=other("rounding of the places to float32"),
+    return PLACEMENT.check(
+        "pass" if found.sound else "fail", found.words, found.worst, found.limit, unit=design.unit,
+        subject=name, limit_source=other("rounding of the places to float32"),
         detail={
             "instances": found.count, "worst_cell": found.worst_cell, "missing": missing, "doubled": doubled,
             "outside": outside, "cells_missing": found.missing, "cells_doubled": found.doubled,

@@ -17,9 +17,19 @@ from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.storage.errors import ExportError
-from clacad.verification.checks import Check, judge, not_run, unreadable
+from clacad.verification.check_kinds.file_light import FAITHFUL_RMS, THROUGH_FILE
+from clacad.verification.check_kinds.files import (
+    CLOSED,
+    PLACEMENT,
+    READABLE,
+    SHAPE,
+    SOLIDS,
+    VOLUME,
+    unreadable,
+)
+from clacad.verification.checks import Check
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.law_through_file import IDS, light_checks
+from clacad.verification.files.law_through_file import light_checks
 from clacad.verification.files.mesh_shape import volume_of
 from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, light_of_cells
@@ -148,8 +158,8 @@ def judge_solid(
 
 def _refused(asked: Inspection, error: Exception) -> list[Check]:
     """Checks of a file that could not be read."""
-    later = ("closed", "placement", "shape", "faithful_rms", "volume", *IDS)
-    unread = [not_run(name, "the file cannot be read", **asked.common) for name in later]
+    later = (CLOSED, PLACEMENT, SHAPE, FAITHFUL_RMS, VOLUME, *THROUGH_FILE)
+    unread = [kind.not_run("the file cannot be read", **asked.common) for kind in later]
     return [unreadable(error, **asked.common), *unread]
 
 
@@ -157,7 +167,7 @@ def _checks_of_shape(asked: Inspection, window: Window, found: Mapping[str, Any]
     """Checks of the reader's result: whole, in its place, with faces where the design has them."""
     common, stated, room = asked.common, asked.stated, room_for(asked.design, window, asked.stated)
     return [
-        Check("readable", "pass", found["holds_words"] + _unit_words(found), **common),
+        READABLE.check("pass", found["holds_words"] + _unit_words(found), **common),
         _closed(found, common), _solids(found, stated, common), _placement(found, room, common),
         _shape(found, stated, room, common), _file_rms(window, found, room, common),
         _volume(window, found, stated, room, common),
@@ -169,13 +179,13 @@ def lies_elsewhere(checks: Sequence[Check]) -> bool:
 
     True if it holds fewer than half of the lenses, or if its shape fails and fewer than half of them lie on their cells.
     """
-    one = {check.id: check for check in checks}
-    if "readable" not in one or one["readable"].state != "pass":
+    one = {check.kind: check for check in checks}
+    if READABLE not in one or one[READABLE].state != "pass":
         return False
-    at = one["placement"].detail
+    at = one[PLACEMENT].detail
     if at and at["missing"] > 0.5 * at["lenses"]:  # a piece of the sheet
         return True
-    return one["shape"].state != "pass" and not float(at.get("standing", 0.0)) >= 0.5
+    return one[SHAPE].state != "pass" and not float(at.get("standing", 0.0)) >= 0.5
 
 
 def hole_words(
@@ -234,14 +244,14 @@ def _light(
     """Checks of light through the faces against the law; `z` is the height of the sheet in the file (mm)."""
     if not found["kernel"] and (found.get("uneven") or not found.get("patches")):
         why = "too large for the kernel, and its lens faces are of several spans; the slope error of the text is all there is"
-        return [not_run(name, why, required=False, **asked.common) for name in IDS]
+        return [kind.not_run(why, required=False, **asked.common) for kind in THROUGH_FILE]
     held = [body.name for body in _held(window, found)]
     send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]), z)
     try:
         light, rms, cells = light_of_cells(asked.design, window, send, min(asked.rays, FACE_RAYS))
     except (ExportError, OSError) as error:
         why = f"no light could be sent through its faces: {error}"
-        return [not_run(name, why, **asked.common) for name in IDS]
+        return [kind.not_run(why, **asked.common) for kind in THROUGH_FILE]
     return light_checks(asked, light, "faces" if found["kernel"] else "lens patches", rms=rms, cells=cells)
 
 
@@ -258,19 +268,19 @@ def _closed(found: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
         )
     else:
         sentence += "; too large for the kernel, its text was read"
-    return Check("closed", "fail" if loose or bad else "pass", sentence, float(loose), 0.0, **common)
+    return CLOSED.check("fail" if loose or bad else "pass", sentence, float(loose), 0.0, **common)
 
 
 def _solids(found: Mapping[str, Any], stated: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
     count = found.get("kernel_solids", found["solids"])
     want = stated.get("solids")
     if want is None:
-        return Check("solids", "not run", f"{count} solids; nothing says how many there should be", float(count),
+        return SOLIDS.not_run(f"{count} solids; nothing says how many there should be", value=float(count),
                      required=False, **common)  # fmt: skip
     same = int(count) == int(want)
-    return Check(
-        "solids", "pass" if same else "fail", f"{count} solids, {want} stated", float(count), float(want),
-        relation="=", **common,
+    return SOLIDS.check(
+        "pass" if same else "fail", f"{count} solids, {want} stated", float(count), float(want),
+        **common,
     )  # fmt: skip
 
 
@@ -279,7 +289,7 @@ def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) 
     at = found.get("placement")
     if at is None:
         why = "no lens face was found whose cell could be told"
-        return not_run("placement", why, required=False, unit="mm", **common)
+        return PLACEMENT.not_run(why, required=False, unit="mm", **common)
     worst, repeated = float(at["lattice_error"]), int(at["instances"])
     body, cell = at["lattice_body"], tuple(at["lattice_cell"])
     wrong = []
@@ -298,7 +308,7 @@ def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) 
         if repeated
         else f"no part is repeated; each of {at['lenses']} lenses stands over its own cell"
     )
-    check = judge("placement", worst, room.shape, "; ".join(wrong) or sentence, unit="mm", limit_source=room.source,
+    check = PLACEMENT.judge(worst, room.shape, "; ".join(wrong) or sentence, unit="mm", limit_source=room.source,
                   detail=dict(at), **common)  # fmt: skip
     return replace(check, state="fail") if wrong else check
 
@@ -308,7 +318,7 @@ def _shape(
 ) -> Check:
     errors = [float(found[k]) for k in ("patch_error", "lens_error") if found.get(k) is not None]
     if not errors:
-        return not_run("shape", "no lens face was found to measure", unit="mm", **common)
+        return SHAPE.not_run("no lens face was found to measure", unit="mm", **common)
     worst = max(errors)
     sentence = (
         f"lens faces lie up to {worst:.3g} mm off the closed form"
@@ -316,7 +326,7 @@ def _shape(
     )
     if room.fitted:
         sentence += "; what light allows is the limit, for no manifest says that they are exact"
-    return judge("shape", worst, room.shape, sentence, unit="mm", limit_source=room.source,
+    return SHAPE.judge(worst, room.shape, sentence, unit="mm", limit_source=room.source,
                  detail={"stated_merge": stated.get("merged_steps")}, **common)  # fmt: skip
 
 
@@ -324,7 +334,7 @@ def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapp
     """Judge the direction error that the largest slope error of any patch can cause."""
     slopes = [float(found[k]) for k in ("patch_slope_error", "lens_slope_error") if found.get(k) is not None]
     if not slopes:
-        return not_run("faithful_rms", "no lens face was found to measure", unit="rad", **common)
+        return FAITHFUL_RMS.not_run("no lens face was found to measure", unit="rad", **common)
     value = max(slopes) * gain(window)
     sentence = f"the largest slope error of a lens face, {max(slopes):.3g} rad, turns light by at most {value:.3g} rad"
     if room.fitted:
@@ -334,7 +344,7 @@ def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapp
             else "; its faces were fitted again"
         )
     source = other("a tenth of law_rms") if room.fitted else default("1e-6 rad")
-    return judge("faithful_rms", value, room.direction, sentence, unit="rad", limit_source=source, **common)
+    return FAITHFUL_RMS.judge(value, room.direction, sentence, limit_source=source, **common)
 
 
 def _volume(
@@ -342,11 +352,11 @@ def _volume(
 ) -> Check:
     """Judge the volume of the solids against quadrature of their bodies plus engraved letters."""
     if not found["kernel"]:
-        return not_run("volume", "too large for the kernel", required=False, unit="mm³", **common)
+        return VOLUME.not_run("too large for the kernel", required=False, unit="mm³", **common)
     bodies = _held(window, found)
     parts = [volume_of(window, body) for body in bodies]
     if any(p is None for p in parts):
-        return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand",
+        return VOLUME.not_run("the outline cuts through lenslets; no integral of the design is at hand",
                        required=False, unit="mm³", **common)  # fmt: skip
     cube = millimetres(window.unit) ** 3
     want = sum(p.value for p in parts if p is not None) * cube
@@ -372,8 +382,8 @@ def _volume(
         detail["engraved"] = engraved
     if drilled := hole_words(window, found.get("holes", ())):
         sentence += f"; {drilled}"
-    return judge(
-        "volume", abs(got + engraved - want), allowed, sentence, unit="mm³", limit_source=source, detail=detail, **common,
+    return VOLUME.judge(
+        abs(got + engraved - want), allowed, sentence, unit="mm³", limit_source=source, detail=detail, **common,
     )  # fmt: skip
 
 

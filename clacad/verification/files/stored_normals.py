@@ -13,6 +13,7 @@ from clacad.optics.law.angle import angle_between
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.window import Face, Window, lens_height_and_normal
 from clacad.tracing.triangles.telescopelet_facets import on_land
+from clacad.verification.check_kinds.file_light import FILE_NORMALS
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import CellFacets
 from clacad.verification.files.facet_deviation import Deviation
@@ -44,10 +45,10 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
                               "limit_source": other(f"{STEEPER:g} × slope error of its facets")}  # fmt: skip
     if gathered.odd:
         text = f"{gathered.odd} of {gathered.stored} facets have a stored normal that is no unit vector"
-        return Check("file_normals", "fail", text, None, **common)
+        return FILE_NORMALS.check("fail", text, None, **common)
     if gathered.inward:
         text = f"the stored normals of {gathered.inward} of {gathered.stored} facets point inward"
-        return Check("file_normals", "fail", text, None, **common)
+        return FILE_NORMALS.check("fail", text, None, **common)
     worst, limit, text = -1.0, 0.0, "no lens face has stored normals"
     for cell, index in enumerate(gathered.cells):
         if gathered.source(cell) != cell:
@@ -60,8 +61,8 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
                 worst, limit = rms, room
                 text = f"stored normals are up to {1e3 * rms:.4g} mrad rms off the exact faces ({label}, cell {index})"
     if worst < 0.0:
-        return Check("file_normals", "not run", text, **{**common, "required": False})
-    return Check("file_normals", "pass" if worst <= limit else "fail", text, worst, limit, **common)
+        return FILE_NORMALS.check("not run", text, **{**common, "required": False})
+    return FILE_NORMALS.check("pass" if worst <= limit else "fail", text, worst, limit, **common)
 
 
 def _rms(window: Window, gathered: CellFacets, body: int, side: int, cell: int) -> float | None:

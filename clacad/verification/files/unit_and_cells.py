@@ -22,9 +22,16 @@ if TYPE_CHECKING:
 
 UNITS: Mapping[str, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 
+MISREAD = "mm / 25.4"
+"""Not a real unit: millimetres that were interpreted as inches."""
+
 FACTORS: tuple[tuple[str, float], ...] = (
-    ("mm", 1e-3), ("m", 1.0), ("um", 1e-6), ("in", 0.0254), ("mm / 25.4", 1e-3 / 25.4),
-)  # fmt: skip
+    ("mm", 1e-3),
+    ("m", 1.0),
+    ("um", 1e-6),
+    ("in", 0.0254),
+    (MISREAD, 1e-3 / 25.4),
+)
 """Candidate units, in metres, of a file without a manifest whose format defines no unit."""
 
 STATED = ("3mf", "glb", "step")

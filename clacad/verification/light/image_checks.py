@@ -11,8 +11,8 @@ from clacad.base.types import Pair2
 from clacad.imaging.image_by_rays import image, lens_plane
 from clacad.optics.law.beam_shaping import spot_widths
 from clacad.sheet.window import Window
-from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.limit_sources import other
+from clacad.verification.check_kinds.light import IMAGE_POINT, SPOT
+from clacad.verification.checks import Check
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -55,7 +55,7 @@ def image_checks(design: Design, window: Window) -> list[Check]:
     found = image(window, source, ("surfaces",), RAYS)
     (one,) = found.rungs
     if not np.isfinite(one.found.point).all():
-        return [not_run(name, "no light of the asked point gets through") for name in ("image_point", "spot")]
+        return [kind.not_run("no light of the asked point gets through") for kind in (IMAGE_POINT, SPOT)]
     place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
     across = one.found.point[:2] - one.predicted.point[:2]
     off = hypot(*across.tolist(), float(place[2]) - distance)
@@ -64,20 +64,20 @@ def image_checks(design: Design, window: Window) -> list[Check]:
     width = found.width
     assert width is not None  # an imaging design has no table
     limit = max(*width, NEAR * abs(distance))
-    point = judge(
-        "image_point", off, limit,
+    point = IMAGE_POINT.judge(
+        off, limit,
         f"light of the asked point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g}, {place[1]:.3g}), {off:.3g} {unit} from "
         f"where the law has it ({distance:.6g})",
-        unit=unit, where="surfaces", bundle=text, limit_source=other("width of a cell's image, or 1 % of its distance"),
+        unit=unit, bundle=text,
         detail={"found": place.tolist(), "share": one.share},
     )  # fmt: skip
     narrow = _allowed(design, window, width, distance)
     worst = max(range(2), key=lambda k: one.found.spot[k] / narrow[k])
-    spot = judge(
-        "spot", one.found.spot[worst], narrow[worst],
+    spot = SPOT.judge(
+        one.found.spot[worst], narrow[worst],
         f"there it is {one.found.spot[0]:.4g}, {one.found.spot[1]:.4g} {unit} wide (rms in x and y); cells alone leave "
         f"{width[worst] / sqrt(12.0):.4g}",
-        unit=unit, where="surfaces", bundle=text, limit_source=other("cells, check.law_rms and diffraction together, times 1.5"),
+        unit=unit, bundle=text,
         detail={"spot": list(one.found.spot), "width": list(width)},
     )  # fmt: skip
     return [point, spot]

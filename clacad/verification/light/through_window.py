@@ -18,6 +18,7 @@ from clacad.optics.rays import Rays
 from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import SeenCell, through_all, tried_cells, worst_of
+from clacad.verification.check_kinds.light import DELTA, ETA, TILT
 from clacad.verification.checks import Check
 from clacad.verification.light.field_lens_checks import field_lens_checks
 from clacad.verification.light.image_checks import image_checks
@@ -43,7 +44,7 @@ def _named(seen: SeenCell, check: Check) -> Check:
         return check
     i, j = seen.cell.tolist()
     words = f"in cell ({i}, {j}), the worst of {seen.tried} tried"
-    if check.id in ("eta", "delta", "tilt"):
+    if check.kind in (ETA, DELTA, TILT):
         words = f"over the light of {seen.tried} cells"
         laws = seen.window.cell_laws
         words += ", each taken by its own eta" if laws is not None and laws.ratios is not None else ""

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from clacad.config.edit_text import value_text
 from clacad.design.sections import AimedAt
 from clacad.sheet.window import Window
-from clacad.verification.checks import Check, judge
+from clacad.verification.check_kinds.light import VIEWED
+from clacad.verification.checks import Check
 from clacad.verification.light.viewed import thin_share, viewed, viewer_of
 
 if TYPE_CHECKING:
@@ -47,8 +48,8 @@ def viewed_check(design: Design, window: Window, *, remedies: bool = False) -> C
     if not found.traced >= limit:
         sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %); the rest meets other lenslets"
         sentence += f"; {_remedy_text(design, window, found.viewer)}" if remedies else ""
-    check = judge(
-        "viewed", found.traced, limit, sentence, relation=">=", where="surfaces", required=stated,
+    check = VIEWED.judge(
+        found.traced, limit, sentence, required=stated,
         bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0",
         detail={"viewer": found.viewer, "thin": found.thin, "stated": stated, "eye": eye},
     )  # fmt: skip
@@ -57,7 +58,7 @@ def viewed_check(design: Design, window: Window, *, remedies: bool = False) -> C
 
 def headline(checks: Sequence[Check]) -> str:
     """One line with the share of light for the viewer and the limit; "" where that was not checked."""
-    check = next((c for c in checks if c.id == "viewed" and isinstance(c.value, float)), None)
+    check = next((c for c in checks if c.kind is VIEWED and isinstance(c.value, float)), None)
     if check is None:
         return ""
     verdict = {"pass": "passes", "fail": "FAILS", "warn": "a warning"}[check.state]

@@ -16,7 +16,9 @@ from clacad.base.types import Floats, Progress
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.sheet.volume_and_extent import whole_extent
-from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.check_kinds.file_light import FAITHFUL_RMS, FILE_LAW_RMS
+from clacad.verification.check_kinds.files import CLOSED, PIECES, SCALE, SHAPE, VOLUME
+from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import CellFacets, Gatherer, SideFacets
 from clacad.verification.files.facet_deviation import deviations
 from clacad.verification.files.inspection import Inspection
@@ -32,7 +34,7 @@ from clacad.verification.returned.registration import Placed
 if TYPE_CHECKING:
     from clacad.design import Design
 
-SUSPECT = ("shape", "volume", "pieces", "closed", "faithful_rms", "file_law_rms")
+SUSPECT = {SHAPE, VOLUME, PIECES, CLOSED, FAITHFUL_RMS, FILE_LAW_RMS}
 """Checks that fail where a part is damaged; a failure starts the search for damage."""
 
 FEATURES = 4
@@ -113,10 +115,10 @@ def judge_placed(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEv
         as_written = replace(asked, stated={})
         found, evidence = judge_mesh(as_written, placed.window, placed.mesh, placed.factor, placed.present)
         evidence = replace(evidence, facts={**evidence.facts, "role": asked.role})
-        failed = {check.id for check in found if check.state == "fail"}
-        if "closed" in failed and _measured(placed, asked.role):
+        failed = {check.kind for check in found if check.state == "fail"}
+        if CLOSED in failed and _measured(placed, asked.role):
             found, evidence = judge_returned(asked, placed)
-        elif failed & set(SUSPECT):
+        elif failed & SUSPECT:
             found, evidence = _with_damage(asked.design, placed, found, evidence)
     return [*placed.checks, *found], evidence
 
@@ -143,7 +145,7 @@ def _with_damage(
         _with_failure(
             replace(c, sentence=f"{c.sentence}; {told}", detail={**c.detail, **detail}), mapped, limit
         )
-        if c.id == "shape"
+        if c.kind is SHAPE
         else c
         for c in checks
     ]
@@ -258,7 +260,7 @@ def _only(gathered: CellFacets, kept: list[int]) -> CellFacets:
 
 
 def _with_holes(check: Check, dark: list[str], total: int) -> Check:
-    if check.id != "faithful_rms":
+    if check.kind is not FAITHFUL_RMS:
         return check
     return replace(
         check,
@@ -270,23 +272,23 @@ def _closed(placed: Placed, found: Measure, asked: Inspection) -> tuple[Check, R
     """Judge whether the surface is closed, which a scan need not be; with the resulting role."""
     role, common = asked.role, {"limit": 0.0, **asked.common}
     if found.facets == 0:
-        return Check("closed", "fail", "the file holds no triangles", **common), role
+        return CLOSED.check("fail", "the file holds no triangles", **common), role
     rim = None if found.closed else rims(placed.mesh if placed.file is None else placed.file)
     if rim is None or rim.count == 0:  # the file is closed: moving it separated equal corners
         sentence = f"every edge of {found.facets} facets is met once in each direction"
-        return Check("closed", "pass", sentence, 0.0, **common), role
+        return CLOSED.check("pass", sentence, 0.0, **common), role
     if role is Role.SCAN or is_open_surface(rim, placed.pose.turn):
         sentence = (
             "the surface is open or not one mesh: it can be measured, as a scan is, but not made from "
             f"({rim.count} edges have no partner)"
         )
-        return Check("closed", "warn", sentence, float(rim.count), required=False, **common), Role.SCAN
+        return CLOSED.check("warn", sentence, float(rim.count), required=False, **common), Role.SCAN
     at = ", ".join(f"{v:.6g}" for v in rim.place)
     sentence = (
         f"the surface is not closed or not consistently wound: {rim.count} edges of {found.facets} facets have no "
         f"partner, one at ({at}) in file units; a scan would be open all along its rim"
     )
-    return Check("closed", "fail", sentence, float(rim.count), **common), role
+    return CLOSED.check("fail", sentence, float(rim.count), **common), role
 
 
 def _scale(asked: Inspection, placed: Placed) -> Check:
@@ -295,7 +297,7 @@ def _scale(asked: Inspection, placed: Placed) -> Check:
     if scale != 1.0:
         sentence += "; everything below is judged at the design's size"
     limit, detail = asked.design.check.scale, {"scale": scale}
-    return judge("scale", abs(scale - 1.0), limit, sentence, unit="relative", detail=detail, **asked.common)
+    return SCALE.judge(abs(scale - 1.0), limit, sentence, detail=detail, **asked.common)
 
 
 def _shape(
@@ -306,7 +308,7 @@ def _shape(
     common: dict[str, Any] = {"unit": design.unit, **asked.common}
     systematic = [face.systematic for face in mapped.faces]
     if not systematic or not np.isfinite(systematic).all():
-        return not_run("shape", "too few corners lie where the design has its faces", **common), mapped
+        return SHAPE.not_run("too few corners lie where the design has its faces", **common), mapped
     worst = mapped.faces[int(np.argmax(systematic))]
     step = rounding_step(placed) * placed.pose.factor
     limit, source = _shape_limit(design, gathered, placed, step)
@@ -329,7 +331,7 @@ def _shape(
             **more,
         },
     }
-    check = judge("shape", worst.systematic, limit, sentence, **common)
+    check = SHAPE.judge(worst.systematic, limit, sentence, **common)
     return _with_failure(check, mapped, limit), mapped
 
 

@@ -18,6 +18,7 @@ from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import FileMesh, Part, put
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window, lens_height
+from clacad.verification.check_kinds.files import HANDEDNESS, POSE
 from clacad.verification.checks import Check, State
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.unit_and_cells import CannotRegister
@@ -183,21 +184,21 @@ def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: 
         "unit": "design unit",
     }
     if twin is None:
-        return Check("handedness", "not run", "no mirrored turn fits its box", required=False, **common)
+        return HANDEDNESS.check("not run", "no mirrored turn fits its box", required=False, **common)
     wrong = twin.residual < BETTER * best.residual and best.residual > AS_WRITTEN * pitch
     if wrong:
         sentence = (
             f"the part is the mirror image of the design: mirrored it fits to {twin.residual:.3g}, unmirrored only to "
             f"{best.residual:.3g}"
         )
-        return Check("handedness", "fail", sentence, best.residual, twin.residual, **common)
+        return HANDEDNESS.check("fail", sentence, best.residual, twin.residual, **common)
     alike = abs(twin.residual - best.residual) <= 0.2 * best.residual + 1e-7 * pitch
     sentence = (
         "the design is its own mirror image: handedness cannot be wrong"
         if alike
         else f"unmirrored it fits to {best.residual:.3g}, mirrored to {twin.residual:.3g}"
     )
-    return Check("handedness", "pass", sentence, best.residual, twin.residual, **common)
+    return HANDEDNESS.check("pass", sentence, best.residual, twin.residual, **common)
 
 
 def _placed(
@@ -245,8 +246,8 @@ def _pose_check(
             if own
             else "; it works when it is mounted turned"
         )
-    return Check(
-        "pose", state, sentence, pose.residual, limit, design.unit, where="file", subject=subject.name,
+    return POSE.check(
+        state, sentence, pose.residual, limit, unit=design.unit, subject=subject.name,
         limit_source=other(f"{design.check.pose:g} of the pitch"),
         detail={"turn": pose.turn, "move": pose.move, "scale": pose.scale, "unit": pose.unit,
                 "cells": window.lattice.count},

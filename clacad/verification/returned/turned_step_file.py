@@ -19,10 +19,16 @@ from clacad.sheet.feasibility import feasibility
 from clacad.sheet.window import Window
 from clacad.storage.atomic import scratch_folder
 from clacad.storage.errors import ExportError
-from clacad.verification.checks import Check, State, not_run
+from clacad.verification.check_kinds.file_light import (
+    FAITHFUL_DELTA,
+    FAITHFUL_ETA,
+    FAITHFUL_RMS,
+    THROUGH_FILE,
+)
+from clacad.verification.check_kinds.files import CLOSED, POSE, READABLE, SCALE, SOLIDS
+from clacad.verification.checks import Check, State
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.law_through_file import IDS
 from clacad.verification.files.mesh_light import MeshEvidence
 from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_file import hole_words, judge_solid
@@ -39,12 +45,12 @@ FINE = 400.0
 COARSE = 1e-6
 """Least deflection of facets, over the diagonal of the part's bounding box."""
 
-SCALE = 1e-5
+SIZE = 1e-5
 """Relative error of size after registration."""
 
-THROUGH = (*IDS, "faithful_rms", "faithful_eta", "faithful_delta")
+THROUGH = (*THROUGH_FILE, FAITHFUL_RMS, FAITHFUL_ETA, FAITHFUL_DELTA)
 """Checks by light through the faces, not through the triangles."""
-KEPT = ("readable", "closed", "solids")
+KEPT = (READABLE, CLOSED, SOLIDS)
 """Checks of OCC that do not depend on the pose of the part."""
 
 
@@ -67,7 +73,7 @@ def judge_turned(
     ------
     CannotRegister
     """
-    kept = [check for check in checks if check.id in KEPT]
+    kept = [check for check in checks if check.kind in KEPT]
     whole = prescribe(asked.design) if window is None else window
     asked.progress("meshing the solids", 0.0)
     with scratch_folder() as folder:
@@ -75,7 +81,7 @@ def judge_turned(
             mesh = _meshed(asked, subject, folder / "part.stl", _deflection(whole, facts))
         except (ExportError, OSError) as error:
             return (
-                [*kept, not_run("pose", f"its solids cannot be meshed: {error}", **asked.common)],
+                [*kept, POSE.not_run(f"its solids cannot be meshed: {error}", **asked.common)],
                 None,
                 None,
             )
@@ -84,10 +90,10 @@ def judge_turned(
             exact, _ = judge_solid(replace(asked, stated={}), placed.window, subject.path)
             return [*exact[:1], *placed.checks, *exact[1:]], None, placed
         found, evidence = judge_returned(asked, placed)
-        found = [_exact_scale(check) for check in found if check.id not in THROUGH]
+        found = [_exact_scale(check) for check in found if check.kind not in THROUGH]
         found += _through_faces(asked, placed, subject, Path(folder) / "part.brep")
     kept = [_with_holes(check, placed, facts) for check in kept]
-    return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
+    return [*kept, *placed.checks, *(c for c in found if c.kind not in KEPT)], evidence, placed
 
 
 def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float) -> FileMesh:
@@ -123,22 +129,22 @@ def _through_faces(asked: Inspection, placed: Placed, subject: Subject, target: 
             )  # fmt: skip
     except (ExportError, OSError) as error:
         why = f"no light can be sent through its faces: {error}"
-        return [not_run(name, why, **asked.common) for name in THROUGH]
+        return [kind.not_run(why, **asked.common) for kind in THROUGH]
     exact, _ = judge_solid(replace(asked, stated={}), placed.window, target)
-    return [check for check in exact if check.id in THROUGH]
+    return [check for check in exact if check.kind in THROUGH]
 
 
 def _exact_scale(check: Check) -> Check:
     """Mark the scale check of a file of solids, which states its size exactly: no mould shrinkage."""
-    if check.id != "scale" or not isinstance(check.value, float):
+    if check.kind is not SCALE or not isinstance(check.value, float):
         return check
-    state: State = "pass" if check.value <= SCALE else "fail"
-    return replace(check, state=state, limit=SCALE, limit_source=other("a file of solids states its size"))
+    state: State = "pass" if check.value <= SIZE else "fail"
+    return replace(check, state=state, limit=SIZE, limit_source=other("a file of solids states its size"))
 
 
 def _with_holes(check: Check, placed: Placed, facts: Mapping[str, Any]) -> Check:
     """Name the holes that OCC finds, in the design's frame."""
-    if check.id != "closed":
+    if check.kind is not CLOSED:
         return check
     pose = placed.pose
     onto = None if pose.untouched else lambda at: pose.onto_design(at)
