@@ -119,14 +119,17 @@ _HELD: Final = ("pair.separation", "pair.thickness", "lattice.pitch", "lattice.a
 """Keys that `clacad optimise` keeps fixed: its faces are those of the pair with these values."""
 
 
+def is_tried(check: Check) -> bool:
+    """Whether keys are tried for a check: not for an eye that is only assumed, where `viewed` names what was tried."""
+    return check.id != "viewed" or check.state == "fail"
+
+
 def levers_of(design: Design, checks: Iterable[Check]) -> tuple[Lever, ...]:
     """Levers that may mend some of these checks in a design of this form, each once.
 
-    None changes an intent of the design, or undoes a search for its faces. No lever serves an eye that is
-    only assumed: the check itself names the remedies.
+    None changes an intent of the design, or undoes a search for its faces.
     """
-    mended = [check for check in checks if check.id != "viewed" or check.state == "fail"]
-    found = dict.fromkeys(lever for check in mended for lever in LEVERS.get(check.id, ()))
+    found = dict.fromkeys(lever for check in checks if is_tried(check) for lever in LEVERS.get(check.id, ()))
     form = design.pair.form
     fitting = (lever for lever in found if form in _FORMS.get(lever.key, (form,)))
     return tuple(lever for lever in fitting if not _is_held(lever, design))
