@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clacad.advice.judged import Judged
-from clacad.advice.levers import Changes, levers_of, mends, settings, size_of
+from clacad.advice.levers import Changes, is_tried, levers_of, mends, settings, size_of
 from clacad.advice.sharper import Sharper, sharper
 from clacad.advice.trials import NoMoreTrials, Trials, found_in, settled
 from clacad.base.digits import shown
@@ -141,7 +141,8 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
         h for h in (_hint(trials, judged, changes) for changes in _each_once(found)) if not _breaks(judged, h)
     ]
     ranked = sorted(hints, key=lambda hint: (not hint.passes, len(hint.left), size_of(hint.changes, design)))
-    told = tuple((check, tuple(h for h in ranked if _names(h, check))[:MOST]) for check in wanted)
+    hinted = ((check, tuple(h for h in ranked if _names(h, check))[:MOST]) for check in wanted)
+    told = tuple((check, of_it) for check, of_it in hinted if of_it or is_tried(check))
     free = sharper(judged, trials)
     return Advice(judged, told, len(trials.made), free)
 

@@ -19,6 +19,7 @@ from clacad.verification.allowances import ALLOWANCE, accepted
 from clacad.verification.checks import Check, passed, wrong
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
+from clacad.verification.viewed_remedies import name_remedies
 
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle (65536 in verify), and of each field point (4096 in verify)."""
@@ -53,7 +54,9 @@ class Judged:
     @cached_property
     def light(self) -> tuple[Check, ...]:
         """Checks by light, through one cell of the exact surfaces."""
-        found, _ = judge_light(self.design, self.window, RAYS, POINT_RAYS, remedies=self.remedies)
+        found, _ = judge_light(self.design, self.window, RAYS, POINT_RAYS)
+        if self.remedies:
+            found = name_remedies([*found, *self.rules], self.design, self.window)[: len(found)]
         return tuple(found)
 
     @cached_property

@@ -53,13 +53,17 @@ _HELD: Final = ("pair.separation", "pair.thickness", "lattice.pitch", "lattice.a
 """Keys that `clacad optimise` keeps fixed: its faces are those of the pair with these values."""
 
 
+def is_tried(check: Check) -> bool:
+    """Whether keys are tried for a check: not for an eye that is only assumed, where `viewed` names what was tried."""
+    return check.kind is not VIEWED or check.state == "fail"
+
+
 def levers_of(design: Design, checks: Iterable[Check]) -> tuple[Lever, ...]:
     """Levers that may mend some of these checks in a design of this form, each once.
 
-    None changes an intent of the design, or undoes a search for its faces. No lever serves an eye that is
-    only assumed: the check itself names the remedies.
+    None changes an intent of the design, or undoes a search for its faces.
     """
-    mended = [kinds()[check.id] for check in checks if check.id != VIEWED.id or check.state == "fail"]
+    mended = [kinds()[check.id] for check in checks if is_tried(check)]
     found = dict.fromkeys(lever for kind in mended for lever in kind.levers)
     form = design.pair.form
     fitting = (lever for lever in found if form in FORMS.get(lever.key, (form,)))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 from clacad.advice.candidate import round_to
 from clacad.advice.lens_shape import Work
 from clacad.advice.wish import KEYS, Wish, workable_material
-from clacad.advice.wish_search import Search, Tried, impossible
+from clacad.advice.wish_search import Search, Tried, returned_share
 from clacad.base.digits import shown
 from clacad.design.sections import Outline
 from clacad.verification.checks import Check
@@ -17,7 +17,7 @@ from clacad.verification.checks import Check
 FEW = 2
 """Largest number of wishes that are named."""
 
-MOST_WORK = 500
+MOST_WORK = 1000
 """Work after which no further wish is tried, in shares of thin lenses."""
 
 REASONS = 4
@@ -49,26 +49,34 @@ def binding(search: Search) -> Iterator[str]:
 def nearest(search: Search) -> Iterator[str]:
     """Sentences on similar wishes that can be fulfilled, each tried.
 
-    Of each row the least demanding wish is tried first, and the most demanding that comes true is named: what is beyond
-    reach costs the most, and is tried once at most.
+    Of each row the most demanding wish that comes true is named.
     """
     found, work = 0, Work(MOST_WORK)
     for row in _rows(search):
         if found == FEW or work.over:
             break
-        best: tuple[str, Tried] | None = None
-        for words, wish in row:
-            search.progress(f"trying {words}", min(work.done / work.most, 1.0))
-            one = Search(wish, search.name, search.overrides, work=work, first=True).run()
-            if one is None:
-                break
-            best = words, one
+        best = _most_demanding(list(row), search, work)
         if best is not None:
             found += 1
             words, one = best
             yield f"  {words} comes true: {one.variant}, pitch {one.pitch.value:g} mm{_warned(one)}"
     if not found:
         yield "  none of the wishes near it that were tried comes true either"
+
+
+def _most_demanding(row: Sequence[tuple[str, Wish]], search: Search, work: Work) -> tuple[str, Tried] | None:
+    """Most demanding wish of a row that comes true, by bisection; the least demanding one comes first in a row."""
+    best, low, high = None, -1, len(row)
+    while high - low > 1 and not work.over:
+        middle = (low + high) // 2
+        words, wish = row[middle]
+        search.progress(f"trying {words}", min(work.done / work.most, 1.0))
+        one = Search(wish, search.name, search.overrides, work=work, first=True).run()
+        if one is None:
+            high = middle
+        else:
+            best, low = (words, one), middle
+    return best
 
 
 def _warned(one: Tried) -> str:
@@ -81,6 +89,9 @@ def _rows(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
     wish = search.wish
     if wish.form != "any":
         yield [("form=any", replace(wish, form="any"))]
+    wide = max(wish.size.size)
+    if wide > search.widest > 0.0:
+        yield _changed(wish, [{"size": _resized(wish, search.widest / wide)}])
     yield from _for_the_eye(search)
     if not wish.straight:
         euler = (wish.euler[0], wish.euler[2])
@@ -101,7 +112,7 @@ def _rows(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
 def _for_the_eye(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
     """Rows with the eye farther away, or a smaller sheet, where that can help a stated eye."""
     wish = search.wish
-    if wish.viewing is None or impossible(wish, search.limit):
+    if wish.viewing is None or returned_share(wish) < search.limit:
         return
     yield _changed(wish, [{"viewing": round_to(wish.viewing * factor, 2)} for factor in FARTHER])
     yield _changed(wish, [{"size": _resized(wish, 1.0 / factor)} for factor in FARTHER])

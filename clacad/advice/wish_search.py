@@ -13,6 +13,7 @@ from math import cos, floor, inf, prod, radians, tan
 
 from clacad.advice.candidate import Variant, built, round_to
 from clacad.advice.first_numbers import (
+    MILLIMETRES,
     PitchBound,
     index_of,
     least_ratio,
@@ -27,6 +28,7 @@ from clacad.advice.wish import Wish
 from clacad.base.types import Progress, silent
 from clacad.design import Design, DesignError
 from clacad.design.process_profiles import profile
+from clacad.design.sections import CheckSpec
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.verification.check_kinds.light import FIELD, LAW_RMS, VIEWED
@@ -128,7 +130,7 @@ class Search:
 
     def run(self) -> Tried | None:
         """Try until a design passes without a warning that another could avoid; else the best of those that pass."""
-        self.refused += impossible(self.wish, self.limit)
+        self.refused += [*impossible(self.wish, self.limit), *self._too_wide()]
         if self.refused:
             return None
         pitch = round_to(wanted_pitch(self.wish).value, 2, up=True)
@@ -218,9 +220,30 @@ class Search:
         return None
 
     @cached_property
+    def _check(self) -> CheckSpec:
+        """Limits of every design, with the overrides."""
+        return built(self.wish, Variant("slab"), 1.0, RATIOS[-1], self.name, self.overrides).check
+
+    @property
     def limit(self) -> float:
-        """Required share of the light of a stated eye that obeys the law, with the overrides."""
-        return built(self.wish, Variant("slab"), 1.0, RATIOS[-1], self.name, self.overrides).check.viewed
+        """Required share of the light of a stated eye that obeys the law."""
+        return self._check.viewed
+
+    @property
+    def widest(self) -> float:
+        """Greatest width (millimetres) of the cells of a part that the process makes, the flange left off."""
+        stated = self._check.part_width
+        whole = MILLIMETRES * profile(self.wish.process).part_width if stated is None else stated
+        return whole - 2.0 * (self.wish.flange or 0.0)
+
+    def _too_wide(self) -> list[str]:
+        """Reason why no part of the wished width can be made; empty where one can."""
+        wide, flange = max(self.wish.size.size), self.wish.flange or 0.0
+        if wide <= self.widest:
+            return []
+        return [
+            f"width {wide + 2.0 * flange:g} mm of the part: the limit of {self.wish.process} is {self.widest + 2.0 * flange:g} mm"
+        ]
 
     def _thin_share(self, variant: Variant, ratio: float) -> tuple[float, str]:
         """Share of the eye's light that hits its partner, for thin lenses over the whole sheet; 0 and a

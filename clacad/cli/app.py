@@ -56,8 +56,8 @@ def new(
                                 "hexagonal, tilted, window; or a design of the paper: fig3, fig6-theta-1, paper-b …; default "
                                 "paper.")] = None,
     wish: Annotated[list[str] | None, typer.Option("--for", metavar="KEY=VALUE,...", help="Find a design that does this and "
-                                "passes verify: eta, width or circle, viewing, object, process, material, form, kind, delta, "
-                                "euler, field; e.g. 'eta=-1, circle=60 mm, process=moulding'. Repeatable.")] = None,
+                                "passes verify: eta, width or circle, viewing, object, process, material, index, wavelength, "
+                                "pitch, flange, holes, form, kind, delta, euler, field; e.g. 'eta=-1, circle=60 mm, process=moulding'. Repeatable.")] = None,
     list_: Annotated[bool, typer.Option("--list", help="Print the templates with a line about each.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the file, write nothing.")] = False,
     overwrite: Replace = False,

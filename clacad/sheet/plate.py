@@ -112,6 +112,12 @@ class Plate:
         return x0, x1, y0, y1
 
     @property
+    def diameter(self) -> float:
+        """Diameter (length) of a round plate about the origin, drilled or not; 0 for any other boundary."""
+        across = -2.0 * self.vertices[0][1]
+        return across if self.vertices == plate_of_circle(across) else 0.0
+
+    @property
     def reach(self) -> tuple[float, float]:
         """Greatest |x| and |y| of the plate (lengths)."""
         x0, x1, y0, y1 = self.box

@@ -24,6 +24,7 @@ from clacad.verification.light.facet_convergence import Convergence, converge, c
 from clacad.verification.light.law_checks import Optics
 from clacad.verification.light.through_window import judge_light
 from clacad.verification.verification_report import Report
+from clacad.verification.viewed_remedies import name_remedies
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -126,8 +127,8 @@ def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) 
 
     The window need not be built from that design; its law is measured, not assumed.
     """
-    found, optics = judge_light(design, window, rays, remedies=True)
-    return [*found, *design_checks(design, window, facts)], optics
+    found, optics = judge_light(design, window, rays)
+    return name_remedies([*found, *design_checks(design, window, facts)], design, window), optics
 
 
 def versions() -> dict[str, str]:

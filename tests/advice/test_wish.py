@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from math import radians
+from types import SimpleNamespace
 
 import pytest
 from mpmath import asin, atan, mp, mpf, sin, sqrt, tan
@@ -21,8 +23,9 @@ from clacad.advice.first_numbers import (
 )
 from clacad.advice.judged import judge
 from clacad.advice.lens_shape import AXIS, FAULTS, JUDGEMENT, Work
+from clacad.advice.nearest_wish import nearest
 from clacad.advice.proposal import NoSuchSheet, design_for, not_met
-from clacad.advice.wish import Wish, parse_wish, read_wish
+from clacad.advice.wish import KEYS, Wish, parse_wish, read_wish
 from clacad.advice.wish_search import Search, impossible
 from clacad.design import DesignError, load, template
 from clacad.design.sections import Outline
@@ -113,12 +116,38 @@ def test_an_eye_that_no_one_stated_is_not_written_and_not_judged():
 @pytest.mark.parametrize(("text", "told"), [
     ("eta=-1, width=5, euler=[10,89,3]", "theta = 89 deg"),
     ("eta=-2, width=40, viewing=400", "at most 25 % obey the law from any distance"),
+    ("eta=-.9, width=190, flange=10, viewing=400", "width 210 mm of the part: the limit of diamond-turning is 200 mm"),
 ])  # fmt: skip
 def test_what_no_sheet_can_do_is_known_before_one_is_built(text, told):
     search = Search(read_wish(parse_wish([text])), "x")
     assert search.run() is None
     assert told in search.refused[0]
     assert not search.tried
+
+
+def test_the_nearest_wish_of_a_row_is_found_in_three_trials(monkeypatch):
+    """Rows go from the least demanding wish to the most; here every eye at 800 mm or farther is served."""
+    tried: list[float] = []
+
+    def run(search):
+        tried.append(search.wish.viewing)
+        pitch = SimpleNamespace(value=1.0)
+        return (
+            SimpleNamespace(variant="slab", pitch=pitch, judged=SimpleNamespace(warning=()))
+            if tried[-1] >= 800
+            else None
+        )
+
+    search = Search(read_wish({"eta": -1, "width": 40, "viewing": 400}), "x")
+    monkeypatch.setattr(Search, "run", run)
+    assert next(nearest(search)) == "  viewing=800 comes true: slab, pitch 1 mm"
+    assert tried == [1600, 800, 520]
+
+
+def test_the_help_of_a_wish_names_every_word():
+    text = " ".join(clacad("new", "--help").out.split())
+    listed = text[text.index("Find a design that does this") : text.index("--list")]
+    assert [word for word in KEYS if not re.search(rf"\b{word}\b", listed)] == []
 
 
 def test_a_lean_is_refused_only_where_the_arrays_would_cross():

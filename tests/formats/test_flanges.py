@@ -14,6 +14,7 @@ from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh.tessellation import tessellate
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import describe, feasibility
 from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_volume, whole_extent
 from clacad.tracing.trace import trace
@@ -73,6 +74,16 @@ def test_a_plate_larger_than_its_round_sheet_adds_the_area_between_and_keeps_the
     assert facts[1]["valid"]
     assert facts[1]["volume"] - facts[0]["volume"] == pytest.approx(wanted, rel=1e-7)
     assert np.allclose(np.abs(np.array(facts[1]["box"])[:, :2]), 5.25, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("body", "size"), [
+    ({"border": 2}, "10.5 round"), ({"border": 2, "holes": [OFF_AXIS]}, "10.5 round"), ({"outline": {"circle": 10.5}}, "10.5 round"),
+    ({"outline": {"rectangle": [10.5, 10.5]}, "corners": {"round": 1.0}}, "10.5 x 10.5"),
+])  # fmt: skip
+def test_a_drilled_flange_is_reported_as_round(body, size):
+    sheet = window(SLAB, **body)
+    rows = {row.name: row.value for row in describe(sheet, feasibility(sheet)) if row.about == "sheet"}
+    assert rows["outer size"] == size
 
 
 @pytest.mark.parametrize("base", FORMS)

@@ -120,9 +120,7 @@ def _sheet_rows(
     x0, x1, y0, y1 = whole_extent(window)
     wide, high = of_length(x1 - x0), of_length(y1 - y0)
     rim = window.outline
-    is_round = isinstance(rim, Circle) and x1 - x0 <= rim.diameter * (
-        1.0 + 1e-12
-    )  # no array protrudes from the other
+    is_round = x1 - x0 <= _diameter(rim) * (1.0 + 1e-12)  # no array protrudes from the other
     low, top = min(body.low for body in facts.bodies), max(body.high for body in facts.bodies)
     return [
         FactRow("sheet", "outer size", f"{wide} round" if is_round else f"{wide} x {high}", name, "of all bodies, seen along z"),
@@ -139,6 +137,11 @@ def cells_text(lattice: Lattice) -> str:
     """Number of cells of a sheet: "24 x 24", or "392 of 24 x 24" where an outline leaves some out."""
     n1, n2 = lattice.count
     return f"{n1} x {n2}" if lattice.outline is None else f"{lattice.cell_count} of {n1} x {n2}"
+
+
+def _diameter(rim: Outline | None) -> float:
+    """Diameter (length) of a round outline, drilled or not; 0 for any other."""
+    return rim.diameter if isinstance(rim, Circle | Plate) else 0.0
 
 
 def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:

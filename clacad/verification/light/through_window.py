@@ -85,12 +85,9 @@ def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
 
 
 def judge_light(
-    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS, *, remedies: bool = False
+    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS
 ) -> tuple[list[Check], Optics]:
-    """Judge light through a window's exact surfaces by the limits of its design; rays as in `optics_of`.
-
-    remedies : whether the check `viewed` tries which changes reach its limit.
-    """
+    """Judge light through a window's exact surfaces by the limits of its design; rays as in `optics_of`."""
     tried = tried_cells(window, design.check.field)
     seen = worst_of(tried, design.check.field)
     optics = optics_of(design, seen.like, seen.send, rays, point_rays)
@@ -103,6 +100,6 @@ def judge_light(
         found += field_lens_checks(design, window, optics.main.lit)
     return [
         *(_named(seen, check) for check in found),
-        viewed_check(design, window, remedies=remedies),
+        viewed_check(design, window),
         *image_checks(design, window),
     ], optics

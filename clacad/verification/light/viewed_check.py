@@ -1,45 +1,27 @@
-"""The check `viewed`: it judges a stated viewer, warns of an assumed one, and finds changes that keep more light."""
+"""The check `viewed`: it judges a stated viewer, and warns of an assumed one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from math import ceil, floor, log10
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from clacad.config.edit_text import value_text
 from clacad.design.sections import AimedAt
 from clacad.sheet.window import Window
 from clacad.verification.check_kinds.light import VIEWED
 from clacad.verification.checks import Check
-from clacad.verification.light.viewed import thin_share, viewed, viewer_of
+from clacad.verification.light.viewed import viewed, viewer_of
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
 Point = tuple[float, float, float]
 
-TRIED_RAYS = 4096
-"""Sobol rays through each changed sheet: the mean is within .008."""
 
-FARTHEST = 1024.0
-"""Largest factor on the viewer's distance that is tried."""
-
-STEPS = 6
-"""Most steps of a tenth that rays need beyond the distance for ideal lenses."""
-
-
-def viewed_check(design: Design, window: Window, *, remedies: bool = False) -> Check:
+def viewed_check(design: Design, window: Window) -> Check:
     """Judge the share of the viewer's light that obeys the law.
 
     Below the limit a stated viewer fails and an assumed one warns.
-
-    Parameters
-    ----------
-    design : Design
-    window : Window
-    remedies : bool
-        Whether to try which changes reach the limit, and name them; this takes some tenths of a second.
     """
     found = viewed(window, viewer_of(design))
     stated, limit = design.check.viewer is not None, design.check.viewed
@@ -47,7 +29,6 @@ def viewed_check(design: Design, window: Window, *, remedies: bool = False) -> C
     sentence = _share_of(found.traced, eye)
     if not found.traced >= limit:
         sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %); the rest meets other lenslets"
-        sentence += f"; {_remedy_text(design, window, found.viewer)}" if remedies else ""
     check = VIEWED.judge(
         found.traced, limit, sentence, required=stated,
         bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0",
@@ -81,73 +62,3 @@ def _eye(design: Design, viewer: Point) -> str:
     if isinstance(design.lattice.aperture, AimedAt):
         return f"the eye {where} that the cells are aimed at"
     return f"an assumed eye {where} (check.viewer states one)"
-
-
-# -- changes that keep more of the light, each tried ----------------------------------------------
-
-
-def _remedy_text(design: Design, window: Window, viewer: Point) -> str:
-    """Name the changes that reach the limit."""
-    limit = f"{100.0 * design.check.viewed:.4g} %"
-    found = [*_keys(design, viewer), *_farther(design, window, viewer)]
-    if not found:
-        return f"neither aimed cells nor a field lens nor a viewer farther away reaches {limit}"
-    return f"{limit} is reached by {', or by '.join(found)}"
-
-
-def _keys(design: Design, viewer: Point) -> Iterator[str]:
-    """Keys whose change reaches the limit: cells aimed at the viewer, or a field lens."""
-    point = {"lattice.aperture": {"point": [int(v) if v.is_integer() else v for v in map(float, viewer)]}}
-    for changes in (point, {"pair.field_lens": True}):
-        changed = _built(design, changes)
-        share = 0.0 if changed is None else viewed(changed, viewer, TRIED_RAYS).traced
-        if share >= design.check.viewed:
-            ((key, value),) = changes.items()
-            yield f"{key} = {value_text(value)} ({100.0 * share:.3g} %)"
-
-
-def _built(design: Design, changes: dict[str, Any]) -> Window | None:
-    """The sheet with some keys changed, or None where it cannot be built; aimed cells use paraxial lenses."""
-    from clacad.design import DesignError
-    from clacad.prescription.aimed_cells import refuse_aim
-    from clacad.prescription.prescribe import prescribe
-    from clacad.prescription.radii import NoSuchLens
-
-    try:
-        asked = design.replace(changes)
-        if not isinstance(asked.lattice.aperture, AimedAt):
-            return prescribe(asked)
-        plain = asked.replace({"pair.offset": "paraxial"})
-        refuse_aim(prescribe(plain.replace({"lattice.aperture": "aligned"})), asked)
-        return prescribe(plain)
-    except (DesignError, NoSuchLens):
-        return None
-
-
-def _farther(design: Design, window: Window, viewer: Point) -> Iterator[str]:
-    """Nearest viewer distance that reaches the limit, first by thin lenses and then by rays."""
-    limit = design.check.viewed
-
-    def at(factor: float) -> Point:
-        x, y, z = (factor * v for v in viewer)
-        return x, y, z
-
-    if isinstance(design.lattice.aperture, AimedAt) or thin_share(window, at(FARTHEST)) < limit:
-        return
-    low, high = 1.0, FARTHEST
-    while high > 1.02 * low:
-        middle = (low * high) ** 0.5
-        low, high = (low, middle) if thin_share(window, at(middle)) >= limit else (middle, high)
-    for step in range(STEPS):
-        distance = _two_digits_up(1.1**step * high * abs(viewer[2]))
-        factor = distance / abs(viewer[2])
-        if viewed(window, at(factor), TRIED_RAYS).traced >= limit:
-            yield f"a viewer at {distance:g} {design.unit} or farther"
-            if window.uniform:
-                yield f"a sheet {1.0 / factor:.2g} times as wide"
-            return
-
-
-def _two_digits_up(length: float) -> float:
-    step = 10.0 ** (floor(log10(length)) - 1)
-    return ceil(length / step - 1e-9) * step
