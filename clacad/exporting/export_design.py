@@ -62,7 +62,8 @@ def export(
     ExportIncomplete
         Some formats failed; the others were published.
     """
-    from clacad.exporting.request import Request, asked_quads, asked_roles
+    from clacad.exporting.quads_and_roles import asked_quads, asked_roles
+    from clacad.exporting.request import Request
     from clacad.exporting.run import run_export
 
     request = Request(

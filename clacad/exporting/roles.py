@@ -48,11 +48,6 @@ NOT_OPTICAL = frozenset(
 """Formats and bodies that carry no light of the law, by the words of manifests."""
 
 
-def role_of(format: str) -> Role:
-    """Role of the files of a format that holds exact faces, heights, poses, or no optics at all."""
-    return Role.OTHER if format in NOT_OPTICAL else Role.MASTER
-
-
 @dataclass(frozen=True, slots=True)
 class Prospect:
     """Role of a file, and the forecast of the light through it.

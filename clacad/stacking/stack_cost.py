@@ -7,8 +7,8 @@ from pathlib import Path
 
 from clacad.base.machine_rates import Rates, Span, total
 from clacad.exporting.forecast import forecast
+from clacad.exporting.formats.format import Forecast
 from clacad.exporting.limits import refuse_over_limits
-from clacad.exporting.price import Forecast
 from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
 from clacad.sheet.need_window import need_equal_cells

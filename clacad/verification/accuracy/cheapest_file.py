@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import Span
 from clacad.base.text import plain
-from clacad.exporting.format_names import OF_ANY_CELLS
+from clacad.exporting.formats.registry import format_of
 from clacad.exporting.limits import MOST_BYTES, size_text
 from clacad.storage.errors import ExportError
 from clacad.verification.accuracy.choose_setting import MOST_QUADS, SAFE
@@ -107,14 +107,12 @@ def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: flo
     from clacad.exporting.quads_and_roles import Sizes
     from clacad.exporting.tessellations import Meshes
 
-    if not window.uniform and not set(WHOLE) & set(OF_ANY_CELLS):
-        return []
     sizes, found = Sizes(Meshes(window)), []
     for floor in floors:
         quads = floor.quads_for(SAFE * target) if floor.normals == "facet" else None
         for name in WHOLE:
             if (
-                (window.uniform or name in OF_ANY_CELLS)
+                format_of(name).holds(window)
                 and name in floor.formats.split(", ")
                 and quads is not None
                 and quads <= MOST_QUADS
@@ -127,7 +125,7 @@ def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: flo
 
 def _step(design: Design, window: Window, target: float) -> list[FileWithin]:
     """The STEP file, where the bodies can be solids and its size is allowed."""
-    from clacad.exporting.file_sizes import step_bytes
+    from clacad.exporting.formats.step import step_bytes
     from clacad.formats.step.step_mode import chosen_mode
     from clacad.topology.cannot_build import CannotBuild
 
@@ -145,7 +143,7 @@ def _step(design: Design, window: Window, target: float) -> list[FileWithin]:
 
 
 def _seconds(design: Design, format: str, quads: int | None) -> Span:
+    from clacad.exporting.forecast import rough_span
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_seconds import rough_span
 
     return rough_span(design, Request((format,), quads={} if quads is None else {format: quads}))
