@@ -100,7 +100,7 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
 def holds_text(entry: Mapping[str, Any]) -> str:
     """Solids or objects that a program finds in a file of a manifest, and what would make one of many; "" where none is."""
     from clacad.formats.step.step_mode import FUSED_CELLS
-    from clacad.verification.files.delivery import FIXTURES
+    from clacad.verification.files.delivery import fixture_names
 
     instanced = entry.get("mode") == "instanced"
     if entry["format"] == "step" and "solids" in entry:
@@ -110,7 +110,7 @@ def holds_text(entry: Mapping[str, Any]) -> str:
             return f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells (--fused: one a connected piece)"
         if entry.get("own_cells"):
             return f"{words}, one a connected piece; every cell differs, so that none can be repeated"
-        if all(name in FIXTURES or name.endswith(".marked") for name in entry["bodies"]):
+        if all(name in fixture_names() or name.endswith(".marked") for name in entry["bodies"]):
             return f"{words}, one a connected piece"
         return f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells (--step instanced repeats one cell)"
     if "objects" not in entry:

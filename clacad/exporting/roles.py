@@ -29,24 +29,6 @@ WORDS: Mapping[str, Role] = {
 }  # fmt: skip
 """Words by which a role is declared; "other" cannot be declared."""
 
-NOT_OPTICAL = frozenset(
-    {
-        "baffle",
-        "frame",
-        "pins",
-        "coupon",
-        "pov",
-        "scene",
-        "zmx",
-        "optiland",
-        "drawing",
-        "drawing-dxf",
-        "drawing-pdf",
-        "cell-table",
-    }
-)
-"""Formats and bodies that carry no light of the law, by the words of manifests."""
-
 
 @dataclass(frozen=True, slots=True)
 class Prospect:

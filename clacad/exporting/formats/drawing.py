@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.format import BASE, Forecast, Format
+from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -67,3 +67,5 @@ FORMATS = (
         lambda _sheet, _quads, _asked: SECONDS, require, optical=False,
     ),
 )  # fmt: skip
+
+FILES = (FileKind(DRAWING_DXF, "other"), FileKind(DRAWING_PDF, "other"))

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.exporting.formats import indexed_meshes, stl
-from clacad.exporting.formats.format import Forecast, Format
+from clacad.exporting.formats.format import FileKind, Forecast, Format
 from clacad.exporting.formats.parts import require_marks, solid_seconds
 
 if TYPE_CHECKING:
@@ -77,3 +77,5 @@ FORMATS = (
         indexed_meshes.rough_welded, require_marks, whole_sheet=False,
     ),
 )  # fmt: skip
+
+FILES: tuple[FileKind, ...] = ()

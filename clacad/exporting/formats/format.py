@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from clacad.exporting.roles import Role
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from clacad.exporting.formats.map_file import FaceFile, Misfit, Samples
     from clacad.exporting.job import Job
     from clacad.exporting.manifest import FileRecord
     from clacad.exporting.request import Request
@@ -108,6 +111,65 @@ class ChosenMesh:
     bytes: int
 
 
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Comparison of a file of heights, points, places or numbers with the design; see `map_reading`.
+
+    Attributes
+    ----------
+    face : callable or None
+        `face(file)` → misfit of a file of one face.
+    sheet : callable or None
+        `sheet(window, path)` → misfit of a file of the whole window.
+    samples : callable or None
+        `samples(file, cell)` → heights of one cell of a face, through which light is traced.
+    unit : str
+        Unit of the misfit; "": relative.
+    """
+
+    face: Callable[[FaceFile], Misfit] | None = None
+    sheet: Callable[[Window, Path], Misfit] | None = None
+    samples: Callable[[FaceFile, tuple[int, int]], Samples] | None = None
+    unit: str = "mm"
+
+
+@dataclass(frozen=True, eq=False)
+class FileKind:
+    """Files under one word of the manifest; a format writes one kind of file, or several.
+
+    Attributes
+    ----------
+    word : str
+        Format in manifests and reports.
+    family : "mesh", "solid", "map" or "other"
+        Triangles; exact solids; a file that is compared by `reading`; everything else is judged by its bytes.
+    ends : tuple of str
+        Endings by which a file without a manifest is recognised.
+    bytes_a_facet : float
+        Approximate size of a mesh.
+    states_unit : bool
+        Whether every reader interprets its unit alike.
+    native : bool
+        Whether a native library reads it, in a process of its own.
+    text_budget : str
+        Reader (`clacad.base.reading_budgets`) of the text of a file that is too large for OCC; "": no text is read.
+    older : bool
+        Whether words that begin with this one are older words of the same kind.
+    reading : callable or None
+        `reading()` → `Reading`; imports what reads the file.
+    """
+
+    word: str
+    family: Literal["mesh", "solid", "map", "other"]
+    ends: tuple[str, ...] = ()
+    bytes_a_facet: float = 50.0
+    states_unit: bool = False
+    native: bool = False
+    text_budget: str = ""
+    older: bool = False
+    reading: Callable[[], Reading] | None = None
+
+
 def _anything(_window: Window, _asked: Request, _worker: Worker) -> None:
     """Require nothing."""
 
@@ -153,6 +215,8 @@ class Format:
         Whether OCC reads every file back, so that it is loaded early.
     smaller : str
         Options that make its files smaller; "": fewer quads or cells.
+    bodies : tuple of str
+        Names of the parts that it writes in addition to the optics.
     """
 
     word: str
@@ -173,6 +237,7 @@ class Format:
     whole_sheet: bool = True
     kernel: bool = False
     smaller: str = ""
+    bodies: tuple[str, ...] = ()
 
     @property
     def is_mesh(self) -> bool:

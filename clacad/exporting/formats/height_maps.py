@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
 from clacad.exporting.formats.format import BASE, Forecast, Format
-from clacad.exporting.formats.map_record import calibration_record, drawn_cost, map_row, structured_cost
+from clacad.exporting.formats.map_record import (
+    CALIBRATION,
+    calibration_record,
+    drawn_cost,
+    map_kind,
+    map_row,
+    structured_cost,
+)
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -179,4 +186,9 @@ FORMATS = (
     Format(
         XYZ, "map", "points of each face with their normals", write_xyz, forecast_xyz, drawn_cost(XYZ_SECONDS),
     ),
+)  # fmt: skip
+
+FILES = (
+    map_kind(TIFF32, ".f32.tiff"), map_kind(TIFF16, ".u16.tiff"), map_kind(PNG16, ".u16.png"), map_kind(POINTS, ".xyz"),
+    map_kind(GRID, ".cell.dat"), map_kind(CALIBRATION, ".tiff.json", ".png.json", ".gds.json"),
 )  # fmt: skip

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.format import BASE, ChosenMesh, Forecast, Format, about_number
+from clacad.exporting.formats.format import BASE, ChosenMesh, FileKind, Forecast, Format, about_number
 
 if TYPE_CHECKING:
     from clacad.base.types import Floats
@@ -336,3 +336,9 @@ FORMATS = (
         write_glb, forecast_glb, rough_glb, refuse_places=refuse_nodes, **_BOTH,
     ),
 )  # fmt: skip
+
+FILES = (
+    FileKind(THREEMF, "mesh", (".3mf",), 10.0, states_unit=True), FileKind(PLY, "mesh", (".ply",), 43.0),
+    FileKind(GLB, "mesh", (".glb",), 25.0, states_unit=True), FileKind("obj", "mesh", (".obj",), 90.0),
+)  # fmt: skip
+"""OBJ files are read and not written."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
 from clacad.exporting.formats.format import BASE, Forecast, Format, own_cells_note
-from clacad.exporting.formats.map_record import calibration_record, drawn_cost, map_row
+from clacad.exporting.formats.map_record import calibration_record, drawn_cost, map_kind, map_row
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -144,4 +144,8 @@ FORMATS = (
         GDS, "map", "grey-level lithography: layers of each face; needs the extra gds", write_gds, forecast_gds,
         drawn_cost(GDS_SECONDS), require_gds, turned_arrays=False,
     ),
+)  # fmt: skip
+
+FILES = (
+    map_kind(MASK_SVG, ".mask.svg"), map_kind(MASK_DXF, ".mask.dxf"), map_kind(GDS, ".gds", native=True),
 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.format import Forecast, Format
+from clacad.exporting.formats.format import FileKind, Forecast, Format
 from clacad.exporting.formats.map_record import map_row, structured_cost
 
 if TYPE_CHECKING:
@@ -78,3 +78,5 @@ FORMATS = (
         optical=False, turned_arrays=False, many_sizes=False,
     ),
 )  # fmt: skip
+
+FILES = (FileKind(WORD, "other"), FileKind("scene", "other"))

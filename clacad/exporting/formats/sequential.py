@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.format import BASE, Forecast, Format
+from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -117,3 +117,5 @@ FORMATS = (
         optical=False, any_cells=False,
     ),
 )  # fmt: skip
+
+FILES = (FileKind(ZMX, "other"), FileKind(OPTILAND, "other"))

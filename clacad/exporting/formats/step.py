@@ -6,7 +6,14 @@ from dataclasses import replace
 from math import ceil, log10
 from typing import TYPE_CHECKING, Literal
 
-from clacad.exporting.formats.format import ChosenMesh, Forecast, Format, about_number, own_cells_note
+from clacad.exporting.formats.format import (
+    ChosenMesh,
+    FileKind,
+    Forecast,
+    Format,
+    about_number,
+    own_cells_note,
+)
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -152,5 +159,11 @@ FORMATS = (
     Format(
         WORD, "exact", "exact solids of all bodies, for CAD and machining", write, forecast, rough_seconds,
         at_a_glance=at_a_glance, fusable=True, kernel=True, smaller="--step instanced, or --cells 50x50",
+    ),
+)  # fmt: skip
+
+FILES = (
+    FileKind(
+        WORD, "solid", (".step", ".stp"), states_unit=True, native=True, text_budget="step-text", older=True
     ),
 )  # fmt: skip

@@ -5,7 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.format import BASE, STREAM_MEMORY, ChosenMesh, Forecast, Format, about_number
+from clacad.exporting.formats.format import (
+    BASE,
+    STREAM_MEMORY,
+    ChosenMesh,
+    FileKind,
+    Forecast,
+    Format,
+    about_number,
+)
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -115,4 +123,8 @@ FORMATS = (
         PARTS, "stream", "facets, one binary STL file a body", write_parts, forecast_parts, rough_seconds,
         whole_sheet=False,
     ),
+)  # fmt: skip
+
+FILES = (
+    FileKind(WORD, "mesh", (".stl",)), FileKind(KIND, "mesh"), FileKind("stl-ascii", "mesh", bytes_a_facet=260.0),
 )  # fmt: skip

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.format import BASE, Forecast, Format
-from clacad.exporting.formats.map_record import drawn_cost, map_row
+from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
+from clacad.exporting.formats.map_record import drawn_cost, map_kind, map_row
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 WORD = "table"
 SURFACES, POSES = "surface-table", "pose-table"
 """Words of the files in manifests."""
+
+CELL_TABLE = "cell-table"
+"""Word of the copy of a design's cell table."""
 
 SECONDS = 4e-8
 """Seconds per hundredth of a lenslet."""
@@ -65,4 +68,8 @@ def _bytes(window: Window) -> int:
 
 FORMATS = (
     Format(WORD, "map", "parameters of the surfaces, and the pose of every lenslet", write, forecast, drawn_cost(SECONDS)),
+)  # fmt: skip
+
+FILES = (
+    map_kind(POSES, ".poses.csv"), map_kind(SURFACES, ".surfaces.json"), FileKind(CELL_TABLE, "other"),
 )  # fmt: skip

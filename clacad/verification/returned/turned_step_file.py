@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.units import MILLIMETRE, millimetres
+from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.window import Window
@@ -24,7 +25,6 @@ from clacad.verification.files.find_files import Subject
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS
 from clacad.verification.files.mesh_light import MeshEvidence
-from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_file import hole_words, judge_solid
 from clacad.verification.limit_sources import other
 from clacad.verification.returned.judge_part import judge_returned
