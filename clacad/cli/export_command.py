@@ -47,8 +47,10 @@ class ExportWords:
 
 def export_design(path: Path, overrides: list[str], words: ExportWords, *, json: bool, quiet: bool) -> int:
     """Export and print what was made; with --dry-run print the forecast only."""
+    from clacad.exporting.formats.pov import WORD as POV
+
     formats = tuple(word.strip() for word in words.options["formats"].split(",") if word.strip())
-    if formats == ("pov",):
+    if formats == (POV,):
         from clacad.cli.export_scene import export_scene, is_scene
 
         if is_scene(path):
@@ -190,11 +192,11 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
 def _name_cheapest(design: Design, target: float, asked: Sequence[str], *, quiet: bool) -> None:
     """Say which file is within the target for the fewest bytes, where it is another than those asked for."""
     from clacad.prescription.prescribe import prescribe
-    from clacad.verification.accuracy.cheapest_file import WHOLE, files_within
+    from clacad.verification.accuracy.cheapest_file import files_within, whole_meshes
     from clacad.verification.accuracy.choose_setting import mesh_floors
 
     window = prescribe(design)
-    best = files_within(design, window, mesh_floors(design, window, WHOLE), target)[0]
+    best = files_within(design, window, mesh_floors(design, window, whole_meshes()), target)[0]
     if best.format not in asked:
         say(f"cheapest file within it: {best}: {best.options}", quiet=quiet)
 

@@ -99,11 +99,12 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
 
 def holds_text(entry: Mapping[str, Any]) -> str:
     """Solids or objects that a program finds in a file of a manifest, and what would make one of many; "" where none is."""
+    from clacad.exporting.formats import step
     from clacad.formats.step.step_mode import FUSED_CELLS
     from clacad.verification.files.delivery import fixture_names
 
     instanced = entry.get("mode") == "instanced"
-    if entry["format"] == "step" and "solids" in entry:
+    if entry["format"] == step.WORD and "solids" in entry:
         solids, faces = int(entry["solids"]), int(entry["faces"])
         words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
         if instanced:

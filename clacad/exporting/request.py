@@ -29,6 +29,7 @@ class Option:
     flag : str
         As typed; of a switch that is on by default, with its opposite.
     help : str
+        "{formats}" is replaced by the words of all formats.
     metavar : str or None
         Placeholder of the value in the help.
     words : tuple of str
@@ -61,12 +62,7 @@ class Request:
     Parameters
     ----------
     formats : sequence of str
-        step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
-        `gds`), pov, brep, baffle, frame, pins (with a shoulder between the bodies), coupon, marked (bodies with their name and an
-        arrow in the border, STEP),
-        marked-stl (the same as meshes, one file a body), marked-3mf (in one file), zmx, optiland (one
-        telescopelet for lens-design programs; optiland needs the extra `optiland`), drawing
-        (DXF and PDF, needs the extras `dxf` and `pdf`).
+        Words of `clacad.exporting.formats`; `clacad explain formats` lists them.
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" chooses the facets of each format by the
         light through them, as `quads` "auto" does. If no master stays within the limits, it writes a declared
@@ -110,7 +106,7 @@ class Request:
     """
 
     formats: tuple[str, ...] = _declared(("step", "stl"), Option(
-        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, zmx, drawing, ...", "F,G",
+        "--format", "Formats, separated by commas: {formats}.", "F,G",
     ))  # fmt: skip
     slope_error: float | Literal["auto"] = _declared("auto", Option(
         "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the coarsest facets that make a master; where none fit, "

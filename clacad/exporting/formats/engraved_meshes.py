@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from clacad.exporting.formats import indexed_meshes, stl
 from clacad.exporting.formats.format import FileKind, Forecast, Format
 from clacad.exporting.formats.parts import require_marks, solid_seconds
+from clacad.exporting.formats.storing import AS_PLAIN
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -70,11 +71,11 @@ def _with_letters(meshes: Meshes, plain: Forecast) -> Forecast:
 FORMATS = (
     Format(
         MARKED_STL, "stream", "facets with name and arrow in the border, one binary STL file a body", write_stl,
-        forecast_stl, stl.rough_seconds, require_marks, whole_sheet=False,
+        forecast_stl, stl.rough_seconds, require_marks, whole_sheet=False, stored=(AS_PLAIN,),
     ),
     Format(
         MARKED_3MF, "welded", "facets with name and arrow in the border, 3MF", write_threemf, forecast_threemf,
-        indexed_meshes.rough_welded, require_marks, whole_sheet=False,
+        indexed_meshes.rough_welded, require_marks, whole_sheet=False, stored=(AS_PLAIN,),
     ),
 )  # fmt: skip
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
+from clacad.exporting.formats.storing import NO_SURFACE, Storing
 from clacad.exporting.roles import Role
 
 if TYPE_CHECKING:
@@ -142,7 +144,7 @@ class FileKind:
     word : str
         Format in manifests and reports.
     family : "mesh", "solid", "map" or "other"
-        Triangles; exact solids; a file that is compared by `reading`; everything else is judged by its bytes.
+        Triangles; exact solids; a file that is compared by `readings`; everything else is judged by its bytes.
     ends : tuple of str
         Endings by which a file without a manifest is recognised.
     bytes_a_facet : float
@@ -151,12 +153,14 @@ class FileKind:
         Whether every reader interprets its unit alike.
     native : bool
         Whether a native library reads it, in a process of its own.
+    like : str
+        Format that stores a mesh alike; "": its own word.
     text_budget : str
         Reader (`clacad.base.reading_budgets`) of the text of a file that is too large for OCC; "": no text is read.
     older : bool
         Whether words that begin with this one are older words of the same kind.
-    reading : callable or None
-        `reading()` → `Reading`; imports what reads the file.
+    readings : str
+        Module with a mapping `READINGS` from words to `Reading`; imported on first use.
     """
 
     word: str
@@ -165,9 +169,18 @@ class FileKind:
     bytes_a_facet: float = 50.0
     states_unit: bool = False
     native: bool = False
+    like: str = ""
     text_budget: str = ""
     older: bool = False
-    reading: Callable[[], Reading] | None = None
+    readings: str = ""
+
+    @property
+    def reading(self) -> Reading:
+        """Comparison with the design; none of its parts for files that are not compared by numbers."""
+        if not self.readings:
+            return Reading()
+        found: Reading = import_module(self.readings).READINGS[self.word]
+        return found
 
 
 def _anything(_window: Window, _asked: Request, _worker: Worker) -> None:
@@ -210,11 +223,13 @@ class Format:
     fusable : bool
         Whether the option `fused` applies.
     whole_sheet : bool
-        Whether one file holds all bodies as they are.
+        Whether one file holds all bodies.
     kernel : bool
         Whether OCC reads every file back, so that it is loaded early.
     smaller : str
         Options that make its files smaller; "": fewer quads or cells.
+    stored : tuple of Storing
+        Ways in which the faces are stored, of which a reader may choose.
     bodies : tuple of str
         Names of the parts that it writes in addition to the optics.
     """
@@ -237,12 +252,18 @@ class Format:
     whole_sheet: bool = True
     kernel: bool = False
     smaller: str = ""
+    stored: tuple[Storing, ...] = (NO_SURFACE,)
     bodies: tuple[str, ...] = ()
 
     @property
     def is_mesh(self) -> bool:
         """Whether the files consist of facets, so that their role depends on the facet grid."""
         return self.family in ("stream", "welded")
+
+    @property
+    def chosen_by_error(self) -> bool:
+        """Whether the facet grid can be chosen by the error that the facets leave."""
+        return self.is_mesh and any(way.holding is not None for way in self.stored)
 
     @property
     def role(self) -> Role:

@@ -15,6 +15,7 @@ from clacad.exporting.formats.map_record import (
     map_row,
     structured_cost,
 )
+from clacad.exporting.formats.storing import ABOVE_FACE, AT_POINTS, SIXTEEN_BITS
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -176,15 +177,15 @@ def _xyz_bytes(window: Window, per_cell: int) -> int:
 FORMATS = (
     Format(
         SAG, "map", "grid of heights and slopes of one cell of each face, for ray tracers", write_sag, forecast_sag,
-        lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies), any_cells=False,
+        lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies), any_cells=False, stored=(AT_POINTS,),
     ),
     Format(
         TIFF, "map", "height map of each face, in single precision and in 16 bits", write_tiff, forecast_tiff,
-        drawn_cost(TIFF_SECONDS),
+        drawn_cost(TIFF_SECONDS), stored=(ABOVE_FACE, SIXTEEN_BITS),
     ),
-    Format(PNG, "map", "height map of each face, in 16 bits", write_png, forecast_png, drawn_cost(PNG_SECONDS)),
+    Format(PNG, "map", "height map of each face, in 16 bits", write_png, forecast_png, drawn_cost(PNG_SECONDS), stored=(SIXTEEN_BITS,)),
     Format(
-        XYZ, "map", "points of each face with their normals", write_xyz, forecast_xyz, drawn_cost(XYZ_SECONDS),
+        XYZ, "map", "points of each face with their normals", write_xyz, forecast_xyz, drawn_cost(XYZ_SECONDS), stored=(AT_POINTS,),
     ),
 )  # fmt: skip
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.units import millimetres
 from clacad.exporting.formats.format import BASE, ChosenMesh, FileKind, Forecast, Format, about_number
+from clacad.exporting.formats.storing import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORMALS
 
 if TYPE_CHECKING:
     from clacad.base.types import Floats
@@ -328,17 +329,20 @@ FORMATS = (
     Format(
         THREEMF, "welded", "facets with units, for printing; one cell and its places where the sheet allows it",
         write_threemf, forecast_threemf, rough_threemf, refuse_places=refuse_places,
-        at_a_glance=threemf_at_a_glance, **_BOTH,
+        at_a_glance=threemf_at_a_glance, stored=(DOUBLES,), **_BOTH,
     ),
-    Format(PLY, "welded", "facets with exact normals, in double precision", write_ply, forecast_ply, rough_ply),
+    Format(
+        PLY, "welded", "facets with exact normals, in double precision", write_ply, forecast_ply, rough_ply,
+        stored=(DOUBLES, DOUBLE_NORMALS),
+    ),
     Format(
         GLB, "welded", "facets with exact normals in metres, for viewers; one cell and its places where the sheet allows it",
-        write_glb, forecast_glb, rough_glb, refuse_places=refuse_nodes, **_BOTH,
+        write_glb, forecast_glb, rough_glb, refuse_places=refuse_nodes, stored=(IN_CELL, SINGLE_NORMALS), **_BOTH,
     ),
 )  # fmt: skip
 
 FILES = (
     FileKind(THREEMF, "mesh", (".3mf",), 10.0, states_unit=True), FileKind(PLY, "mesh", (".ply",), 43.0),
-    FileKind(GLB, "mesh", (".glb",), 25.0, states_unit=True), FileKind("obj", "mesh", (".obj",), 90.0),
+    FileKind(GLB, "mesh", (".glb",), 25.0, states_unit=True), FileKind("obj", "mesh", (".obj",), 90.0, like=PLY),
 )  # fmt: skip
 """OBJ files are read and not written."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from clacad.exporting.formats.format import BASE, FileKind, Forecast, Reading
+from clacad.exporting.formats.format import BASE, FileKind, Forecast
 from clacad.storage.atomic import canonical_json
 
 if TYPE_CHECKING:
@@ -39,13 +39,7 @@ def map_row(word: str, size: int, seconds: float, more_memory: int = 0, note: st
 
 def map_kind(word: str, *ends: str, native: bool = False) -> FileKind:
     """Kind of a file that `map_reading` compares with the design."""
-
-    def reading() -> Reading:
-        from clacad.exporting.formats.map_reading import READINGS
-
-        return READINGS[word]
-
-    return FileKind(word, "map", ends, native=native, reading=reading)
+    return FileKind(word, "map", ends, native=native, readings="clacad.exporting.formats.map_reading")
 
 
 def structured_cost(faces: int) -> float:

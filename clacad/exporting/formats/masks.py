@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from clacad.base.units import millimetres
 from clacad.exporting.formats.format import BASE, Forecast, Format, own_cells_note
 from clacad.exporting.formats.map_record import calibration_record, drawn_cost, map_kind, map_row
+from clacad.exporting.formats.storing import LAYERS
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -142,7 +143,7 @@ FORMATS = (
     ),
     Format(
         GDS, "map", "grey-level lithography: layers of each face; needs the extra gds", write_gds, forecast_gds,
-        drawn_cost(GDS_SECONDS), require_gds, turned_arrays=False,
+        drawn_cost(GDS_SECONDS), require_gds, turned_arrays=False, stored=(LAYERS,),
     ),
 )  # fmt: skip
 

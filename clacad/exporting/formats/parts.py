@@ -15,6 +15,7 @@ from clacad.exporting.formats import step
 from clacad.exporting.formats.format import STREAM_MEMORY, FileKind, Forecast, Format
 from clacad.exporting.formats.stl import KIND as STL
 from clacad.exporting.formats.stl import seconds as stream_seconds
+from clacad.exporting.formats.storing import EXACT_FACES
 from clacad.storage.errors import FileDisagrees, LimitRefused
 
 if TYPE_CHECKING:
@@ -289,15 +290,15 @@ def _solid(
 _FRAME_PARTS = ("spacer", "spacer1", "spacer2", "retainer1", "retainer2")
 
 FORMATS = (
-    replace(_solid(BREP, "exact solids of all bodies for OCC", require_brep), family="exact"),
+    replace(_solid(BREP, "exact solids of all bodies for OCC", require_brep, stored=(EXACT_FACES,)), family="exact"),
     Format(
         BAFFLE, "part", "opaque honeycombs between the arrays, STL", write_baffle, forecast_baffle, rough_seconds,
         require_baffle, optical=False, any_cells=False, bodies=(BAFFLE, "baffle1", "baffle2"),
     ),
     _solid(FRAME, "spacer frame and its retainers, STEP", require_frame, 400_000, optical=False, bodies=_FRAME_PARTS),
     _solid(PINS, "shoulder pins between the bodies, STEP", require_pins, 40_000, optical=False, any_cells=False, bodies=(PINS,)),
-    _solid(COUPON, "test coupon for the compensation of a process, STEP", require_coupon, 2_000_000, optical=False, any_cells=False, bodies=(COUPON,)),
-    _solid(MARKED, "bodies with their name and an arrow in the border, STEP", require_marked),
+    _solid(COUPON, "test coupon for the compensation of a process, STEP", require_coupon, 2_000_000, optical=False, any_cells=False, bodies=(COUPON,), stored=(EXACT_FACES,)),
+    _solid(MARKED, "bodies with their name and an arrow in the border, STEP", require_marked, stored=(EXACT_FACES,)),
 )  # fmt: skip
 
 FILES = (FileKind(BREP, "solid", (".brep",), native=True),)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from clacad.exporting.formats.format import FileKind, Forecast, Format
 from clacad.exporting.formats.map_record import map_row, structured_cost
+from clacad.exporting.formats.storing import OWN_NUMBERS
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -75,7 +76,7 @@ FORMATS = (
     Format(
         WORD, "map", "scene for POV-Ray", write, forecast,
         lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies),
-        optical=False, turned_arrays=False, many_sizes=False,
+        optical=False, turned_arrays=False, many_sizes=False, stored=(OWN_NUMBERS,),
     ),
 )  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
+from clacad.exporting.formats.storing import ONE_TELESCOPELET
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -109,12 +110,12 @@ def forecast_optiland(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
 FORMATS = (
     Format(
         ZMX, "prescription", "one telescopelet for Zemax", write_zmx, forecast_zmx,
-        lambda _sheet, _quads, _asked: ZMX_SECONDS, require_zmx, optical=False, any_cells=False,
+        lambda _sheet, _quads, _asked: ZMX_SECONDS, require_zmx, optical=False, any_cells=False, stored=(ONE_TELESCOPELET,),
     ),
     Format(
         OPTILAND, "prescription", "one telescopelet for optiland; needs the extra optiland", write_optiland,
         forecast_optiland, lambda _sheet, _quads, _asked: OPTILAND_SECONDS, require_optiland,
-        optical=False, any_cells=False,
+        optical=False, any_cells=False, stored=(ONE_TELESCOPELET,),
     ),
 )  # fmt: skip
 

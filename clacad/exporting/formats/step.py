@@ -14,6 +14,7 @@ from clacad.exporting.formats.format import (
     about_number,
     own_cells_note,
 )
+from clacad.exporting.formats.storing import EXACT_FACES
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -40,7 +41,7 @@ def write(job: Job) -> list[FileRecord]:
     """Write, read back with OCC and compare in the worker."""
     from clacad.exporting.step_record import step_record
 
-    return [step_record(job)]
+    return [step_record(job, WORD)]
 
 
 # -- cost ------------------------------------------------------------------------------------------
@@ -159,6 +160,7 @@ FORMATS = (
     Format(
         WORD, "exact", "exact solids of all bodies, for CAD and machining", write, forecast, rough_seconds,
         at_a_glance=at_a_glance, fusable=True, kernel=True, smaller="--step instanced, or --cells 50x50",
+        stored=(EXACT_FACES,),
     ),
 )  # fmt: skip
 

@@ -14,6 +14,7 @@ from clacad.exporting.formats.format import (
     Format,
     about_number,
 )
+from clacad.exporting.formats.storing import IN_SHEET
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -117,11 +118,11 @@ def at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) -
 FORMATS = (
     Format(
         WORD, "stream", "facets of all bodies in one binary STL file", write, forecast, rough_seconds,
-        at_a_glance=at_a_glance,
+        at_a_glance=at_a_glance, stored=(IN_SHEET,),
     ),
     Format(
         PARTS, "stream", "facets, one binary STL file a body", write_parts, forecast_parts, rough_seconds,
-        whole_sheet=False,
+        whole_sheet=False, stored=(IN_SHEET,),
     ),
 )  # fmt: skip
 

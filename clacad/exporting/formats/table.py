@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from clacad.base.units import millimetres
 from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
 from clacad.exporting.formats.map_record import drawn_cost, map_kind, map_row
+from clacad.exporting.formats.storing import OWN_NUMBERS
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -67,7 +68,7 @@ def _bytes(window: Window) -> int:
 
 
 FORMATS = (
-    Format(WORD, "map", "parameters of the surfaces, and the pose of every lenslet", write, forecast, drawn_cost(SECONDS)),
+    Format(WORD, "map", "parameters of the surfaces, and the pose of every lenslet", write, forecast, drawn_cost(SECONDS), stored=(OWN_NUMBERS,)),
 )  # fmt: skip
 
 FILES = (

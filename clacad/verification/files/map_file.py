@@ -59,7 +59,7 @@ def judge_map(asked: Inspection, window: Window, subject: Subject, kind: FileKin
         readable, shape, and those of light where the file holds heights.
     """
     common = asked.common
-    reading = Reading() if kind.reading is None else kind.reading()
+    reading = kind.reading
     try:
         worst, room, what, label = _compared(window, subject, reading)
     except DAMAGED as error:

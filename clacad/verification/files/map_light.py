@@ -37,7 +37,7 @@ def map_light(asked: Inspection, window: Window, path: Path, kind: FileKind, lab
     label : str
         Name of the face.
     """
-    samples = None if kind.reading is None else kind.reading().samples
+    samples = kind.reading.samples
     if samples is None:
         return []
     body, face = next((b, f) for b, f, name in structured_faces(window) if name == label)

@@ -338,7 +338,7 @@ def _shape_limit(
 ) -> tuple[float, LimitSource]:
     """Allowed deviation of faces (length): unavoidable error of their facets, and rounding to `step` (length)."""
     pitch = max(placed.window.lattice.pitch)
-    if placed.mesh.format == "step":  # corners of its facets lie on its faces, to float32
+    if placed.mesh.format == STEP:  # corners of its facets lie on its faces, to float32
         reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
         return ON_FACES * pitch + 2.0**-22 * reach, other("corners on exact faces")
     limit = design.check.shape * own_sag_error(gathered) + 1e-6 * pitch + 0.6 * step

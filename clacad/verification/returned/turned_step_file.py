@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.units import MILLIMETRE, millimetres
+from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
@@ -99,7 +100,7 @@ def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float
             "clacad.formats.step.step_triangles:facets", str(subject.path), str(target), deflection, timeout=longest_wait(subject.path),
             progress=asked.progress,
         )  # fmt: skip
-    return replace(read_mesh(target), format="step", unit=MILLIMETRE)
+    return replace(read_mesh(target), format=STEP, unit=MILLIMETRE)
 
 
 def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
