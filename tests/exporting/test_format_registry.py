@@ -38,7 +38,7 @@ OTHER_MEANINGS = {
     "drawing": {"explain/glossary.py"},  # a word of the glossary
     "frame": {"design/keys.py", "design/read.py", "exporting/fixtures/frame.py", "rendering/photograph_view.py",
               "report/view_through_sheet.py", "scene/keys.py"},  # the keys body.frame and camera.frame, the name of the part
-    "height-calibration": {"exporting/formats/map_record.py"},  # written by the formats of two modules
+    "height-calibration": {"exporting/formats/records.py"},  # written by the formats of two modules
     "pins": {"design/combinations.py", "design/keys.py", "design/model.py", "design/read.py"},  # the key body.pins
     "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "imaging/shape_picture.py",
             "imaging/through_focus.py", "report/pdf.py", "verification/accuracy/accuracy_plot.py",
@@ -68,7 +68,8 @@ OTHER_MEANINGS = {
 
 TOY = '''"""Dots: the height of each face at the centre of the middle cell."""
 
-from clacad.exporting.formats.format import FileKind, Forecast, Format, Reading
+from clacad.exporting.formats.file_kind import FileKind, Reading
+from clacad.exporting.formats.format import Forecast, Format
 
 
 def heights(window, face):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import BASE, Forecast, Format
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -25,7 +26,7 @@ SECONDS = BASE + 2.5
 """Seconds for the views, dimensions and tables of any sheet, library loading included."""
 
 
-def write(job: Job) -> list[FileRecord]:
+def _write(job: Job) -> list[FileRecord]:
     """One DXF with all sheets, and one PDF."""
     from clacad.formats.drawing.dxf import check_drawing_dxf, write_drawing_dxf
     from clacad.formats.drawing.sheet_layout import sheets
@@ -49,22 +50,21 @@ def write(job: Job) -> list[FileRecord]:
     ]
 
 
-def require(_window: Window, _asked: Request, _worker: Worker) -> None:
+def _require(_window: Window, _asked: Request, _worker: Worker) -> None:
     """Require the packages that write DXF and PDF."""
     from clacad.formats.drawing.dxf import require_drawing
 
     require_drawing()
 
 
-def forecast(_meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    """Forecast both files."""
+def _forecast(_meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     return Forecast(WORD, SIZE, False, None, None, SECONDS, (150_000_000, 500_000_000))
 
 
 FORMATS = (
     Format(
-        WORD, "drawing", "views, dimensions, tables and tolerances, DXF and PDF; needs the extras dxf and pdf", write, forecast,
-        lambda _sheet, _quads, _asked: SECONDS, require, optical=False,
+        WORD, "drawing", "views, dimensions, tables and tolerances, DXF and PDF; needs the extras dxf and pdf", _write, _forecast,
+        lambda _sheet, _quads, _asked: SECONDS, _require, optical=False,
     ),
 )  # fmt: skip
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.exporting.formats import indexed_meshes, stl
-from clacad.exporting.formats.format import FileKind, Forecast, Format
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import Forecast, Format
 from clacad.exporting.formats.parts import require_marks, solid_seconds
 from clacad.exporting.formats.storing import AS_PLAIN
 
@@ -22,8 +23,7 @@ LETTER_POINTS = 30
 """Approximate number of points of the outline of a letter."""
 
 
-def write_stl(job: Job) -> list[FileRecord]:
-    """Write one STL file a body."""
+def _write_stl(job: Job) -> list[FileRecord]:
     from clacad.exporting.fixtures.marked_meshes import engraved, with_marks
 
     made = engraved(job)
@@ -34,7 +34,7 @@ def write_stl(job: Job) -> list[FileRecord]:
     return [with_marks(stl.write_one(made, name, window), made) for name, window in parts]
 
 
-def write_threemf(job: Job) -> list[FileRecord]:
+def _write_threemf(job: Job) -> list[FileRecord]:
     """Write one 3MF file, in which no cell is repeated."""
     from clacad.exporting.fixtures.marked_meshes import engraved, with_marks
 
@@ -42,14 +42,12 @@ def write_threemf(job: Job) -> list[FileRecord]:
     return [with_marks(indexed_meshes.threemf_record(made, plain=True), made)]
 
 
-def forecast_stl(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    """Forecast the STL files."""
+def _forecast_stl(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
     files = len(meshes.window.bodies)
     return _with_letters(meshes, stl.stream_row(MARKED_STL, meshes.facets(quads), files, quads, exact=False))
 
 
-def forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    """Forecast the 3MF file."""
+def _forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
     return _with_letters(meshes, replace(indexed_meshes.threemf_row(meshes, quads), format=MARKED_3MF))
 
 
@@ -70,11 +68,11 @@ def _with_letters(meshes: Meshes, plain: Forecast) -> Forecast:
 
 FORMATS = (
     Format(
-        MARKED_STL, "stream", "facets with name and arrow in the border, one binary STL file a body", write_stl,
-        forecast_stl, stl.rough_seconds, require_marks, whole_sheet=False, stored=(AS_PLAIN,),
+        MARKED_STL, "stream", "facets with name and arrow in the border, one binary STL file a body", _write_stl,
+        _forecast_stl, stl.rough_seconds, require_marks, whole_sheet=False, stored=(AS_PLAIN,),
     ),
     Format(
-        MARKED_3MF, "welded", "facets with name and arrow in the border, 3MF", write_threemf, forecast_threemf,
+        MARKED_3MF, "welded", "facets with name and arrow in the border, 3MF", _write_threemf, _forecast_threemf,
         indexed_meshes.rough_welded, require_marks, whole_sheet=False, stored=(AS_PLAIN,),
     ),
 )  # fmt: skip

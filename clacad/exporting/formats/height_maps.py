@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
 from clacad.exporting.formats.format import BASE, Forecast, Format
-from clacad.exporting.formats.map_record import (
+from clacad.exporting.formats.records import (
     CALIBRATION,
     calibration_record,
     drawn_cost,
@@ -54,18 +54,17 @@ def _maps(job: Job, word: str, kinds: Mapping[str, str]) -> list[FileRecord]:
     return [*records, calibration_record(job, word, calibration)]
 
 
-def write_tiff(job: Job) -> list[FileRecord]:
+def _write_tiff(job: Job) -> list[FileRecord]:
     """Write single-precision heights and 16-bit levels of each face."""
     return _maps(job, TIFF, {TIFF32: "f32.tiff", TIFF16: "u16.tiff"})
 
 
-def write_png(job: Job) -> list[FileRecord]:
+def _write_png(job: Job) -> list[FileRecord]:
     """Write 16-bit levels of each face."""
     return _maps(job, PNG, {PNG16: "u16.png"})
 
 
-def write_sag(job: Job) -> list[FileRecord]:
-    """Write the heights and slopes of one cell of each face."""
+def _write_sag(job: Job) -> list[FileRecord]:
     from clacad.formats.maps.sag import check_grid_sag, structured_faces, write_grid_sag
 
     records = []
@@ -77,7 +76,7 @@ def write_sag(job: Job) -> list[FileRecord]:
     return records
 
 
-def write_xyz(job: Job) -> list[FileRecord]:
+def _write_xyz(job: Job) -> list[FileRecord]:
     """Write points with normals of each face."""
     from clacad.formats.maps.sag import check_points, structured_faces, write_points
 
@@ -108,7 +107,7 @@ def _points(window: Window, per_cell: int) -> int:
     return per_cell * per_cell * window.lattice.cell_count * len(structured_faces(window))
 
 
-def forecast_sag(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+def _forecast_sag(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     """Forecast the sag grids: 65 x 65 lines of 70 bytes a face."""
     from clacad.formats.maps.sag import structured_faces
 
@@ -116,7 +115,7 @@ def forecast_sag(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     return map_row(SAG, faces * 70 * 65 * 65, structured_cost(faces))
 
 
-def forecast_tiff(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+def _forecast_tiff(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     """Forecast both TIFF files of each face: six bytes a pixel."""
     from clacad.formats.maps.sag import samples_per_cell
 
@@ -124,8 +123,7 @@ def forecast_tiff(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     return map_row(TIFF, 6 * pixels, BASE + TIFF_SECONDS * pixels)
 
 
-def forecast_png(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    """Forecast the PNG files."""
+def _forecast_png(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     from clacad.formats.maps.sag import samples_per_cell
 
     per_cell = samples_per_cell(meshes.window, None)
@@ -133,8 +131,7 @@ def forecast_png(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     return map_row(PNG, _png_bytes(meshes.window, per_cell), BASE + PNG_SECONDS * pixels)
 
 
-def forecast_xyz(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    """Forecast the point files."""
+def _forecast_xyz(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     per_cell = _points_a_cell(meshes.window)
     points = _points(meshes.window, per_cell)
     return map_row(XYZ, _xyz_bytes(meshes.window, per_cell), BASE + XYZ_SECONDS * points)
@@ -176,16 +173,16 @@ def _xyz_bytes(window: Window, per_cell: int) -> int:
 
 FORMATS = (
     Format(
-        SAG, "map", "grid of heights and slopes of one cell of each face, for ray tracers", write_sag, forecast_sag,
+        SAG, "map", "grid of heights and slopes of one cell of each face, for ray tracers", _write_sag, _forecast_sag,
         lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies), any_cells=False, stored=(AT_POINTS,),
     ),
     Format(
-        TIFF, "map", "height map of each face, in single precision and in 16 bits", write_tiff, forecast_tiff,
+        TIFF, "map", "height map of each face, in single precision and in 16 bits", _write_tiff, _forecast_tiff,
         drawn_cost(TIFF_SECONDS), stored=(ABOVE_FACE, SIXTEEN_BITS),
     ),
-    Format(PNG, "map", "height map of each face, in 16 bits", write_png, forecast_png, drawn_cost(PNG_SECONDS), stored=(SIXTEEN_BITS,)),
+    Format(PNG, "map", "height map of each face, in 16 bits", _write_png, _forecast_png, drawn_cost(PNG_SECONDS), stored=(SIXTEEN_BITS,)),
     Format(
-        XYZ, "map", "points of each face with their normals", write_xyz, forecast_xyz, drawn_cost(XYZ_SECONDS), stored=(AT_POINTS,),
+        XYZ, "map", "points of each face with their normals", _write_xyz, _forecast_xyz, drawn_cost(XYZ_SECONDS), stored=(AT_POINTS,),
     ),
 )  # fmt: skip
 

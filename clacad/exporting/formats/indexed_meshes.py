@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.format import BASE, ChosenMesh, FileKind, Forecast, Format, about_number
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import BASE, ChosenMesh, Forecast, Format, about_number
 from clacad.exporting.formats.storing import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORMALS
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ Writer = Callable[["Sequence[Piece]", Path, float, str], None]
 # -- writing ---------------------------------------------------------------------------------------
 
 
-def write_threemf(job: Job) -> list[FileRecord]:
+def _write_threemf(job: Job) -> list[FileRecord]:
     """Write one 3MF file; its vertices have no normals."""
     return [threemf_record(job)]
 
@@ -56,14 +57,13 @@ def threemf_record(job: Job, plain: bool = False) -> FileRecord:
     return _record(job, THREEMF, write_threemf, False, repeated, normals=False)
 
 
-def write_ply(job: Job) -> list[FileRecord]:
-    """Write one PLY file."""
+def _write_ply(job: Job) -> list[FileRecord]:
     from clacad.formats.mesh.ply import write_ply
 
     return [_record(job, PLY, write_ply, False, False)]
 
 
-def write_glb(job: Job) -> list[FileRecord]:
+def _write_glb(job: Job) -> list[FileRecord]:
     """Write one GLB file, in metres and single precision."""
     from clacad.formats.mesh.glb import write_glb
 
@@ -82,7 +82,7 @@ def _record(
 ) -> FileRecord:
     """Write a file, read it back and compare; `repeated`: it stores one cell; `single`: single precision."""
     from clacad.exporting.compare import compare_mesh
-    from clacad.exporting.formats.mesh_record import SCALES, mesh_facts
+    from clacad.exporting.formats.records import SCALES, mesh_facts
     from clacad.formats.mesh.readers import read_mesh
     from clacad.sheet.volume_and_extent import volume_sum
 
@@ -110,7 +110,7 @@ def _record(
 # -- cost ------------------------------------------------------------------------------------------
 
 
-def seconds(word: str, held: int, places: int) -> float:
+def _seconds(word: str, held: int, places: int) -> float:
     """Seconds for shared vertices, exact normals and the places of repeated cells."""
     if word == PLY:
         return BASE + 4.2e-7 * held * log2(max(2, held))
@@ -124,7 +124,7 @@ def _row(word: str, size: int, held: int, facets: int, places: int, quads: int) 
     """Forecast a file from its bytes, the facets that it stores and the places that are read back."""
     memory = int(700 * held + 400 * places)
     needed = (memory // 2 + 100_000_000, 2 * memory + 200_000_000)
-    modelled = seconds(word, held, places)
+    modelled = _seconds(word, held, places)
     return Forecast(word, size, False, facets, quads, modelled, needed, stored=held)
 
 
@@ -133,9 +133,8 @@ def _vertices(held: int, quads: int) -> float:
     return held * (0.5 + 1.9 / max(quads, 2))
 
 
-def forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    """Forecast a 3MF file."""
-    from clacad.exporting.formats.mesh_record import of_own_cells
+def _forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
+    from clacad.exporting.formats.records import of_own_cells
 
     return of_own_cells(meshes.window, threemf_row(meshes, quads), quads)
 
@@ -153,9 +152,8 @@ def threemf_row(meshes: Meshes, quads: int) -> Forecast:
     return replace(_row(THREEMF, size, held, facets, listed, quads), places=places)
 
 
-def forecast_ply(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    """Forecast a PLY file."""
-    from clacad.exporting.formats.mesh_record import of_own_cells
+def _forecast_ply(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
+    from clacad.exporting.formats.records import of_own_cells
     from clacad.formats.mesh.ply import ply_bytes
 
     held = meshes.facets(quads)
@@ -163,9 +161,9 @@ def forecast_ply(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
     return of_own_cells(meshes.window, _row(PLY, size, held, held, 0, quads), quads)
 
 
-def forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
+def _forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
     """Forecast a GLB file, whose cells are one node each or one node a body."""
-    from clacad.exporting.formats.mesh_record import of_own_cells
+    from clacad.exporting.formats.records import of_own_cells
 
     window, repeated = meshes.window, meshes.repeatable
     held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)
@@ -178,31 +176,28 @@ def forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
     return of_own_cells(window, row, quads)
 
 
-def rough_threemf(sheet: RoughSheet, quads: int, asked: Request) -> float:
-    """Seconds of a 3MF file from the design's numbers."""
+def _rough_threemf(sheet: RoughSheet, quads: int, asked: Request) -> float:
     if asked.fused:
         return rough_welded(sheet, quads, asked)
-    return seconds(THREEMF, sheet.facets(quads), sheet.listed)
+    return _seconds(THREEMF, sheet.facets(quads), sheet.listed)
 
 
-def rough_glb(sheet: RoughSheet, quads: int, asked: Request) -> float:
-    """Seconds of a GLB file from the design's numbers."""
+def _rough_glb(sheet: RoughSheet, quads: int, asked: Request) -> float:
     if asked.fused:
         return rough_welded(sheet, quads, asked)
-    return seconds(GLB, sheet.facets(quads), sheet.cells * sheet.bodies)
+    return _seconds(GLB, sheet.facets(quads), sheet.cells * sheet.bodies)
 
 
-def rough_ply(sheet: RoughSheet, quads: int, _asked: Request) -> float:
-    """Seconds of a PLY file from the design's numbers."""
-    return seconds(PLY, sheet.facets(quads) * sheet.cells, 0)
+def _rough_ply(sheet: RoughSheet, quads: int, _asked: Request) -> float:
+    return _seconds(PLY, sheet.facets(quads) * sheet.cells, 0)
 
 
 def rough_welded(sheet: RoughSheet, quads: int, _asked: Request) -> float:
     """Seconds of a 3MF or GLB file that repeats no cell, from the design's numbers."""
-    return seconds(GLB, sheet.facets(quads) * sheet.cells, 0)
+    return _seconds(GLB, sheet.facets(quads) * sheet.cells, 0)
 
 
-def threemf_at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) -> Forecast:
+def _threemf_at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) -> Forecast:
     """Forecast a 3MF file from the sheet's numbers, on a coarse grid without a chosen one."""
     times, places = (sheet.cells, sheet.listed) if sheet.repeats else (1, 0)
     if chosen is None:
@@ -294,7 +289,7 @@ def _node_bytes(window: Window) -> float:
 # -- limits ----------------------------------------------------------------------------------------
 
 
-def refuse_places(window: Window, _asked: Request) -> None:
+def _refuse_places(window: Window, _asked: Request) -> None:
     """Refuse a 3MF file that lists more places than its reader takes.
 
     Raises
@@ -308,7 +303,7 @@ def refuse_places(window: Window, _asked: Request) -> None:
     refuse_many_places(window, THREEMF, listed, "places", MOST_PLACES, "--format step")
 
 
-def refuse_nodes(window: Window, asked: Request) -> None:
+def _refuse_nodes(window: Window, asked: Request) -> None:
     """Refuse a GLB file that has more nodes than its reader takes.
 
     Raises
@@ -328,16 +323,16 @@ _BOTH: dict[str, Any] = {"repeats": True, "fusable": True}
 FORMATS = (
     Format(
         THREEMF, "welded", "facets with units, for printing; one cell and its places where the sheet allows it",
-        write_threemf, forecast_threemf, rough_threemf, refuse_places=refuse_places,
-        at_a_glance=threemf_at_a_glance, stored=(DOUBLES,), **_BOTH,
+        _write_threemf, _forecast_threemf, _rough_threemf, refuse_places=_refuse_places,
+        at_a_glance=_threemf_at_a_glance, stored=(DOUBLES,), **_BOTH,
     ),
     Format(
-        PLY, "welded", "facets with exact normals, in double precision", write_ply, forecast_ply, rough_ply,
+        PLY, "welded", "facets with exact normals, in double precision", _write_ply, _forecast_ply, _rough_ply,
         stored=(DOUBLES, DOUBLE_NORMALS),
     ),
     Format(
         GLB, "welded", "facets with exact normals in metres, for viewers; one cell and its places where the sheet allows it",
-        write_glb, forecast_glb, rough_glb, refuse_places=refuse_nodes, stored=(IN_CELL, SINGLE_NORMALS), **_BOTH,
+        _write_glb, _forecast_glb, _rough_glb, refuse_places=_refuse_nodes, stored=(IN_CELL, SINGLE_NORMALS), **_BOTH,
     ),
 )  # fmt: skip
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.exporting.formats.format import Reading
+from clacad.exporting.formats.file_kind import FaceFile, Misfit, Reading, Samples
 from clacad.exporting.formats.height_maps import GRID, PNG16, POINTS, TIFF16, TIFF32
-from clacad.exporting.formats.map_file import FaceFile, Misfit, Samples
-from clacad.exporting.formats.map_record import CALIBRATION
 from clacad.exporting.formats.masks import GDS, MASK_DXF, MASK_SVG
+from clacad.exporting.formats.records import CALIBRATION
 from clacad.exporting.formats.table import POSES, SURFACES
 from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.formats.maps.gds import GRID as LAYOUT_GRID

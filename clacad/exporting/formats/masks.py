@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
 from clacad.exporting.formats.format import BASE, Forecast, Format, own_cells_note
-from clacad.exporting.formats.map_record import calibration_record, drawn_cost, map_kind, map_row
+from clacad.exporting.formats.records import calibration_record, drawn_cost, map_kind, map_row
 from clacad.exporting.formats.storing import LAYERS
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ OWN_SECONDS = 9.6e-8
 # -- writing ---------------------------------------------------------------------------------------
 
 
-def write_mask(job: Job) -> list[FileRecord]:
+def _write_mask(job: Job) -> list[FileRecord]:
     """Two masks a structured face, SVG and DXF."""
     from clacad.formats.maps.mask import check_mask, write_dxf, write_svg
     from clacad.formats.maps.sag import structured_faces
@@ -51,7 +51,7 @@ def write_mask(job: Job) -> list[FileRecord]:
     return records
 
 
-def write_gds(job: Job) -> list[FileRecord]:
+def _write_gds(job: Job) -> list[FileRecord]:
     """One GDSII file a structured face, and one calibration file for them all."""
     from clacad.formats.maps.gds import grey_cell, write_gds
     from clacad.formats.maps.gds_reading import check_gds
@@ -73,7 +73,7 @@ def write_gds(job: Job) -> list[FileRecord]:
 # -- requirements ----------------------------------------------------------------------------------
 
 
-def require_mask(window: Window, _asked: Request, _worker: Worker) -> None:
+def _require_mask(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require one outline for the lenses of a face."""
     from clacad.formats.maps.mask import aperture
     from clacad.formats.maps.sag import structured_faces
@@ -83,7 +83,7 @@ def require_mask(window: Window, _asked: Request, _worker: Worker) -> None:
             aperture(window, body, face)
 
 
-def require_gds(window: Window, asked: Request, _worker: Worker) -> None:
+def _require_gds(window: Window, asked: Request, _worker: Worker) -> None:
     """Require the package that writes GDSII, and levels that its layers distinguish."""
     from clacad.formats.maps.gds import grey_cell, require_gdstk
     from clacad.formats.maps.sag import structured_faces
@@ -96,8 +96,7 @@ def require_gds(window: Window, asked: Request, _worker: Worker) -> None:
 # -- cost ------------------------------------------------------------------------------------------
 
 
-def forecast_mask(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    """Forecast both masks of each face."""
+def _forecast_mask(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     from clacad.formats.maps.sag import structured_faces
 
     window = meshes.window
@@ -123,7 +122,7 @@ def _mask_bytes(window: Window) -> int:
     return int(total)
 
 
-def forecast_gds(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
+def _forecast_gds(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
     """Forecast the layers; those of a non-uniform sheet are written as a stream and read back as a whole."""
     from clacad.formats.maps.gds import gds_bytes
     from clacad.formats.maps.sag import structured_faces
@@ -138,12 +137,12 @@ def forecast_gds(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
 
 FORMATS = (
     Format(
-        MASK, "map", "outline of the lenses and their places, SVG and DXF", write_mask, forecast_mask,
-        drawn_cost(MASK_SECONDS), require_mask,
+        MASK, "map", "outline of the lenses and their places, SVG and DXF", _write_mask, _forecast_mask,
+        drawn_cost(MASK_SECONDS), _require_mask,
     ),
     Format(
-        GDS, "map", "grey-level lithography: layers of each face; needs the extra gds", write_gds, forecast_gds,
-        drawn_cost(GDS_SECONDS), require_gds, turned_arrays=False, stored=(LAYERS,),
+        GDS, "map", "grey-level lithography: layers of each face; needs the extra gds", _write_gds, _forecast_gds,
+        drawn_cost(GDS_SECONDS), _require_gds, turned_arrays=False, stored=(LAYERS,),
     ),
 )  # fmt: skip
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.exporting.formats import step
-from clacad.exporting.formats.format import STREAM_MEMORY, FileKind, Forecast, Format
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import STREAM_MEMORY, Forecast, Format
 from clacad.exporting.formats.stl import KIND as STL
 from clacad.exporting.formats.stl import seconds as stream_seconds
 from clacad.exporting.formats.storing import EXACT_FACES
@@ -37,7 +38,7 @@ MOST_BREP_CELLS = 2500
 """Largest number of cells for BREP: above it, OCC's solids take gigabytes."""
 
 
-def write_baffle(job: Job) -> list[FileRecord]:
+def _write_baffle(job: Job) -> list[FileRecord]:
     """Write each honeycomb as binary STL and compare it with its closed-form volume.
 
     Raises
@@ -52,7 +53,6 @@ def write_baffle(job: Job) -> list[FileRecord]:
 
 
 def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
-    """Write one honeycomb."""
     from clacad.formats.mesh.closed_stream import measure
     from clacad.formats.mesh.readers import read_mesh
     from clacad.formats.mesh.stl import write_stl
@@ -90,11 +90,6 @@ def refuse_many(window: Window, what: str) -> None:
             f"{what} of {cells:,} cells: the kernel takes up to {MOST_BREP_CELLS:,}\n"
             "  use --cells 50x50, or --format step"
         )
-
-
-def modelled(what: str) -> Callable[[Job], list[FileRecord]]:
-    """Writer of a kind of parts."""
-    return partial(_modelled, what)
 
 
 def _modelled(what: str, job: Job) -> list[FileRecord]:
@@ -186,14 +181,14 @@ DRAWING_SECONDS = 300.0
 """Time for OCC to draw a line of text."""
 
 
-def require_baffle(window: Window, _asked: Request, _worker: Worker) -> None:
+def _require_baffle(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require walls, and a gap for them."""
     from clacad.exporting.fixtures import baffle_meshes
 
     baffle_meshes(window)
 
 
-def require_frame(window: Window, _asked: Request, worker: Worker) -> None:
+def _require_frame(window: Window, _asked: Request, worker: Worker) -> None:
     """Require two plates with flat borders, a gap, and room for the name."""
     from clacad.exporting.fixtures.frame import frame_spec, mark_lines
     from clacad.solid.marks import mark_text
@@ -202,7 +197,7 @@ def require_frame(window: Window, _asked: Request, worker: Worker) -> None:
         _require_room(mark_text(window.name), width, height, worker)
 
 
-def require_pins(window: Window, _asked: Request, _worker: Worker) -> None:
+def _require_pins(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require two plates with pin holes, a gap, and land for the shoulders."""
     from clacad.exporting.fixtures.shoulder_pins import pin_spec
 
@@ -217,18 +212,18 @@ def require_marks(window: Window, _asked: Request, worker: Worker) -> None:
         _require_room(mark_text(f"{window.name} {body.name}"), place.width, place.height, worker)
 
 
-def require_marked(window: Window, asked: Request, worker: Worker) -> None:
+def _require_marked(window: Window, asked: Request, worker: Worker) -> None:
     """Require a border with room for the name, and bodies that OCC accepts."""
     require_marks(window, asked, worker)
     _require_solids(window, MARKED)
 
 
-def require_brep(window: Window, _asked: Request, _worker: Worker) -> None:
+def _require_brep(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require bodies that OCC accepts."""
     _require_solids(window, "BREP")
 
 
-def require_coupon(window: Window, _asked: Request, _worker: Worker) -> None:
+def _require_coupon(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require a patch of a few cells that is a solid."""
     from clacad.exporting.fixtures.coupon import PATCH_CELLS
 
@@ -257,13 +252,11 @@ def solid_seconds(size: int) -> float:
     return 1.5 + 2.0e-6 * size
 
 
-def rough_seconds(sheet: RoughSheet, _quads: int, _asked: Request) -> float:
-    """Seconds from the design's numbers."""
+def _rough_seconds(sheet: RoughSheet, _quads: int, _asked: Request) -> float:
     return solid_seconds(8000 * sheet.cells * sheet.bodies)
 
 
-def forecast_baffle(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    """Forecast the honeycombs."""
+def _forecast_baffle(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     window = meshes.window
     honeycombs = max(1, len(window.bodies) - 1)
     facets = 6 * len(window.lattice.steps) * window.lattice.cell_count * honeycombs
@@ -283,22 +276,29 @@ def _solid(
 ) -> Format:  # fmt: skip
     """Format of parts modelled by OCC; `size`: approximate bytes."""
     return Format(
-        word, "part", about, modelled(word), partial(_solid_row, word, size), rough_seconds, require, **facts
+        word,
+        "part",
+        about,
+        partial(_modelled, word),
+        partial(_solid_row, word, size),
+        _rough_seconds,
+        require,
+        **facts,
     )
 
 
 _FRAME_PARTS = ("spacer", "spacer1", "spacer2", "retainer1", "retainer2")
 
 FORMATS = (
-    replace(_solid(BREP, "exact solids of all bodies for OCC", require_brep, stored=(EXACT_FACES,)), family="exact"),
+    replace(_solid(BREP, "exact solids of all bodies for OCC", _require_brep, stored=(EXACT_FACES,)), family="exact"),
     Format(
-        BAFFLE, "part", "opaque honeycombs between the arrays, STL", write_baffle, forecast_baffle, rough_seconds,
-        require_baffle, optical=False, any_cells=False, bodies=(BAFFLE, "baffle1", "baffle2"),
+        BAFFLE, "part", "opaque honeycombs between the arrays, STL", _write_baffle, _forecast_baffle, _rough_seconds,
+        _require_baffle, optical=False, any_cells=False, bodies=(BAFFLE, "baffle1", "baffle2"),
     ),
-    _solid(FRAME, "spacer frame and its retainers, STEP", require_frame, 400_000, optical=False, bodies=_FRAME_PARTS),
-    _solid(PINS, "shoulder pins between the bodies, STEP", require_pins, 40_000, optical=False, any_cells=False, bodies=(PINS,)),
-    _solid(COUPON, "test coupon for the compensation of a process, STEP", require_coupon, 2_000_000, optical=False, any_cells=False, bodies=(COUPON,), stored=(EXACT_FACES,)),
-    _solid(MARKED, "bodies with their name and an arrow in the border, STEP", require_marked, stored=(EXACT_FACES,)),
+    _solid(FRAME, "spacer frame and its retainers, STEP", _require_frame, 400_000, optical=False, bodies=_FRAME_PARTS),
+    _solid(PINS, "shoulder pins between the bodies, STEP", _require_pins, 40_000, optical=False, any_cells=False, bodies=(PINS,)),
+    _solid(COUPON, "test coupon for the compensation of a process, STEP", _require_coupon, 2_000_000, optical=False, any_cells=False, bodies=(COUPON,), stored=(EXACT_FACES,)),
+    _solid(MARKED, "bodies with their name and an arrow in the border, STEP", _require_marked, stored=(EXACT_FACES,)),
 )  # fmt: skip
 
 FILES = (FileKind(BREP, "solid", (".brep",), native=True),)

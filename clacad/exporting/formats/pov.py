@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.format import FileKind, Forecast, Format
-from clacad.exporting.formats.map_record import map_row, structured_cost
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import Forecast, Format
+from clacad.exporting.formats.records import map_row, structured_cost
 from clacad.exporting.formats.storing import OWN_NUMBERS
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 WORD = "pov"
 
 
-def write(job: Job) -> list[FileRecord]:
+def _write(job: Job) -> list[FileRecord]:
     """Write the scene; no program reads it back."""
     from clacad.formats.pov.pov_scene import write_pov
 
@@ -30,8 +31,7 @@ def write(job: Job) -> list[FileRecord]:
 # -- cost ------------------------------------------------------------------------------------------
 
 
-def forecast(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    """Forecast the scene and the time that POV-Ray takes to read it."""
+def _forecast(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     from clacad.formats.maps.sag import structured_faces
 
     window = meshes.window
@@ -74,7 +74,7 @@ def _note(window: Window) -> str:
 
 FORMATS = (
     Format(
-        WORD, "map", "scene for POV-Ray", write, forecast,
+        WORD, "map", "scene for POV-Ray", _write, _forecast,
         lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies),
         optical=False, turned_arrays=False, many_sizes=False, stored=(OWN_NUMBERS,),
     ),

@@ -14,7 +14,8 @@ from clacad.base.text import did_you_mean, near
 from clacad.storage.errors import UnknownFormat
 
 if TYPE_CHECKING:
-    from clacad.exporting.formats.format import FileKind, Format
+    from clacad.exporting.formats.file_kind import FileKind
+    from clacad.exporting.formats.format import Format
 
 MODULES = (
     "step", "stl", "indexed_meshes", "height_maps", "table", "masks", "pov", "parts", "engraved_meshes",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import BASE, Forecast, Format
 from clacad.exporting.formats.storing import ONE_TELESCOPELET
 
 if TYPE_CHECKING:
@@ -27,8 +28,7 @@ ZMX_SECONDS, OPTILAND_SECONDS = BASE + 0.03, BASE + 6.0
 # -- writing ---------------------------------------------------------------------------------------
 
 
-def write_zmx(job: Job) -> list[FileRecord]:
-    """Write the Zemax file."""
+def _write_zmx(job: Job) -> list[FileRecord]:
     from clacad.formats.sequential.stations import left_out
     from clacad.formats.sequential.zmx import check_zmx, write_zmx
 
@@ -39,7 +39,7 @@ def write_zmx(job: Job) -> list[FileRecord]:
     return [job.record(path, ZMX, facts=facts, checks=("light",))]
 
 
-def write_optiland(job: Job) -> list[FileRecord]:
+def _write_optiland(job: Job) -> list[FileRecord]:
     """Write the optiland file; optiland reads it back and traces it in a separate process."""
     import numpy as np
 
@@ -65,7 +65,7 @@ def write_optiland(job: Job) -> list[FileRecord]:
 # -- requirements ----------------------------------------------------------------------------------
 
 
-def require_zmx(window: Window, _asked: Request, _worker: Worker) -> None:
+def _require_zmx(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require faces that Zemax surfaces can hold."""
     from clacad.formats.sequential.zmx import zmx_lines
 
@@ -73,7 +73,7 @@ def require_zmx(window: Window, _asked: Request, _worker: Worker) -> None:
         pass
 
 
-def require_optiland(window: Window, _asked: Request, _worker: Worker) -> None:
+def _require_optiland(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require optiland, which reads the file back, and faces that its surfaces can hold."""
     from clacad.formats.sequential import optiland_json
 
@@ -84,7 +84,7 @@ def require_optiland(window: Window, _asked: Request, _worker: Worker) -> None:
 # -- cost ------------------------------------------------------------------------------------------
 
 
-def forecast_zmx(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+def _forecast_zmx(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     """Forecast the Zemax file, generated in full."""
     from clacad.formats.sequential.zmx import zmx_lines
 
@@ -92,7 +92,7 @@ def forecast_zmx(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     return Forecast(ZMX, size, True, None, None, ZMX_SECONDS, (80_000_000, 200_000_000))
 
 
-def forecast_optiland(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+def _forecast_optiland(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     """Forecast the optiland file, generated in full; 0 bytes for a telescopelet that it cannot hold."""
     import json
 
@@ -109,12 +109,12 @@ def forecast_optiland(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
 
 FORMATS = (
     Format(
-        ZMX, "prescription", "one telescopelet for Zemax", write_zmx, forecast_zmx,
-        lambda _sheet, _quads, _asked: ZMX_SECONDS, require_zmx, optical=False, any_cells=False, stored=(ONE_TELESCOPELET,),
+        ZMX, "prescription", "one telescopelet for Zemax", _write_zmx, _forecast_zmx,
+        lambda _sheet, _quads, _asked: ZMX_SECONDS, _require_zmx, optical=False, any_cells=False, stored=(ONE_TELESCOPELET,),
     ),
     Format(
-        OPTILAND, "prescription", "one telescopelet for optiland; needs the extra optiland", write_optiland,
-        forecast_optiland, lambda _sheet, _quads, _asked: OPTILAND_SECONDS, require_optiland,
+        OPTILAND, "prescription", "one telescopelet for optiland; needs the extra optiland", _write_optiland,
+        _forecast_optiland, lambda _sheet, _quads, _asked: OPTILAND_SECONDS, _require_optiland,
         optical=False, any_cells=False, stored=(ONE_TELESCOPELET,),
     ),
 )  # fmt: skip

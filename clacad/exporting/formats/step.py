@@ -6,14 +6,8 @@ from dataclasses import replace
 from math import ceil, log10
 from typing import TYPE_CHECKING, Literal
 
-from clacad.exporting.formats.format import (
-    ChosenMesh,
-    FileKind,
-    Forecast,
-    Format,
-    about_number,
-    own_cells_note,
-)
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import ChosenMesh, Forecast, Format, about_number, own_cells_note
 from clacad.exporting.formats.storing import EXACT_FACES
 
 if TYPE_CHECKING:
@@ -37,7 +31,7 @@ EDGE_BYTES = 1900
 """Text of one side face of a plate, its edges and curves included, about."""
 
 
-def write(job: Job) -> list[FileRecord]:
+def _write(job: Job) -> list[FileRecord]:
     """Write, read back with OCC and compare in the worker."""
     from clacad.exporting.step_record import step_record
 
@@ -47,29 +41,26 @@ def write(job: Job) -> list[FileRecord]:
 # -- cost ------------------------------------------------------------------------------------------
 
 
-def seconds(size: int, mode: str) -> float:
+def _seconds(size: int, mode: str) -> float:
     """Seconds to write STEP text and read it with OCC in a separate process."""
     return 0.68 + 1.12e-6 * size if mode == "fused" else 0.6 + 1.4e-6 * size
 
 
-def rough_seconds(sheet: RoughSheet, _quads: int, asked: Request) -> float:
-    """Seconds from the design's numbers."""
+def _rough_seconds(sheet: RoughSheet, _quads: int, asked: Request) -> float:
     from clacad.formats.step.step_mode import FUSED_CELLS
 
     fused = asked.step == "fused" or (asked.step == "auto" and sheet.cells <= FUSED_CELLS)
-    return seconds(sheet.step_bytes(fused), "fused" if fused else "instanced")
+    return _seconds(sheet.step_bytes(fused), "fused" if fused else "instanced")
 
 
-def forecast(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
-    """Forecast the file in its mode."""
+def _forecast(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
     from clacad.formats.step.step_mode import chosen_mode
 
     mode = chosen_mode(meshes.window, asked.step)
     return _row(meshes.window, mode, step_bytes(meshes.window, mode, asked.pcurves))
 
 
-def at_a_glance(window: Window, sheet: RoughSheet, _chosen: ChosenMesh | None) -> Forecast:
-    """Forecast from the sheet's numbers."""
+def _at_a_glance(window: Window, sheet: RoughSheet, _chosen: ChosenMesh | None) -> Forecast:
     from clacad.formats.step.step_mode import chosen_mode
 
     mode = chosen_mode(window, "auto")
@@ -77,7 +68,6 @@ def at_a_glance(window: Window, sheet: RoughSheet, _chosen: ChosenMesh | None) -
 
 
 def _row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
-    """Forecast a file from its mode and its bytes."""
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
         each = 250_000 if window.uniform else 50_000  # non-uniform: cells are described one by one
@@ -85,7 +75,7 @@ def _row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Fore
     else:
         written_out = columns if window.lattice.outline is not None else 0  # else rows stay rows
         memory = (250_000_000, 700_000_000 + 100 * size + 1000 * written_out)
-    modelled = seconds(size, mode) + (0.0 if window.uniform else OWN_CELL_SECONDS * columns)
+    modelled = _seconds(size, mode) + (0.0 if window.uniform else OWN_CELL_SECONDS * columns)
     return Forecast(WORD, size, False, None, None, modelled, memory, note=own_cells_note(window))
 
 
@@ -158,8 +148,8 @@ def _smaller_sheet(window: Window, n: int) -> Window:
 
 FORMATS = (
     Format(
-        WORD, "exact", "exact solids of all bodies, for CAD and machining", write, forecast, rough_seconds,
-        at_a_glance=at_a_glance, fusable=True, kernel=True, smaller="--step instanced, or --cells 50x50",
+        WORD, "exact", "exact solids of all bodies, for CAD and machining", _write, _forecast, _rough_seconds,
+        at_a_glance=_at_a_glance, fusable=True, kernel=True, smaller="--step instanced, or --cells 50x50",
         stored=(EXACT_FACES,),
     ),
 )  # fmt: skip

@@ -5,15 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.format import (
-    BASE,
-    STREAM_MEMORY,
-    ChosenMesh,
-    FileKind,
-    Forecast,
-    Format,
-    about_number,
-)
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import BASE, STREAM_MEMORY, ChosenMesh, Forecast, Format, about_number
 from clacad.exporting.formats.storing import IN_SHEET
 
 if TYPE_CHECKING:
@@ -33,13 +26,11 @@ PER_FACET = 3.5e-7
 """Seconds to stream a facet to a file and back."""
 
 
-def write(job: Job) -> list[FileRecord]:
-    """Write all bodies as one file."""
+def _write(job: Job) -> list[FileRecord]:
     return [write_one(job, f"{job.stem}.stl", job.window)]
 
 
-def write_parts(job: Job) -> list[FileRecord]:
-    """Write one file a body."""
+def _write_parts(job: Job) -> list[FileRecord]:
     return [
         write_one(job, f"{job.stem}.{body.name}.stl", replace(job.window, bodies=(body,)))
         for body in job.window.bodies
@@ -49,7 +40,7 @@ def write_parts(job: Job) -> list[FileRecord]:
 def write_one(job: Job, name: str, window: Window) -> FileRecord:
     """Write some bodies of the sheet as one file, read it back once, compare, and hash while reading."""
     from clacad.exporting.compare import compare_mesh
-    from clacad.exporting.formats.mesh_record import mesh_facts
+    from clacad.exporting.formats.records import mesh_facts
     from clacad.formats.mesh.stl import read_stl, write_stl
     from clacad.sheet.volume_and_extent import volume_sum
     from clacad.storage.overheard import Overheard
@@ -85,19 +76,17 @@ def stream_row(word: str, facets: int, files: int, quads: int, exact: bool) -> F
 
 
 def _row(meshes: Meshes, word: str, files: int, quads: int) -> Forecast:
-    from clacad.exporting.formats.mesh_record import of_own_cells
+    from clacad.exporting.formats.records import of_own_cells
 
     row = stream_row(word, meshes.facets(quads), files, quads, exact=meshes.window.uniform)
     return of_own_cells(meshes.window, row, quads)
 
 
-def forecast(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    """Forecast one file of all bodies."""
+def _forecast(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
     return _row(meshes, WORD, 1, quads)
 
 
-def forecast_parts(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    """Forecast one file a body."""
+def _forecast_parts(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
     return _row(meshes, PARTS, len(meshes.window.bodies), quads)
 
 
@@ -106,7 +95,7 @@ def rough_seconds(sheet: RoughSheet, quads: int, _asked: Request) -> float:
     return seconds(sheet.facets(quads) * sheet.cells)
 
 
-def at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) -> Forecast:
+def _at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) -> Forecast:
     """Forecast from the sheet's numbers, on the coarsest grid without a chosen one."""
     from clacad.exporting.limits import QUADS
 
@@ -117,11 +106,11 @@ def at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) -
 
 FORMATS = (
     Format(
-        WORD, "stream", "facets of all bodies in one binary STL file", write, forecast, rough_seconds,
-        at_a_glance=at_a_glance, stored=(IN_SHEET,),
+        WORD, "stream", "facets of all bodies in one binary STL file", _write, _forecast, rough_seconds,
+        at_a_glance=_at_a_glance, stored=(IN_SHEET,),
     ),
     Format(
-        PARTS, "stream", "facets, one binary STL file a body", write_parts, forecast_parts, rough_seconds,
+        PARTS, "stream", "facets, one binary STL file a body", _write_parts, _forecast_parts, rough_seconds,
         whole_sheet=False, stored=(IN_SHEET,),
     ),
 )  # fmt: skip

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
-from clacad.exporting.formats.map_record import drawn_cost, map_kind, map_row
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import BASE, Forecast, Format
+from clacad.exporting.formats.records import drawn_cost, map_kind, map_row
 from clacad.exporting.formats.storing import OWN_NUMBERS
 
 if TYPE_CHECKING:
@@ -27,8 +28,7 @@ SECONDS = 4e-8
 """Seconds per hundredth of a lenslet."""
 
 
-def write(job: Job) -> list[FileRecord]:
-    """Write the surfaces as JSON and the poses as CSV."""
+def _write(job: Job) -> list[FileRecord]:
     from clacad.formats.maps.pose_table import check_table, write_table_csv, write_table_json
 
     surfaces, poses = job.stage.path(f"{job.stem}.surfaces.json"), job.stage.path(f"{job.stem}.poses.csv")
@@ -38,8 +38,7 @@ def write(job: Job) -> list[FileRecord]:
     return [job.record(surfaces, SURFACES), job.record(poses, POSES, facts={"lenslets": count})]
 
 
-def forecast(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    """Forecast both files."""
+def _forecast(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     from clacad.formats.maps.sag import structured_faces
 
     window = meshes.window
@@ -68,7 +67,7 @@ def _bytes(window: Window) -> int:
 
 
 FORMATS = (
-    Format(WORD, "map", "parameters of the surfaces, and the pose of every lenslet", write, forecast, drawn_cost(SECONDS), stored=(OWN_NUMBERS,)),
+    Format(WORD, "map", "parameters of the surfaces, and the pose of every lenslet", _write, _forecast, drawn_cost(SECONDS), stored=(OWN_NUMBERS,)),
 )  # fmt: skip
 
 FILES = (

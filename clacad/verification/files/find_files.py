@@ -17,7 +17,7 @@ from clacad.verification.files.stranger_words import believable, is_there, shown
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.exporting.formats.format import FileKind
+    from clacad.exporting.formats.file_kind import FileKind
 
 AGAIN = " (listed again)"
 

@@ -10,8 +10,7 @@ import csv
 from math import inf
 
 from clacad.exporting.formats import registry
-from clacad.exporting.formats.format import FileKind, Reading
-from clacad.exporting.formats.map_file import FaceFile
+from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading
 from clacad.formats.maps.sag import structured_faces
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError, UnreadableFile

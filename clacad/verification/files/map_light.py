@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.exporting.formats.format import FileKind
-from clacad.exporting.formats.map_file import FaceFile, Samples
+from clacad.exporting.formats.file_kind import FaceFile, FileKind, Samples
 from clacad.formats.maps.sag import structured_faces
 from clacad.sheet.bundle import central_cell
 from clacad.sheet.window import Face, Window
