@@ -74,7 +74,7 @@ def _note(window: Window) -> str:
 
 FORMATS = (
     Format(
-        WORD, "map", "scene for POV-Ray", _write, _forecast,
+        WORD, "map", "scene of the sheet for POV-Ray, with exact surfaces", _write, _forecast,
         lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies),
         optical=False, turned_arrays=False, many_sizes=False, stored=(OWN_NUMBERS,),
     ),
