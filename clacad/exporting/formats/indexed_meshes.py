@@ -32,6 +32,9 @@ SAMPLE = 6_000
 ROUGH_GRID = 8
 """Quads per cell side when there is no design to choose them."""
 
+FEW, ROUGH_PLACES, ROW_BYTES = 10_000, (1.0, 3.2), 12.0
+"""3MF: cell count of a small sheet; deflated bytes per place in a small and a large one; bytes per row of places."""
+
 PLACE_IN_ARRAY = 12
 """Bytes of a place in a GLB file whose cells are one node: three numbers of single precision."""
 
@@ -145,7 +148,7 @@ def threemf_row(meshes: Meshes, quads: int) -> Forecast:
 
     window, repeated = meshes.window, meshes.repeatable
     held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)
-    listed = RoughSheet.of_window(window).listed if repeated else 0
+    listed = _listed(RoughSheet.of_window(window)) if repeated else 0
     facets = held * window.lattice.cell_count if repeated else held
     places = _threemf_place_bytes(window) if repeated else 0
     size = _threemf_bytes(meshes, quads) + places
@@ -176,10 +179,29 @@ def _forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
     return of_own_cells(window, row, quads)
 
 
+def _listed(sheet: RoughSheet) -> int:
+    """Places that a 3MF file lists and its reader keeps: all, or for a large sheet its rows and one row's cells."""
+    from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+
+    in_rows = sheet.repeats and sheet.cells > FLAT_LIMIT
+    return sheet.bodies * (sum(sheet.count) if in_rows else sheet.cells)
+
+
+def _rough_bytes(sheet: RoughSheet, quads: int) -> int:
+    """Bytes of a 3MF file, within 40 %."""
+    from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+
+    if not sheet.repeats:
+        return 1000 + 8 * sheet.facets(quads) * sheet.cells
+    flat = sheet.cells <= FLAT_LIMIT
+    places = ROUGH_PLACES[sheet.cells > FEW] * sheet.cells if flat else ROW_BYTES * sum(sheet.count)
+    return int(1000 + 16 * sheet.piece(quads) + sheet.bodies * places)
+
+
 def _rough_threemf(sheet: RoughSheet, quads: int, asked: Request) -> float:
     if asked.fused:
         return rough_welded(sheet, quads, asked)
-    return _seconds(THREEMF, sheet.facets(quads), sheet.listed)
+    return _seconds(THREEMF, sheet.facets(quads), _listed(sheet))
 
 
 def _rough_glb(sheet: RoughSheet, quads: int, asked: Request) -> float:
@@ -199,10 +221,10 @@ def rough_welded(sheet: RoughSheet, quads: int, _asked: Request) -> float:
 
 def _threemf_at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) -> Forecast:
     """Forecast a 3MF file from the sheet's numbers, on a coarse grid without a chosen one."""
-    times, places = (sheet.cells, sheet.listed) if sheet.repeats else (1, 0)
+    times, places = (sheet.cells, _listed(sheet)) if sheet.repeats else (1, 0)
     if chosen is None:
         held = sheet.piece(ROUGH_GRID) if sheet.repeats else sheet.facets(ROUGH_GRID) * sheet.cells
-        chosen = ChosenMesh(ROUGH_GRID, held, sheet.threemf_bytes(ROUGH_GRID))
+        chosen = ChosenMesh(ROUGH_GRID, held, _rough_bytes(sheet, ROUGH_GRID))
     size, held, facets = (about_number(n) for n in (chosen.bytes, chosen.facets, chosen.facets * times))
     return _row(THREEMF, size, held, facets, places, chosen.quads)
 
@@ -265,7 +287,7 @@ def _places_bytes(places: Places, scale: float) -> float:
     if places.count > FLAT_LIMIT:
         offsets, standing = places.rows()
         lines = sum(len(row) for row in offsets) + len(standing)
-        return 12.0 * lines
+        return ROW_BYTES * lines
     sample = places.lattice.cells()[:SAMPLE] if places.count <= SAMPLE else places.lattice.row(0)
     centres = (places.lattice.centres(sample) + np.asarray(places.shift)) * scale
     text = (threemf.component_text(2, x, y) for x, y in centres.tolist())
