@@ -22,7 +22,7 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
     Keys that would mend what fails or warns are only looked for where they are told.
     """
     from clacad.advice import judge
-    from clacad.exporting.outlook import outlook
+    from clacad.exporting.forecast import outlook
     from clacad.storage.errors import LimitRefused
 
     judged = judge(_listable(load_design(path, overrides)), remedies=True)

@@ -47,8 +47,10 @@ class ExportWords:
 
 def export_design(path: Path, overrides: list[str], words: ExportWords, *, json: bool, quiet: bool) -> int:
     """Export and print what was made; with --dry-run print the forecast only."""
+    from clacad.exporting.formats.pov import WORD as POV
+
     formats = tuple(word.strip() for word in words.options["formats"].split(",") if word.strip())
-    if formats == ("pov",):
+    if formats == (POV,):
         from clacad.cli.export_scene import export_scene, is_scene
 
         if is_scene(path):
@@ -72,7 +74,8 @@ def _asked(design: Design, formats: tuple[str, ...], typed: Mapping[str, Any]) -
     ------
     BadOption, BadRequest
     """
-    from clacad.exporting.request import Request, asked_quads, asked_roles
+    from clacad.exporting.quads_and_roles import asked_quads, asked_roles
+    from clacad.exporting.request import Request
 
     quads, role = (per_format(f"--{name}", joined(typed[name])) for name in ("quads", "role"))
     read = {
@@ -114,7 +117,7 @@ def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool
 def _announce(design: Design, asked: Request, progress: Progress, *, quiet: bool) -> None:
     """Say at once about how long it will take; a closer forecast needs meshes, and takes its time."""
     from clacad.cli.announce_cost import WORTH_SAYING
-    from clacad.exporting.rough_seconds import rough_span
+    from clacad.exporting.forecast import rough_span
 
     span = rough_span(design, asked)
     progress.expect(span.middle)
@@ -157,7 +160,7 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
     ------
     TargetOutOfReach, LimitRefused, BadOption
     """
-    from clacad.exporting.format_names import known_formats
+    from clacad.exporting.formats.registry import known
     from clacad.exporting.roles import Role
     from clacad.exporting.run import refuse_impossible
     from clacad.prescription.prescribe import prescribe
@@ -165,7 +168,7 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
 
     assert words.target is not None
     target = parse_angle("--target", words.target)
-    masters = [name for name in known_formats(asked.formats) if asked.role.get(name) is not Role.PREVIEW]
+    masters = [name for name in known(asked.formats) if asked.role.get(name) is not Role.PREVIEW]
     if words.options["slope_error"] is not None or any(name in asked.quads for name in masters):
         raise BadOption(
             "--target chooses the facets of all files but declared previews: leave out --quads for them, and "
@@ -189,11 +192,11 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
 def _name_cheapest(design: Design, target: float, asked: Sequence[str], *, quiet: bool) -> None:
     """Say which file is within the target for the fewest bytes, where it is another than those asked for."""
     from clacad.prescription.prescribe import prescribe
-    from clacad.verification.accuracy.cheapest_file import WHOLE, files_within
+    from clacad.verification.accuracy.cheapest_file import files_within, whole_meshes
     from clacad.verification.accuracy.choose_setting import mesh_floors
 
     window = prescribe(design)
-    best = files_within(design, window, mesh_floors(design, window, WHOLE), target)[0]
+    best = files_within(design, window, mesh_floors(design, window, whole_meshes()), target)[0]
     if best.format not in asked:
         say(f"cheapest file within it: {best}: {best.options}", quiet=quiet)
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from clacad.exporting.formats.registry import words
 from clacad.exporting.request import OPTIONS
 
 HELP = "Design, make and verify generalized confocal lenslet arrays."
@@ -126,9 +127,8 @@ def start_log(value: bool) -> bool:
 def declared(name: str) -> Any:
     """Option of a command that says what the declaration of exports says: flag, help and range."""
     option = OPTIONS[name]
-    return typer.Option(
-        option.flag, metavar=option.metavar, min=option.least, max=option.most, help=option.help
-    )
+    text = option.help.replace("{formats}", ", ".join(words()))
+    return typer.Option(option.flag, metavar=option.metavar, min=option.least, max=option.most, help=text)
 
 
 Design = Annotated[

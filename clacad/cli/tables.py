@@ -99,18 +99,19 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
 
 def holds_text(entry: Mapping[str, Any]) -> str:
     """Solids or objects that a program finds in a file of a manifest, and what would make one of many; "" where none is."""
+    from clacad.exporting.formats import step
     from clacad.formats.step.step_mode import FUSED_CELLS
-    from clacad.verification.files.delivery import FIXTURES
+    from clacad.verification.files.delivery import fixture_names
 
     instanced = entry.get("mode") == "instanced"
-    if entry["format"] == "step" and "solids" in entry:
+    if entry["format"] == step.WORD and "solids" in entry:
         solids, faces = int(entry["solids"]), int(entry["faces"])
         words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
         if instanced:
             return f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells (--fused: one a connected piece)"
         if entry.get("own_cells"):
             return f"{words}, one a connected piece; every cell differs, so that none can be repeated"
-        if all(name in FIXTURES or name.endswith(".marked") for name in entry["bodies"]):
+        if all(name in fixture_names() or name.endswith(".marked") for name in entry["bodies"]):
             return f"{words}, one a connected piece"
         return f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells (--step instanced repeats one cell)"
     if "objects" not in entry:

@@ -155,15 +155,16 @@ def _rays(design: Design, files: Path | None, target: float, cells: tuple[int, i
     ------
     TargetOutOfReach
     """
+    from clacad.exporting.formats.registry import kind_ending
     from clacad.prescription.prescribe import prescribe
-    from clacad.verification.accuracy.choose_setting import FACETED, floor_of, out_of_reach
+    from clacad.verification.accuracy.choose_setting import floor_of, out_of_reach
     from clacad.verification.error_target import rays_for
 
     window = prescribe(design if cells is None else design.with_cells(cells))
-    suffixes = {"stl": "stl", "3mf": "3mf", "ply": "ply", "glb": "glb", "obj": "ply"}
     if files is not None and files.is_file():
-        format = suffixes.get(files.suffix.lower().lstrip("."), "")
-        if format in FACETED:
+        kind = kind_ending(files.suffix)
+        if kind is not None and kind.family == "mesh":
+            format = kind.like or kind.word
             floor = floor_of(design, window, format)
             if not floor.floor < target:
                 raise out_of_reach(design, window, target, format, floor)

@@ -1,4 +1,4 @@
-"""What processes, effects and materials are, told from their own tables and docstrings: nothing is written twice."""
+"""Explanations of processes, effects, formats and materials, from their own tables and docstrings."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from string import ascii_letters
 
 from clacad.base.text import table
 from clacad.design.combinations import BUILT, ITSELF, matrix
+from clacad.design.keys import homes
 from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.effects import registry
 from clacad.explain.entry import Entry
+from clacad.exporting.formats.format import Format
+from clacad.exporting.formats.registry import formats
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
 
@@ -23,10 +26,12 @@ SHOWN = (550e-9, 4e-6, 10.6e-6)
 
 
 def named_things() -> Iterator[Entry]:
-    """Entries of all processes, effects and materials."""
+    """Entries of all processes, effects, formats and materials."""
     yield _combinations()
     yield from map(_process, profiles())
     yield from map(_effect, registry.NAMES)
+    yield _formats()
+    yield from map(_format, formats())
     yield from (_material(find(name)) for name in names())
 
 
@@ -129,6 +134,35 @@ def _effect(name: str) -> Entry:
         "", name, f"effect {name}: {title.rstrip('.')}", found["Model"], f"Its law: {found['Law']}", "",
         f"It is simulated {found['On']} A scene asks for it or leaves it out by effects.force and effects.without; `clacad effects "
         "SCENE` shows the plan.",
+    )  # fmt: skip
+
+
+# --- formats ------------------------------------------------------------------------------------------------
+
+
+def _formats() -> Entry:
+    """List of all formats."""
+    listed = table([[one.word, one.about] for one in formats()], indent="")
+    return Entry(
+        "",
+        "formats",
+        "formats of files",
+        "\n  ".join(listed.splitlines()),
+        "",
+        "",
+        "clacad export DESIGN --format A,B",
+    )
+
+
+def _format(one: Format) -> Entry:
+    """A format by what it declares."""
+    name = f"format {one.word}" if homes(one.word) else one.word
+    sheets = "non-uniform sheets too" if one.any_cells else "uniform sheets only"
+    repeats = "; it stores one cell of a uniform sheet and its places" if one.repeats else ""
+    return Entry(
+        "", name, f"format {one.word}", f"{one.about[0].upper()}{one.about[1:]}.",
+        f"It holds {sheets}{repeats}. Accuracy: {'; '.join(way.note for way in one.stored)}.", "",
+        f"clacad export DESIGN --format {one.word}",
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from clacad.base.reading_budgets import BUDGETS
 from clacad.base.regular_file import read_regular
 from clacad.design.cell_table import digest, table_path
+from clacad.exporting.formats.table import CELL_TABLE
 from clacad.exporting.manifest import FileRecord
 from clacad.exporting.roles import Role
 from clacad.storage.errors import FileDisagrees
@@ -15,8 +16,6 @@ from clacad.storage.errors import FileDisagrees
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.storage.atomic import Stage
-
-FORMAT = "cell-table"
 
 
 def copied_table(design: Design, stage: Stage) -> list[FileRecord]:
@@ -38,4 +37,6 @@ def copied_table(design: Design, stage: Stage) -> list[FileRecord]:
     if found != spec.table.sha256:
         raise FileDisagrees(f"{name}: the table has changed since the design was read")
     role = {"role": str(Role.OTHER)}
-    return [FileRecord(name, found, copy.stat().st_size, FORMAT, "slopes", (), checks=("sha256",), role=role)]
+    return [
+        FileRecord(name, found, copy.stat().st_size, CELL_TABLE, "slopes", (), checks=("sha256",), role=role)
+    ]

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
+from clacad.exporting.request import DEFAULTS
 from clacad.storage.errors import (
     BadRequest,
     CannotWrite,
@@ -32,7 +33,7 @@ __all__ = [
 
 
 def export(
-    design: Design, out: str | os.PathLike[str], formats: Sequence[str] = ("step", "stl"),
+    design: Design, out: str | os.PathLike[str], formats: Sequence[str] = DEFAULTS.formats,
     slope_error: float | Literal["auto"] = "auto", quads: AskedQuads = None,
     step: Literal["auto", "fused", "instanced"] = "auto", cells: tuple[int, int] | None = None, overwrite: bool = False,
     force: bool = False, progress: Progress | None = None, step_schema: Literal["ap242", "ap214"] = "ap242",
@@ -62,7 +63,8 @@ def export(
     ExportIncomplete
         Some formats failed; the others were published.
     """
-    from clacad.exporting.request import Request, asked_quads, asked_roles
+    from clacad.exporting.quads_and_roles import asked_quads, asked_roles
+    from clacad.exporting.request import Request
     from clacad.exporting.run import run_export
 
     request = Request(

@@ -15,12 +15,12 @@ from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.exporting.format_names import STL_FORMATS, WELDED_FORMATS
+from clacad.exporting.formats.registry import format_of, formats
 from clacad.storage.errors import LimitRefused
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.exporting.price import Forecast
+    from clacad.exporting.formats.format import Forecast
     from clacad.exporting.request import Quads
     from clacad.sheet.window import Window
 
@@ -49,13 +49,14 @@ def refuse_uncountable(design: Design) -> None:
     refuse_cells(n1, n2)
 
 
-def refuse_early(design: Design, formats: Sequence[str], quads: Mapping[str, Quads]) -> None:
+def refuse_early(design: Design, words: Sequence[str], quads: Mapping[str, Quads]) -> None:
     """Refuse a design whose count of lenslets alone exceeds the limits; integer arithmetic only.
 
     Parameters
     ----------
     design : Design
-    formats : sequence of str
+    words : sequence of str
+        Formats.
     quads : mapping
         Format → requested facet grid; the coarsest is used if none or "auto" was requested.
 
@@ -69,8 +70,8 @@ def refuse_early(design: Design, formats: Sequence[str], quads: Mapping[str, Qua
     if design.lattice.outline is not None:
         return
     faces = 4 if design.pair.form == "biconvex" else 2
-    for name in formats:
-        if name in STL_FORMATS:
+    for name in words:
+        if format_of(name).family == "stream":
             asked = quads.get(name, "auto")
             grid = QUADS[-1] if asked == "auto" else asked
             across = (
@@ -135,7 +136,8 @@ def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> 
         short = re.sub(r"\d{16,}", lambda long: f"{Decimal(long[0]):.3g}", str(error))
         raise LimitRefused(f"a slope error of {slope_error:g} rad is out of reach: {short}") from error
     if not force and facets_at_least(window, quads) * 50 > MOST_BYTES:
-        _refuse_facets("stl", facets_at_least(window, quads), quads, window.lattice.count)
+        stream = next(one.word for one in formats() if one.family == "stream")
+        _refuse_facets(stream, facets_at_least(window, quads), quads, window.lattice.count)
     return quads
 
 
@@ -156,10 +158,11 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
     """
     memory, disk = free_memory(), free_disk(folder)
     for row in rows:
-        if row.facets is not None and row.quads is not None and row.format in STL_FORMATS:
+        family = format_of(row.format).family
+        if row.facets is not None and row.quads is not None and family == "stream":
             _refuse_facets(row.format, row.facets, row.quads, window.lattice.count, at_least=False)
         held = row.facets if row.stored is None else row.stored
-        if row.format in WELDED_FORMATS and held is not None and held > MOST_WELDED:
+        if family == "welded" and held is not None and held > MOST_WELDED:
             raise LimitRefused(
                 f"{row.format}: {count_text(held)} facets with shared vertices are more than "
                 f"{count_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or force it)"
@@ -182,43 +185,38 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
         )
 
 
-def refuse_many_places(window: Window, format: str, in_one_node: bool) -> None:
-    """Refuse a file of repeated cells that lists more of them than its reader takes; forcing it does not help.
+def refuse_many_places(window: Window, word: str, listed: int, what: str, most: int, way: str) -> None:
+    """Refuse a file that lists more repeated cells than its reader takes; forcing it does not help.
 
     Parameters
     ----------
     window : Window
-    format : str
-        "glb" or "3mf"; others list no places.
-    in_one_node : bool
-        GLB: all cells of a body in one node.
+    word : str
+        Format.
+    listed, most : int
+        Number of listed items, and the limit of the reader.
+    what : str
+        Kind of the items, in the plural.
+    way : str
+        Options that avoid them.
 
     Raises
     ------
     LimitRefused
     """
-    bodies, cells = len(window.bodies), window.lattice.cell_count
-    if format == "glb" and not in_one_node:
-        from clacad.formats.mesh.glb import MOST_NODES as MOST
-
-        listed, what, way = bodies * (cells + 1) + 1, "nodes", "--gpu-instancing, --format step"
-    elif format == "3mf":
-        from clacad.formats.mesh.threemf import MOST_PLACES as MOST
-
-        listed, what, way = bodies * (cells + max(500, window.lattice.count[1])), "places", "--format step"
-    else:
-        return
-    if listed > MOST:
-        side = isqrt((MOST - 1000 * bodies) // bodies)
+    if listed > most:
+        bodies = len(window.bodies)
+        side = isqrt((most - 1000 * bodies) // bodies)
         raise LimitRefused(
-            f"{format}: {count_text(listed)} {what} are more than the {count_text(MOST)} that are read back; use {way} or "
+            f"{word}: {count_text(listed)} {what} are more than the {count_text(most)} that are read back; use {way} or "
             f"--cells {side}x{side}"
         )
 
 
 def _smaller(row: Forecast, window: Window) -> str:
-    if row.format == "step":
-        return "use --step instanced, or --cells 50x50"
+    smaller = format_of(row.format).smaller
+    if smaller:
+        return f"use {smaller}"
     if row.quads is not None:
         return f"use fewer quads than {row.quads}, or fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}"
     return f"use fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}, or format table"

@@ -1,24 +1,34 @@
-"""Facets per cell side of every format of an export, and the resulting role of each file."""
+"""Facets per cell side of every format of an export, and the role of each file: as requested, and as chosen."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
+from clacad.base.text import did_you_mean, near
 from clacad.exporting import limits
-from clacad.exporting.format_names import MESHES, STL_FORMATS
+from clacad.exporting.formats import registry
+from clacad.exporting.formats.format import ChosenMesh
+from clacad.exporting.formats.registry import format_of
 from clacad.exporting.light_forecast import FINE, POWERS, Grader
-from clacad.exporting.roles import Prospect, Role, role_of
+from clacad.exporting.request import DEFAULTS, AskedQuads, AskedRole, Quads
+from clacad.exporting.roles import WORDS, Prospect, Role
+from clacad.storage.errors import BadRequest, LimitRefused
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.exporting.price import Forecast
+    from clacad.exporting.formats.format import Forecast
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
+
+ROLES = ("master", "preview")
+"""Words by which an export declares a role."""
+
+T = TypeVar("T")
 
 COARSEST = 4
 """Facets per cell side of a declared preview without a requested grid."""
@@ -30,6 +40,102 @@ TRACED = 256
 """Finest grid that is meshed only to decide a role; above it, the formula of the coarser grids is used."""
 
 
+# -- as requested: one value for all files, or one a format -----------------------------------------
+
+
+def asked_quads(asked: AskedQuads, formats: Sequence[str]) -> dict[str, Quads]:
+    """Requested facet grid of each exported mesh format.
+
+    Raises
+    ------
+    BadRequest
+        A value that is no grid, a format that is unknown, has no facets or is not exported.
+    """
+    meshes = [one.word for one in registry.formats() if one.is_mesh]
+    lacking = f"for {{}}: it has no facets; formats that have: {', '.join(meshes)}"
+    return _of_formats(asked, formats, _Asked("quads", _grid, meshes.__contains__, lacking))
+
+
+def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
+    """Declared role of each exported format.
+
+    Raises
+    ------
+    BadRequest
+        A word that is no role, a format that is unknown, carries no light or is not exported.
+    """
+    dark = [one.word for one in registry.formats() if not one.optical]
+    lacking = "of {}: no light of the law goes through it, so it has none to declare"
+    return _of_formats(asked, formats, _Asked("role", _role, lambda word: word not in dark, lacking))
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked(Generic[T]):
+    """Per-format option: its name, its value's reader, the formats that have it, and what other formats lack."""
+
+    name: str
+    read: Callable[[object], T]
+    suits: Callable[[str], bool]
+    lacking: str
+
+
+def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[str, T]:
+    """Value of each exported format, in export order: one for all formats that have the option, or as named."""
+    if asked is None:
+        return {}
+    if not isinstance(asked, Mapping):
+        value = kind.read(asked)
+        return {name: value for name in dict.fromkeys(formats) if kind.suits(name)}
+    named = {name: kind.read(value) for name, value in asked.items()}
+    for name in named:
+        _exported(name, formats, kind.name)
+        if not kind.suits(name):
+            raise BadRequest(f"{kind.name} {kind.lacking.format(name)}")
+    return {name: named[name] for name in dict.fromkeys(formats) if name in named}
+
+
+MOST_QUADS = 8192
+"""Largest number of facets along a cell side; one array of the corners then takes 0.5 GB, forecasts hold a
+few.
+"""
+
+
+def _grid(value: object) -> Quads:
+    if value == "auto":
+        return "auto"
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
+        if value > MOST_QUADS:
+            raise LimitRefused(
+                f"quads = {value}: a cell side is cut into {MOST_QUADS} at most: use auto, or format step for exact faces"
+            )
+        return value
+    hint = _near(value, ("auto",))
+    raise BadRequest(f"quads = {value}: it is a whole number above 0, or auto{hint}")
+
+
+def _role(word: object) -> Role:
+    if word == "scan":
+        raise BadRequest("role = scan: a scan is measured, not exported; allowed: master, preview")
+    if isinstance(word, str) and word in WORDS:
+        return WORDS[word]
+    raise BadRequest(f"role = {word}: unknown{_near(word, ROLES)}; allowed: {', '.join(ROLES)}")
+
+
+def _exported(name: str, formats: Sequence[str], what: str) -> None:
+    if name in formats:
+        return
+    if name in registry.words():
+        raise BadRequest(f"{what} for {name}, which is not exported: add it to the formats, or leave it out")
+    raise BadRequest(f"{what} for {name!r}: unknown format{_near(name, registry.words())}")
+
+
+def _near(word: object, words: Mapping[str, object] | Sequence[str]) -> str:
+    return did_you_mean(near(str(word), words), before="; ")
+
+
+# -- as chosen -------------------------------------------------------------------------------------
+
+
 class Sizes:
     """Facets and bytes of the mesh formats at any grid, extrapolated from two coarse grids."""
 
@@ -39,22 +145,22 @@ class Sizes:
 
     def facets(self, format: str, quads: int) -> int:
         """Approximate number of facets that a file stores; those of one cell where the format repeats it."""
-        square, linear = self._cell if self.meshes.repeats(format) else self._sheet
+        square, linear = self._cell if format_of(format).repeats_cells(self.meshes) else self._sheet
         return int(square * quads * quads + linear * quads)
 
     def bytes(self, format: str, quads: int) -> int:
         """Approximate size of the file, scaled from a file that is small enough to be generated."""
-        drawn = min(quads, FINE if self.meshes.repeats(format) else COUNTED[1])
+        drawn = min(quads, FINE if format_of(format).repeats_cells(self.meshes) else COUNTED[1])
         row = self._drawn(format, drawn)
         facets = self.facets(format, quads)
-        if format in STL_FORMATS:
+        if format_of(format).family == "stream":
             return row.bytes + 50 * (facets - self.facets(format, drawn))
         return int(row.places + (row.bytes - row.places) * facets / max(1, self.facets(format, drawn)))
 
     def fits(self, format: str, quads: int) -> bool:
         """Whether a file of a format is within the limits of facets and bytes."""
         facets = self.facets(format, quads)
-        if format in STL_FORMATS:
+        if format_of(format).family == "stream":
             return facets <= limits.MOST_FACETS and 84 + 50 * facets <= limits.MOST_BYTES
         return facets <= limits.MOST_WELDED and self.bytes(format, quads) <= limits.MOST_BYTES
 
@@ -64,10 +170,8 @@ class Sizes:
 
     def _drawn(self, format: str, quads: int) -> Forecast:
         """Forecast of a file on a coarse grid, computed once."""
-        from clacad.exporting.forecast import forecast
-
         if (format, quads) not in self._rows:
-            self._rows[format, quads] = forecast(self.meshes, [format], quads)[0]
+            self._rows[format, quads] = format_of(format).forecast(self.meshes, quads, DEFAULTS)
         return self._rows[format, quads]
 
     @cached_property
@@ -125,7 +229,7 @@ def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> di
     chosen: dict[str, int] = {}
     sizes = Sizes(grader.meshes)
     for name in formats:
-        if name not in MESHES:
+        if not format_of(name).is_mesh:
             continue
         asked = request.quads.get(name)
         if asked == "auto" or by_default(request, name):
@@ -141,29 +245,14 @@ def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> di
     return chosen
 
 
-@dataclass(frozen=True, slots=True)
-class DefaultMesh:
-    """A mesh file of an export with default options.
-
-    quads : int, a cell side
-    facets, bytes : int
-        Approximate number of stored facets and size.
-    """
-
-    quads: int
-    facets: int
-    bytes: int
-
-
-def default_meshes(design: Design, window: Window, formats: Sequence[str]) -> dict[str, DefaultMesh]:
+def default_meshes(design: Design, window: Window, formats: Sequence[str]) -> dict[str, ChosenMesh]:
     """Mesh files of an export with default options, with the grids that `export` chooses."""
-    from clacad.exporting.request import DEFAULTS
     from clacad.exporting.tessellations import Meshes
 
     grader = Grader.of(Meshes(window), design)
     sizes = Sizes(grader.meshes)
     return {
-        name: DefaultMesh(quads, sizes.facets(name, quads), sizes.bytes(name, quads))
+        name: ChosenMesh(quads, sizes.facets(name, quads), sizes.bytes(name, quads))
         for name, quads in chosen_quads(grader, DEFAULTS, formats).items()
     }
 
@@ -173,7 +262,7 @@ def by_default(request: Request, format: str) -> bool:
     both.
     """
     said = request.quads.get(format) is not None or request.slope_error != "auto"
-    return format in MESHES and not said and request.role.get(format) is not Role.PREVIEW
+    return format_of(format).is_mesh and not said and request.role.get(format) is not Role.PREVIEW
 
 
 def _master(grader: Grader, sizes: Sizes, format: str) -> int | None:
@@ -198,7 +287,7 @@ def with_prospects(grader: Grader, rows: Sequence[Forecast], request: Request) -
 def _prospect(grader: Grader, sizes: Sizes, row: Forecast, request: Request) -> Prospect:
     asked = request.role.get(row.format)
     if row.quads is None:
-        return Prospect(role_of(row.format) if asked is None else asked, asked is not None)
+        return Prospect(format_of(row.format).role if asked is None else asked, asked is not None)
     rms, beyond = _light(grader, row.quads)
     role = asked if asked is not None else (Role.PREVIEW if beyond else Role.MASTER)
     known = rms if isfinite(rms) else None

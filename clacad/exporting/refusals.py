@@ -1,19 +1,19 @@
 """Refusals of an export before its first byte, with the reasons of all formats together.
 
-Formats with special requirements check them here: an installed extra, a gap, a border, room for a line of
-text. Limits of size, and bodies that cannot be built, are found by the forecast and collected here too.
+Each format checks its own requirements: an installed extra, a gap, a border, room for a line of text. Limits
+of size, and bodies that cannot be built, are found by the forecast and collected here too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from clacad.base.units import millimetres
-from clacad.exporting.format_names import refuse_other_cells
+from clacad.exporting.formats.registry import format_of, formats
 from clacad.sheet.gap import NoFixture
-from clacad.storage.errors import ExportError, NotPossible
+from clacad.sheet.need_window import need_equal_cells
+from clacad.storage.errors import BadRequest, ExportError, NotPossible
 
 if TYPE_CHECKING:
     from clacad.exporting.request import Request
@@ -71,7 +71,20 @@ def _line(formats: list[str], text: str) -> str:
     return text if text.startswith((f"{named}:", f"format {named}")) else f"{named}: {text}"
 
 
-def require_possible(window: Window, format: str, asked: Request, worker: Worker) -> None:
+def refuse_other_cells(window: Window, word: str) -> None:
+    """Refuse a format that cannot hold the cells of a non-uniform sheet.
+
+    Raises
+    ------
+    CellsDiffer
+    """
+    if not format_of(word).holds(window):
+        held = sorted((one for one in formats() if one.holds(window)), key=lambda one: one.family != "exact")
+        listed = ", ".join(one.word for one in held)
+        need_equal_cells(window, f"format {word}", f"such sheets are held by: {listed}")
+
+
+def require_possible(window: Window, word: str, asked: Request, worker: Worker) -> None:
     """Refuse a format that is impossible for a design; only long text in a small space needs the worker.
 
     Raises
@@ -82,130 +95,19 @@ def require_possible(window: Window, format: str, asked: Request, worker: Worker
     WorkerDied
         The letters could not be drawn.
     """
-    refuse_other_cells(window, format)
-    if format in _NEEDS:
-        _NEEDS[format](window, asked, worker)
+    refuse_other_cells(window, word)
+    format_of(word).require(window, asked, worker)
 
 
-# --- what each format needs -------------------------------------------------------------------------------
+def refuse_idle_fused(asked: Request) -> None:
+    """Refuse the option `fused` where no requested format has it.
 
-
-def _gds(window: Window, asked: Request, _worker: Worker) -> None:
-    """Require the package that writes GDSII, and levels that its layers distinguish."""
-    from clacad.formats.maps.gds import grey_cell, require_gdstk
-    from clacad.formats.maps.sag import structured_faces
-
-    require_gdstk()
-    for body, face, label in structured_faces(window):
-        grey_cell(window, body, face, label, asked.grey_levels, millimetres(window.unit))
-
-
-def _mask(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require one outline for the lenses of a face."""
-    from clacad.formats.maps.mask import aperture
-    from clacad.formats.maps.sag import structured_faces
-
-    if not window.uniform:
-        for body, face, _ in structured_faces(window):
-            aperture(window, body, face)
-
-
-def _baffle(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require walls, and a gap for them."""
-    from clacad.exporting.fixtures import baffle_meshes
-
-    baffle_meshes(window)
-
-
-def _frame(window: Window, _asked: Request, worker: Worker) -> None:
-    """Require two plates with flat borders, a gap, and room for the name."""
-    from clacad.exporting.fixtures.frame import frame_spec, mark_lines
-    from clacad.solid.marks import mark_text
-
-    for width, height in mark_lines(frame_spec(window, window.land.border)):
-        _require_room(mark_text(window.name), width, height, worker)
-
-
-def _pins(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require two plates with pin holes, a gap, and land for the shoulders."""
-    from clacad.exporting.fixtures.shoulder_pins import pin_spec
-
-    pin_spec(window)
-
-
-def _marks(window: Window, _asked: Request, worker: Worker) -> None:
-    """Require a border with room for the name."""
-    from clacad.solid.marks import mark_place, mark_text
-
-    for place, body in [(mark_place(window, body), body) for body in window.bodies]:
-        _require_room(mark_text(f"{window.name} {body.name}"), place.width, place.height, worker)
-
-
-def _marked(window: Window, asked: Request, worker: Worker) -> None:
-    """Require a border with room for the name, and bodies that OCC accepts."""
-    _marks(window, asked, worker)
-    _solids(window, "marked")
-
-
-def _brep(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require bodies that OCC accepts."""
-    _solids(window, "BREP")
-
-
-def _coupon(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require a patch of a few cells that is a solid."""
-    from clacad.exporting.fixtures.coupon import PATCH_CELLS
-
-    _solids(window.with_cells(PATCH_CELLS), "coupon")
-
-
-def _drawing(_window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require the packages that write DXF and PDF."""
-    from clacad.formats.drawing.dxf import require_drawing
-
-    require_drawing()
-
-
-def _zmx(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require faces that Zemax surfaces can hold."""
-    from clacad.formats.sequential.zmx import zmx_lines
-
-    for _ in zmx_lines(window):
-        pass
-
-
-def _optiland(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require optiland, which reads the file back, and faces that its surfaces can hold."""
-    from clacad.formats.sequential.optiland_json import optiland_document, require_optiland
-
-    require_optiland()
-    optiland_document(window)
-
-
-def _solids(window: Window, what: str) -> None:
-    """Require at most the number of cells that OCC takes, and faces that can be described."""
-    from clacad.exporting.file_sizes import step_bytes
-    from clacad.exporting.fixtures.fixture_files import refuse_many
-
-    refuse_many(window, what)
-    step_bytes(window, "fused")  # describes the faces of small sheets, as the solids are described
-
-
-def _require_room(text: str, width: float, height: float, worker: Worker) -> None:
-    """Require room for a line of text (mm): estimated from its number of letters, or else measured by drawing
-    it.
+    Raises
+    ------
+    BadRequest
     """
-    from clacad.solid.marks import surely_fits
-
-    if not surely_fits(text, width, height):
-        worker.run("clacad.solid.marks:require_room", text, width, height, timeout=DRAWING_SECONDS)
-
-
-DRAWING_SECONDS = 300.0
-"""Time for OCC to draw a line of text."""
-
-_NEEDS: Mapping[str, Callable[[Window, Request, Worker], None]] = {
-    "gds": _gds, "mask": _mask, "baffle": _baffle, "frame": _frame, "pins": _pins, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
-    "brep": _brep, "coupon": _coupon, "drawing": _drawing, "optiland": _optiland, "zmx": _zmx,
-}  # fmt: skip
-"""Format → its check; other formats are refused by their forecast alone."""
+    fusable = [one.word for one in formats() if one.fusable]
+    if asked.fused and set(asked.formats) <= {one.word for one in formats() if not one.fusable}:
+        raise BadRequest(
+            f"fused: it is said of {', '.join(fusable)}, and the formats asked for are {', '.join(asked.formats)}; leave it out"
+        )

@@ -1,18 +1,13 @@
-"""The options of an export, declared once: the command line, the API and the manifest read them here.
-
-Quads and roles are requested as one value for all files, or as one per format.
-"""
+"""The options of an export, declared once: the command line, the API and the manifest read them here."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Literal
 
-from clacad.base.text import did_you_mean, near
-from clacad.exporting.format_names import FORMATS, FUSABLE, MESHES
-from clacad.exporting.roles import WORDS, Role, role_of
-from clacad.storage.errors import BadRequest, LimitRefused
+from clacad.exporting.roles import Role
+from clacad.storage.errors import BadRequest
 
 Quads = int | Literal["auto"]
 AskedQuads = Quads | Mapping[str, Quads] | None
@@ -20,11 +15,6 @@ AskedQuads = Quads | Mapping[str, Quads] | None
 
 AskedRole = str | Mapping[str, str] | None
 """Declared role: one for every file that has optics, or one per format."""
-
-ROLES = ("master", "preview")
-"""Words by which an export declares a role."""
-
-T = TypeVar("T")
 
 
 # -- the declaration -----------------------------------------------------------------------------
@@ -39,6 +29,7 @@ class Option:
     flag : str
         As typed; of a switch that is on by default, with its opposite.
     help : str
+        "{formats}" is replaced by the words of all formats.
     metavar : str or None
         Placeholder of the value in the help.
     words : tuple of str
@@ -71,12 +62,7 @@ class Request:
     Parameters
     ----------
     formats : sequence of str
-        step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
-        `gds`), pov, brep, baffle, frame, pins (with a shoulder between the bodies), coupon, marked (bodies with their name and an
-        arrow in the border, STEP),
-        marked-stl (the same as meshes, one file a body), marked-3mf (in one file), zmx, optiland (one
-        telescopelet for lens-design programs; optiland needs the extra `optiland`), drawing
-        (DXF and PDF, needs the extras `dxf` and `pdf`).
+        Words of `clacad.exporting.formats`; `clacad explain formats` lists them.
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" chooses the facets of each format by the
         light through them, as `quads` "auto" does. If no master stays within the limits, it writes a declared
@@ -120,7 +106,7 @@ class Request:
     """
 
     formats: tuple[str, ...] = _declared(("step", "stl"), Option(
-        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, zmx, drawing, ...", "F,G",
+        "--format", "Formats, separated by commas: {formats}.", "F,G",
     ))  # fmt: skip
     slope_error: float | Literal["auto"] = _declared("auto", Option(
         "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the coarsest facets that make a master; where none fit, "
@@ -172,12 +158,8 @@ class Request:
         Raises
         ------
         BadRequest
-            Fused and instanced are requested together, or fused for formats to which it does not apply.
+            Fused and instanced are requested together.
         """
-        if self.fused and set(self.formats) <= set(FORMATS) - set(FUSABLE):
-            raise BadRequest(
-                f"fused: it is said of {', '.join(FUSABLE)}, and the formats asked for are {', '.join(self.formats)}; leave it out"
-            )
         if self.fused and self.step == "instanced":
             raise BadRequest(
                 "fused and step = instanced: STEP is either one or the other; leave one of them out"
@@ -204,105 +186,7 @@ DEFAULTS = Request()
 """Export request with all defaults."""
 
 
-# -- one value for all files, or one a format ------------------------------------------------------
-
-
 def assignments(text: str) -> list[tuple[str, str]] | None:
     """NAME=VALUE,NAME=VALUE as pairs in their order; None where a part lacks its name or its value."""
     parts = [tuple(word.strip() for word in part.partition("=")) for part in text.split(",")]
     return [(name, value) for name, _, value in parts] if all(map(all, parts)) else None
-
-
-def asked_quads(asked: AskedQuads, formats: Sequence[str]) -> dict[str, Quads]:
-    """Requested facet grid of each exported mesh format.
-
-    Raises
-    ------
-    BadRequest
-        A value that is no grid, a format that is unknown, has no facets or is not exported.
-    """
-    return _of_formats(asked, formats, _QUADS)
-
-
-def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
-    """Declared role of each exported format.
-
-    Raises
-    ------
-    BadRequest
-        A word that is no role, a format that is unknown, carries no light or is not exported.
-    """
-    return _of_formats(asked, formats, _ROLE)
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked(Generic[T]):
-    """Per-format option: its name, its value's reader, the formats that have it, and what other formats lack."""
-
-    name: str
-    read: Callable[[object], T]
-    suits: Callable[[str], bool]
-    lacking: str
-
-
-def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[str, T]:
-    """Value of each exported format, in export order: one for all formats that have the option, or as named."""
-    if asked is None:
-        return {}
-    if not isinstance(asked, Mapping):
-        value = kind.read(asked)
-        return {name: value for name in dict.fromkeys(formats) if kind.suits(name)}
-    named = {name: kind.read(value) for name, value in asked.items()}
-    for name in named:
-        _exported(name, formats, kind.name)
-        if not kind.suits(name):
-            raise BadRequest(f"{kind.name} {kind.lacking.format(name)}")
-    return {name: named[name] for name in dict.fromkeys(formats) if name in named}
-
-
-MOST_QUADS = 8192
-"""Largest number of facets along a cell side; one array of the corners then takes 0.5 GB, forecasts hold a
-few.
-"""
-
-
-def _grid(value: object) -> Quads:
-    if value == "auto":
-        return "auto"
-    if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
-        if value > MOST_QUADS:
-            raise LimitRefused(
-                f"quads = {value}: a cell side is cut into {MOST_QUADS} at most: use auto, or format step for exact faces"
-            )
-        return value
-    hint = _near(value, ("auto",))
-    raise BadRequest(f"quads = {value}: it is a whole number above 0, or auto{hint}")
-
-
-def _role(word: object) -> Role:
-    if word == "scan":
-        raise BadRequest("role = scan: a scan is measured, not exported; allowed: master, preview")
-    if isinstance(word, str) and word in WORDS:
-        return WORDS[word]
-    raise BadRequest(f"role = {word}: unknown{_near(word, ROLES)}; allowed: {', '.join(ROLES)}")
-
-
-_QUADS: _Asked[Quads] = _Asked(
-    "quads", _grid, MESHES.__contains__, f"for {{}}: it has no facets; formats that have: {', '.join(MESHES)}"
-)
-_ROLE: _Asked[Role] = _Asked(
-    "role", _role, lambda name: role_of(name) is not Role.OTHER,
-    "of {}: no light of the law goes through it, so it has none to declare",
-)  # fmt: skip
-
-
-def _exported(name: str, formats: Sequence[str], what: str) -> None:
-    if name in formats:
-        return
-    if name in FORMATS:
-        raise BadRequest(f"{what} for {name}, which is not exported: add it to the formats, or leave it out")
-    raise BadRequest(f"{what} for {name!r}: unknown format{_near(name, FORMATS)}")
-
-
-def _near(word: object, words: Mapping[str, object] | Sequence[str]) -> str:
-    return did_you_mean(near(str(word), words), before="; ")

@@ -29,29 +29,6 @@ WORDS: Mapping[str, Role] = {
 }  # fmt: skip
 """Words by which a role is declared; "other" cannot be declared."""
 
-NOT_OPTICAL = frozenset(
-    {
-        "baffle",
-        "frame",
-        "pins",
-        "coupon",
-        "pov",
-        "scene",
-        "zmx",
-        "optiland",
-        "drawing",
-        "drawing-dxf",
-        "drawing-pdf",
-        "cell-table",
-    }
-)
-"""Formats and bodies that carry no light of the law, by the words of manifests."""
-
-
-def role_of(format: str) -> Role:
-    """Role of the files of a format that holds exact faces, heights, poses, or no optics at all."""
-    return Role.OTHER if format in NOT_OPTICAL else Role.MASTER
-
 
 @dataclass(frozen=True, slots=True)
 class Prospect:

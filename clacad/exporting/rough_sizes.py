@@ -1,7 +1,6 @@
-"""Rough facets and bytes of files from a sheet's numbers, without meshing or generating text.
+"""Numbers of a sheet from which formats derive rough sizes, without meshing or generating text.
 
-Facets and mesh sizes are within 40 %, for grids above 32 within 10 %. Instanced STEP is within 20 %. Fused
-STEP, whose walls depend on the relative position of neighbours, is within a factor of two.
+Facets are within 40 %, for grids above 32 within 10 %.
 """
 
 from __future__ import annotations
@@ -14,14 +13,6 @@ from clacad.sheet.grid_steps import lens_squares
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.window import Window
-
-FUSED_CELL = {"straight": 4700, "hexagonal": 7200, "tilted": 15_000}
-"""Bytes per lenslet and body in a fused STEP file; walls of tilted lenslets are wavy."""
-
-FEW, PLACES, LINE = 10_000, (1.0, 3.2), 12.0
-"""Cell count that separates small from large 3MF files; deflated bytes per place in each; bytes per row of
-places.
-"""
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
@@ -93,30 +84,3 @@ class RoughSheet:
     def _lens(self, quads: int) -> int:
         """Facets of one lens."""
         return 2 * quads * (1 if self.cylinders else quads) * (3 if self.hexagonal else 1)
-
-    @property
-    def listed(self) -> int:
-        """Places that a 3MF file lists and its reader keeps: all, or for a large sheet its rows and one row's
-        cells.
-        """
-        from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
-
-        in_rows = self.repeats and self.cells > FLAT_LIMIT
-        return self.bodies * (sum(self.count) if in_rows else self.cells)
-
-    def step_bytes(self, fused: bool) -> int:
-        """Bytes of a STEP file."""
-        if not fused:
-            return self.bodies * (20_000 + 500 * sum(self.count))
-        kind = "tilted" if self.tilted else "hexagonal" if self.hexagonal else "straight"
-        return self.lenses * FUSED_CELL[kind] * self.cells // 2
-
-    def threemf_bytes(self, quads: int) -> int:
-        """Bytes of a 3MF file."""
-        from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
-
-        if not self.repeats:
-            return 1000 + 8 * self.facets(quads) * self.cells
-        flat = self.cells <= FLAT_LIMIT
-        places = PLACES[self.cells > FEW] * self.cells if flat else LINE * sum(self.count)
-        return int(1000 + 16 * self.piece(quads) + self.bodies * places)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 from clacad.base import log
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
 from clacad.base.types import Progress, silent
-from clacad.exporting import costs, limits
+from clacad.exporting import limits
 from clacad.exporting.copied_table import copied_table
-from clacad.exporting.forecast import forecast
-from clacad.exporting.format_names import MESHES, known_formats
-from clacad.exporting.format_table import WRITERS
+from clacad.exporting.forecast import PREPARE, forecast, prepare_seconds
+from clacad.exporting.formats.format import Forecast
+from clacad.exporting.formats.registry import format_of, known
 from clacad.exporting.job import Job
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.manifest import FileRecord, Manifest, carried_over, document
-from clacad.exporting.price import Forecast
 from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
-from clacad.exporting.refusals import Refusals, require_possible
+from clacad.exporting.refusals import Refusals, refuse_idle_fused, require_possible
 from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
 from clacad.storage.atomic import MANIFEST, Stage, read_manifest, require_folder, safe_name, translated
@@ -39,12 +38,12 @@ CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
     """Do what `clacad.exporting.export_design.export` promises."""
     report = progress if progress is not None else silent
-    formats = known_formats(request.formats)
+    formats = _formats(request)
     made = design if request.cells is None else design.with_cells(request.cells)
     _refuse_by_count(made, formats, request)
     began, used = time.monotonic(), time.process_time()
     with ended_by_signals(), Worker(memory=limits.worker_memory(), preload=CAD_MODULES) as worker:
-        if "step" in formats:
+        if any(format_of(name).kernel for name in formats):
             worker.start()  # OCC loads while the design is prescribed and forecast
         report("forecast", 0.0)
         window = _prescribed(made)
@@ -63,7 +62,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
                 report,
                 design,
             )
-            Rates.here().note(costs.PREPARE, prepare_seconds(quads), time.process_time() - used)
+            Rates.here().note(PREPARE, prepare_seconds(quads), time.process_time() - used)
             records, failures, seconds = _produced(job, meshes, rows)
             if not records:
                 raise next(iter(failures.values()))
@@ -102,7 +101,7 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
         The folder cannot be made or written to.
     """
     made = design if request.cells is None else design.with_cells(request.cells)
-    formats = known_formats(request.formats)
+    formats = _formats(request)
     _refuse_by_count(made, formats, request)
     meshes = Meshes(_prescribed(made), request.saddle_bevel, request.fused)
     if out is None:
@@ -120,10 +119,17 @@ def refuse_impossible(design: Design, request: Request) -> None:
         The refusals of all formats together.
     """
     made = design if request.cells is None else design.with_cells(request.cells)
-    formats = known_formats(request.formats)
+    formats = _formats(request)
     _refuse_by_count(made, formats, request)
     with ended_by_signals(), Worker(memory=limits.worker_memory()) as worker:
         _impossible(made, _prescribed(made), formats, request, worker).complete()
+
+
+def _formats(request: Request) -> tuple[str, ...]:
+    """Requested formats, all known and none with an option that it lacks."""
+    formats = known(request.formats)
+    refuse_idle_fused(request)
+    return formats
 
 
 def _refuse_by_count(design: Design, formats: tuple[str, ...], request: Request) -> None:
@@ -165,8 +171,9 @@ def _forecast(
     refused = Refusals() if where is None else _impossible(design, meshes.window, formats, request, where[1])
     for name in () if where is None else formats:
         with refused.of(name):
-            if meshes.repeats(name):
-                limits.refuse_many_places(meshes.window, name, request.gpu_instancing)
+            one = format_of(name)
+            if one.refuse_places is not None and one.repeats_cells(meshes):
+                one.refuse_places(meshes.window, request)
     rows = _priced(grader, tuple(name for name in formats if name not in refused), request, refused)
     if where is not None and not request.force:
         for row in rows:
@@ -181,7 +188,7 @@ def _forecast(
 def _priced(grader: Grader, formats: tuple[str, ...], request: Request, refused: Refusals) -> list[Forecast]:
     """Rows of the formats whose bodies can be made; the others are refused."""
     quads: dict[str, int] = {}
-    cut = [name for name in formats if name in MESHES]
+    cut = [name for name in formats if format_of(name).is_mesh]
     with refused.of(*cut):
         quads = chosen_quads(grader, request, cut)
     rows: list[Forecast] = []
@@ -192,18 +199,13 @@ def _priced(grader: Grader, formats: tuple[str, ...], request: Request, refused:
     return rows
 
 
-def prepare_seconds(quads: Iterable[int]) -> float:
-    """Modelled seconds of an export before its first file; `quads`: the facet grids that are meshed."""
-    return costs.prepare_seconds(sorted(quads))
-
-
 def in_all(rows: Sequence[Forecast]) -> Span:
     """Seconds of a whole export on this machine, from the forecasts of its formats."""
     rates = Rates.here()
     quads = {row.quads for row in rows if row.quads is not None}
     return total(
         [
-            rates.span(costs.PREPARE, prepare_seconds(quads)),
+            rates.span(PREPARE, prepare_seconds(quads)),
             *(rates.span(r.task, r.modelled) for r in rows),
         ]
     )
@@ -233,7 +235,7 @@ def _produced(
         try:
             with translated(job.stage.folder):
                 one = job if row.quads is None else replace(job, tessellation=meshes.at(row.quads))
-                records += [_with_role(record, row) for record in WRITERS[name](one)]
+                records += [_with_role(record, row) for record in format_of(name).write(one)]
         except (ExportError, MemoryError, ValueError) as error:
             failures[name] = _failure(name, error)
             log.note("failure", format=name, sentence=str(error), details=getattr(error, "details", ""))

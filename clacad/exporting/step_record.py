@@ -30,8 +30,8 @@ TOLERANCE = 3e-7
 SECONDS = 3600.0
 
 
-def step_record(job: Job) -> FileRecord:
-    """Write the STEP file of a job, read it back and compare.
+def step_record(job: Job, word: str) -> FileRecord:
+    """Write the STEP file of a job, read it back and compare; `word`: its format in manifests.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def step_record(job: Job) -> FileRecord:
         "fit_error": _stated(written["fit_error"]), "rim_error": _stated(written["rim_error"]),
         **({} if job.window.uniform else {"own_cells": True}),
     }  # fmt: skip
-    return job.record(path, "step", facts=facts, checks=checks)
+    return job.record(path, word, facts=facts, checks=checks)
 
 
 def _stated(error: float) -> float | None:

@@ -11,7 +11,6 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.exporting.compare import Promise
-from clacad.exporting.format_names import REPEATING
 from clacad.formats.mesh.repeated_pieces import Piece, Places
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.need_window import need_equal_cells
@@ -122,13 +121,10 @@ class Meshes:
         """
         return sum(body.facets_about for body in self.at(quads).mesh.bodies)
 
-    def welded(self, quads: int, format: str) -> int:
-        """Facets an indexed format holds in memory: those of one cell where the format repeats cells."""
-        return self.at(quads).cell.facet_count if self.repeats(format) else self.facets(quads)
-
-    def repeats(self, format: str) -> bool:
-        """Whether a file of a format stores one cell and its positions."""
-        return format in REPEATING and not self._fused and instanceable(self.window)
+    @property
+    def repeatable(self) -> bool:
+        """Whether formats that repeat cells store one cell and its places."""
+        return not self._fused and instanceable(self.window)
 
 
 def _array(body: Body) -> int:

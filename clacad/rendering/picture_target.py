@@ -11,6 +11,7 @@ from clacad.design import Design
 from clacad.effects.engine.bounds import Situation
 from clacad.effects.engine.cheapest_rung import rms_angle
 from clacad.effects.engine.probe_rays import situation_of_scene
+from clacad.exporting.formats.indexed_meshes import THREEMF
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
 from clacad.scene import Scene
@@ -71,7 +72,7 @@ def within_target(scene: Scene, target: float) -> Scene:
 
 def _quads_within(design: Design, window: Window, target: float) -> int:
     """Coarsest quads a cell side whose facets keep directions within the target (radians), in the worst cell."""
-    facets = facets_for(design, worst_cell(window, design.check.field).buildable, target, ("3mf",))
+    facets = facets_for(design, worst_cell(window, design.check.field).buildable, target, (THREEMF,))
     assert facets is not None
     if facets.quads > MOST_QUADS:
         raise TargetOutOfReach(

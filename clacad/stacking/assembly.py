@@ -14,6 +14,8 @@ import numpy as np
 from clacad.base.types import Progress
 from clacad.base.units import MILLIMETRE, millimetres
 from clacad.exporting.compare import compare_mesh
+from clacad.exporting.formats.indexed_meshes import GLB
+from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.manifest import FileRecord
 from clacad.exporting.roles import Prospect, Role
 from clacad.exporting.step_record import SECONDS, compare_step
@@ -62,7 +64,7 @@ class StackAssembly:
         ------
         FileDisagrees, WorkerDied
         """
-        makers = {"step": self._step, "glb": self._glb}
+        makers = {STEP: self._step, GLB: self._glb}
         return [makers[name]() for name in formats]
 
     def _step(self) -> FileRecord:
@@ -91,7 +93,7 @@ class StackAssembly:
             "mode": "assembly", "schema": written["schema"], "solids": written["solids"], "faces": written["faces"],
             "sheets": [_told(sheet) for sheet in written["sheets"]], "float": "f64",
         }  # fmt: skip
-        return self._record(path, "step", "mm", facts, tuple(sorted(checks)), Prospect(Role.MASTER))
+        return self._record(path, STEP, "mm", facts, tuple(sorted(checks)), Prospect(Role.MASTER))
 
     def _glb(self) -> FileRecord:
         """Write the GLB file of facets, for viewing."""
@@ -126,7 +128,7 @@ class StackAssembly:
             "triangles_stored": sum(len(piece.triangles) for each in pieces.values() for piece in each),
         }  # fmt: skip
         return self._record(
-            path, "glb", "m", facts, ("closed", "shape", "volume"), Prospect(Role.PREVIEW, True)
+            path, GLB, "m", facts, ("closed", "shape", "volume"), Prospect(Role.PREVIEW, True)
         )
 
     @property

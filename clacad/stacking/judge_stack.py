@@ -11,6 +11,7 @@ import numpy as np
 from clacad.base.types import Floats, Progress
 from clacad.base.units import millimetres
 from clacad.exporting.compare import compare_mesh
+from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.optics.law import angle_between
@@ -24,7 +25,6 @@ from clacad.verification.check_kinds.file_light import STACK_LIGHT
 from clacad.verification.check_kinds.files import INTEGRITY, SHAPE, unreadable
 from clacad.verification.checks import Check
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_file import DIRECTION_LIMIT, judge_solid
 from clacad.verification.files.step_light import FACE_RAYS, OCC_RAYS, SECONDS
 from clacad.verification.limit_sources import default, other

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from clacad.base.machine_rates import Rates, Span, total
 from clacad.exporting.forecast import forecast
+from clacad.exporting.formats.format import Forecast
+from clacad.exporting.formats.indexed_meshes import GLB
 from clacad.exporting.limits import refuse_over_limits
-from clacad.exporting.price import Forecast
 from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
 from clacad.sheet.need_window import need_equal_cells
@@ -33,7 +34,7 @@ def rows_by_sheet(standing: Stack, asked: StackRequest) -> dict[str, list[Foreca
     wanted, seen = Request(formats=asked.formats, step=asked.step), set()
     found: dict[str, list[Forecast]] = {}
     for one in standing.sheets:
-        if "glb" in asked.formats:
+        if GLB in asked.formats:
             need_equal_cells(one.window, f"sheet {one.id} in GLB", "the stack's STEP holds it: --format step")
         found[one.id] = []
         if id(one.window) not in seen:

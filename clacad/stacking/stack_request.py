@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from clacad.base.types import Pair2
+from clacad.exporting.formats.indexed_meshes import GLB
+from clacad.exporting.formats.step import WORD as STEP
 from clacad.formats.step.step_mode import Mode
 
-FORMATS = ("step", "glb")
+FORMATS = (STEP, GLB)
 """File formats of a stack; both support assemblies."""
 
 QUADS = 8

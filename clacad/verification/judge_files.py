@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress
-from clacad.exporting.copied_table import FORMAT as TABLE
+from clacad.exporting.formats.table import CELL_TABLE
 from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
@@ -20,7 +20,7 @@ from clacad.verification.files.copied_table import table_check
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
 from clacad.verification.files.find_files import Delivery, Subject, integrity, same_design
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.map_file import format_of, judge_map
+from clacad.verification.files.map_file import judge_map, kind_of_map
 from clacad.verification.files.mesh_file import judge_mesh
 from clacad.verification.files.step_file import judge_solid, lies_elsewhere
 from clacad.verification.files.unit_and_cells import MISREAD, held_bodies, unit_of, written_window
@@ -88,7 +88,7 @@ def _judge_one(
     heard : hash that is updated with the bytes of a mesh as they are read
     """
     whole = prescribe(asked.design) if window is None else window
-    if subject.format == TABLE:
+    if subject.format == CELL_TABLE:
         return [table_check(asked.design, subject)], FileReport(
             subject, "the table of cells", role=Role.OTHER
         )
@@ -99,10 +99,10 @@ def _judge_one(
         return _judge_solids(asked, subject, window, whole)
     if subject.is_mesh:
         return _judge_triangles(asked, subject, window, heard)
-    format = format_of(subject)
-    if format is not None:
+    kind = kind_of_map(subject)
+    if kind is not None:
         asked.progress(f"reading {subject.name}", 0.0)
-        return judge_map(asked, whole, subject, format), FileReport(subject, "judged by the numbers in it")
+        return judge_map(asked, whole, subject, kind), FileReport(subject, "judged by the numbers in it")
     check = READABLE.not_run(
         f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
     )

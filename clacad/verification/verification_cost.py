@@ -6,17 +6,6 @@ from collections.abc import Sequence
 
 from clacad.verification.files.find_files import Subject
 
-BYTES_A_FACET = {
-    "stl-binary": 50.0,
-    "stl": 50.0,
-    "stl-ascii": 260.0,
-    "ply": 43.0,
-    "obj": 90.0,
-    "3mf": 10.0,
-    "glb": 25.0,
-}
-
-
 DESIGN, CONVERGENCE, MESH, SOLID, REPORT = 0.5, 2.0, 0.8, 3.0, 4.0
 """Seconds, each without the part that depends on size: a design, the convergence study, a mesh, a solid, a report."""
 
@@ -79,4 +68,4 @@ def _facets(subject: Subject) -> float:
         stated = subject.entry.get(key)
         if isinstance(stated, (int, float)) and stated > 0:
             return float(stated)
-    return subject.bytes / BYTES_A_FACET.get(subject.format, 50.0)
+    return subject.bytes / (50.0 if subject.kind is None else subject.kind.bytes_a_facet)

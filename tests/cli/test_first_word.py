@@ -12,9 +12,9 @@ from clacad.base.types import silent
 from clacad.cli import console
 from clacad.cli.console import Progress
 from clacad.design import Design
+from clacad.exporting.forecast import rough_span
 from clacad.exporting.request import Request
 from clacad.exporting.roles import Role
-from clacad.exporting.rough_seconds import rough_span
 from clacad.exporting.run import forecast_rows, in_all
 from clacad.verification.files.find_files import Subject, find_files, list_files
 from clacad.verification.run import verified

@@ -9,8 +9,8 @@ import pytest
 import clacad
 from clacad.exporting import limits
 from clacad.exporting.export_design import export
-from clacad.exporting.format_names import FORMATS
-from clacad.exporting.outlook import outlook
+from clacad.exporting.forecast import outlook
+from clacad.exporting.formats.registry import words
 from clacad.exporting.request import Request
 from clacad.exporting.roles import Role
 from clacad.exporting.run import forecast_rows
@@ -20,7 +20,7 @@ from clacad.verification import verify
 DESIGNS = Path(__file__).parents[2] / "designs"
 OF_EVERY_DESIGN = tuple(
     name
-    for name in FORMATS
+    for name in words()
     if not (name.startswith("marked") or name in ("baffle", "frame", "pins", "coupon", "optiland"))
 )
 """Formats that every design has, without a border, honeycomb or fixture, or another program."""

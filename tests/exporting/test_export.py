@@ -375,13 +375,6 @@ def test_an_unknown_format_is_named(tmp_path: Path, formats: tuple[str, ...]) ->
     assert caught.value.exit_status == 2
 
 
-def test_every_format_that_is_named_has_a_writer() -> None:
-    from clacad.exporting.format_names import FORMATS
-    from clacad.exporting.format_table import WRITERS
-
-    assert tuple(WRITERS) == FORMATS
-
-
 # -- a file that is not the design is caught ---------------------------------------------------------
 
 

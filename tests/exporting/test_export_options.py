@@ -245,6 +245,7 @@ def test_the_command_line_and_the_function_ask_for_what_is_declared() -> None:
 
     from typer.main import get_command
 
+    from clacad.exporting.formats.registry import words
     from clacad.exporting.request import DEFAULTS, OPTIONS
 
     function = signature(export).parameters
@@ -256,7 +257,7 @@ def test_the_command_line_and_the_function_ask_for_what_is_declared() -> None:
         assert function[name].default == (default or None if name in ("quads", "role") else default), name
         shown = typed[name]
         assert "/".join([*shown.opts, *shown.secondary_opts]) == option.flag
-        assert shown.help == option.help
+        assert shown.help == option.help.replace("{formats}", ", ".join(words()))
         if shown.default is not None:
             assert shown.default == (",".join(default) if name == "formats" else default)
     assert set(typed) - set(OPTIONS) == {

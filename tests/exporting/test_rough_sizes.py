@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 import clacad
-from clacad.exporting.forecast import forecast
-from clacad.exporting.outlook import outlook
+from clacad.exporting.forecast import forecast, outlook
 from clacad.exporting.rough_sizes import RoughSheet
 from clacad.exporting.tessellations import Meshes
 from clacad.prescription.prescribe import prescribe
@@ -84,7 +83,7 @@ def test_a_check_loads_no_mesher_no_solids_and_no_writer() -> None:
     ids=["steered", "aimed"],
 )
 def test_the_step_file_of_a_round_slab_with_displaced_arrays_is_forecast(aperture) -> None:
-    from clacad.exporting.file_sizes import step_bytes
+    from clacad.exporting.formats.step import step_bytes
     from clacad.formats.step.step_files import step_text_length
 
     design = clacad.load(ROOT / "designs" / "window-100mm.toml").replace(

@@ -13,7 +13,7 @@ import pytest
 from brepwindows import SWEEPS, biconvex, column_volume, one_body
 
 import clacad
-from clacad.exporting.file_sizes import step_bytes
+from clacad.exporting.formats.step import step_bytes
 from clacad.formats.step.step_files import read_step, step_text_length, write_step
 from clacad.formats.step.text_health import scan_step
 from clacad.sheet.lattice import Circle, Rectangle

@@ -20,10 +20,10 @@ from trust.spoiling import glb
 
 from clacad.base.reading_budgets import BUDGETS
 from clacad.exporting.export_design import export
+from clacad.exporting.formats.registry import kind_of
 from clacad.formats.mesh.readers import read_mesh
 from clacad.storage.errors import OverBudget, UnreadableFile
 from clacad.verification import verify
-from clacad.verification.files.map_file import SUFFIXES
 
 MAPS = ("sag", "tiff", "png", "xyz", "table", "mask", "gds")
 READERS = {"tiny.stl": "stl", "ascii.stl": "stl-ascii", "tiny.3mf": "3mf", "tiny.ply": "ply", "ascii.ply": "ply-ascii",
@@ -95,8 +95,8 @@ def test_a_mesh_file_over_its_readers_budget_is_refused_by_what_it_takes(
 
 
 def of_format(folder: Path, format: str) -> Path:
-    end = next(end for end, word in SUFFIXES.items() if word == format)
-    return next(path for path in sorted(folder.iterdir()) if path.name.endswith(end))
+    kind = kind_of(format)
+    return next(path for path in sorted(folder.iterdir()) if path.name.endswith(kind.ends))
 
 
 @pytest.mark.parametrize("format", OF_MAPS)
@@ -256,7 +256,7 @@ def test_a_solid_that_takes_too_much_fails_readable_with_the_reason(
 def test_a_workers_limits_grow_with_the_file_and_end_at_what_is_free(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from clacad.verification.files import reading_worker as home
+    from clacad.exporting import reading_worker as home
 
     path = tmp_path / "x.step"
     kept = []

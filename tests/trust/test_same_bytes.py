@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from trust.running import environment
 
-from clacad.exporting.format_names import FORMATS
+from clacad.exporting.formats.registry import words
 
 WRITTEN = tuple(
-    name for name in FORMATS if name != "pins" and (name != "optiland" or find_spec("optiland") is not None)
+    name for name in words() if name != "pins" and (name != "optiland" or find_spec("optiland") is not None)
 )
 """Formats that this installation writes of one design: optiland is an extra that the tests do not bring, and a frame holds no
 plates with pins (those: tests/exporting/test_fixture.py)."""

@@ -12,6 +12,7 @@ from trust.running import clacad as clacad_command
 import clacad
 from clacad.cli import main
 from clacad.cli.accuracy_command import accuracy_text
+from clacad.exporting.formats.storing import Holding
 from clacad.mesh import tessellate
 from clacad.sheet.bundle import bundle
 from clacad.sheet.window import lens_height_and_normal
@@ -20,7 +21,7 @@ from clacad.verification.accuracy.accuracy_plot import plot_svg
 from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable, TargetOutOfReach, accuracy
 from clacad.verification.accuracy.extended_precision import direction_errors
 from clacad.verification.accuracy.file_floors import FAMILIES, Floor, family_floor, probe
-from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
+from clacad.verification.accuracy.file_rounding import EXACT, rounded
 from clacad.verification.accuracy.measure_rungs import TracedRays
 from clacad.verification.accuracy.step_rung import _compared, step_row
 
@@ -100,10 +101,10 @@ def test_no_row_beats_a_row_of_the_front_in_both(table):
 
 @pytest.mark.slow
 def test_every_export_format_has_its_floor(table):
-    from clacad.exporting.format_names import FORMATS
+    from clacad.exporting.formats.registry import words
 
     named = [name for floor in table.floors for name in floor.formats.split(", ")]
-    assert set(named) == set(FORMATS)
+    assert set(named) == set(words())
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import Span
 from clacad.base.text import plain
-from clacad.exporting.format_names import OF_ANY_CELLS
+from clacad.exporting.formats.registry import format_of, formats
 from clacad.exporting.limits import MOST_BYTES, size_text
 from clacad.storage.errors import ExportError
 from clacad.verification.accuracy.choose_setting import MOST_QUADS, SAFE
@@ -22,9 +22,6 @@ from clacad.verification.accuracy.file_floors import Floor
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.window import Window
-
-WHOLE = ("stl", "3mf", "ply", "glb")
-"""Mesh formats of the whole sheet as one file."""
 
 STEP_ERROR = 1e-11
 """Upper limit of the error of a STEP file's faces (radians): its numbers have 16 digits (see `step_rung`)."""
@@ -102,19 +99,22 @@ def files_within(design: Design, window: Window, floors: Sequence[Floor], target
     return sorted(found, key=lambda one: (one.bytes, one.error))
 
 
+def whole_meshes() -> tuple[str, ...]:
+    """Mesh formats of the whole sheet as one file."""
+    return tuple(one.word for one in formats() if one.chosen_by_error and one.whole_sheet)
+
+
 def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: float) -> list[FileWithin]:
     """Meshes with the coarsest facets within the target that are also within the size limits."""
     from clacad.exporting.quads_and_roles import Sizes
     from clacad.exporting.tessellations import Meshes
 
-    if not window.uniform and not set(WHOLE) & set(OF_ANY_CELLS):
-        return []
     sizes, found = Sizes(Meshes(window)), []
     for floor in floors:
         quads = floor.quads_for(SAFE * target) if floor.normals == "facet" else None
-        for name in WHOLE:
+        for name in whole_meshes():
             if (
-                (window.uniform or name in OF_ANY_CELLS)
+                format_of(name).holds(window)
                 and name in floor.formats.split(", ")
                 and quads is not None
                 and quads <= MOST_QUADS
@@ -127,25 +127,25 @@ def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: flo
 
 def _step(design: Design, window: Window, target: float) -> list[FileWithin]:
     """The STEP file, where the bodies can be solids and its size is allowed."""
-    from clacad.exporting.file_sizes import step_bytes
+    from clacad.exporting.formats import step
     from clacad.formats.step.step_mode import chosen_mode
     from clacad.topology.cannot_build import CannotBuild
 
     if target < STEP_ERROR:
         return []
     try:
-        size = step_bytes(window, chosen_mode(window, "auto"))
+        size = step.step_bytes(window, chosen_mode(window, "auto"))
     except (CannotBuild, ExportError):
         return []
     return (
         []
         if size > MOST_BYTES
-        else [FileWithin("step", None, STEP_ERROR, size, _seconds(design, "step", None))]
+        else [FileWithin(step.WORD, None, STEP_ERROR, size, _seconds(design, step.WORD, None))]
     )
 
 
 def _seconds(design: Design, format: str, quads: int | None) -> Span:
+    from clacad.exporting.forecast import rough_span
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_seconds import rough_span
 
     return rough_span(design, Request((format,), quads={} if quads is None else {format: quads}))

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
+from clacad.exporting.formats.registry import format_of
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.error_and_seconds import TargetOutOfReach
@@ -37,7 +38,6 @@ TRACED = 160
 SAFE = 0.95
 """Part of the target that is used as the limit: other bundles of rays have errors a few per cent larger."""
 
-FACETED = ("stl", "stl-parts", "3mf", "ply", "glb")
 Normals = Literal["facet", "vertex"]
 
 
@@ -90,7 +90,7 @@ def facets_for(
     TargetOutOfReach
         The target is below a format's floor, or needs too fine a mesh; the message names the floor and an alternative.
     """
-    asked = tuple(name for name in formats if name in FACETED)
+    asked = tuple(name for name in formats if format_of(name).chosen_by_error)
     if not asked:
         return None
     seen = _probe(design, window)
@@ -198,7 +198,8 @@ def _below(
 
 
 def _other_ways(target: float, seen: Probe, smooth: dict[str, float]) -> str:
-    by_normals = _floor(seen, "ply", "vertex", smooth).quads_for(target)
+    vertex = next(family for family in FAMILIES if family.normals == "vertex")
+    by_normals = family_floor(seen, vertex, smooth, confirm=False).quads_for(target)
     step = "use step, whose faces are exact"
     if by_normals is None or by_normals > MOST_QUADS:
         return step

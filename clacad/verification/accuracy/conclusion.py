@@ -54,13 +54,14 @@ def _mesh(rows: Sequence[AccuracyRow]) -> str:
 
 
 def _files(rows: Sequence[AccuracyRow], floors: Sequence[Floor]) -> str:
+    from clacad.exporting.formats import stl
     from clacad.exporting.limits import size_text
 
     step = _row(rows, "step")
     faceted = [
         one
         for one in floors
-        if one.normals == "facet" and one.floor is not None and "stl" in one.formats.split(", ")
+        if one.normals == "facet" and one.floor is not None and stl.WORD in one.formats.split(", ")
     ]
     parts = []
     if step is not None and isfinite(step.model_rms):

@@ -15,13 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.exporting.formats.registry import formats
+from clacad.exporting.formats.storing import WAYS, Holding, Storing
 from clacad.light.compare import rms_between
 from clacad.mesh import Mesh
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Window
-from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
+from clacad.verification.accuracy.file_rounding import EXACT, rounded
 
 RAYS = 4096
 SMALL = 64
@@ -41,7 +43,7 @@ class Family:
     Parameters
     ----------
     formats : str
-        Words for `--format`.
+        Words for `--format`; those for which it is the first way come first.
     holding : Holding or None
         None: the surfaces themselves, or nothing optical.
     normals : "facet", "vertex" or ""
@@ -55,24 +57,12 @@ class Family:
     note: str = ""
 
 
-FAMILIES = (
-    Family("stl, stl-parts", Holding("sheet"), "facet", "float32 in sheet coordinates"),
-    Family("glb", Holding("cell"), "facet", "float32 in the coordinates of one cell"),
-    Family("3mf, ply", Holding(kind="f64"), "facet", "double precision, heights in the mesher's steps"),
-    Family("ply", Holding(kind="f64"), "vertex", "double precision, normals exact"),
-    Family("glb", Holding("cell"), "vertex", "normals in float32"),
-    Family("tiff", Holding("face"), "facet", "heights above the face's plane, float32"),
-    Family("png, tiff", Holding("face", "levels"), "facet", "heights in 16 bits"),
-    Family("gds", Holding("face", "levels", 64), "facet", "heights in 64 layers"),
-    Family("marked-stl, marked-3mf", None, "", "as stl and 3mf: the lenses are the same facets"),
-    Family("step, brep, coupon, marked", None, "", "exact faces; see row step"),
-    Family(
-        "zmx, optiland", None, "", "one telescopelet; optiland: faces of two radii within 1e-13 rad of slope"
-    ),
-    Family("table, pov", None, "", "the surfaces' own numbers; see row surfaces"),
-    Family("sag, xyz", None, "", "exact heights and slopes at points; the reader interpolates"),
-    Family("mask, baffle, frame, pins, drawing", None, "", "no refracting surface"),
-)
+def _family(way: Storing) -> Family:
+    users = sorted((one for one in formats() if way in one.stored), key=lambda one: one.stored.index(way))
+    return Family(", ".join(one.word for one in users), way.holding, way.normals, way.note)
+
+
+FAMILIES = tuple(map(_family, dict.fromkeys([*WAYS, *(way for one in formats() for way in one.stored)])))
 
 
 @dataclass(frozen=True, slots=True)

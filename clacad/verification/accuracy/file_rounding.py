@@ -9,13 +9,14 @@ face's own plane, as float32 or in 16 bits.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
+from clacad.exporting.formats.storing import Holding
 from clacad.mesh import Mesh
 from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.prototile import Prototile
@@ -26,25 +27,6 @@ FINER = 1 << 20
 
 KNOWN = 1 << 59
 """Levels of at least this magnitude represent a missing face."""
-
-
-@dataclass(frozen=True, slots=True)
-class Holding:
-    """How a family of formats stores a vertex.
-
-    Parameters
-    ----------
-    origin : "sheet", "cell" or "face"
-        Origin of coordinates; "face": heights alone, from the face's reference plane.
-    kind : "exact", "f64", "f32" or "levels"
-        "exact" undoes the mesher's steps: vertices on the surfaces, as a reference.
-    levels : int
-        Steps of a height map over the range of a face's heights.
-    """
-
-    origin: str = "sheet"
-    kind: str = "f32"
-    levels: int = 65534
 
 
 EXACT = Holding(kind="exact")

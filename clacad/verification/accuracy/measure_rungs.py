@@ -218,11 +218,12 @@ def _surface_bytes(window: Window) -> int:
 
 def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     """Facets of one tessellation: facet and exact vertex normals, vertices in float64 and float32."""
+    from clacad.exporting.formats.storing import Holding
     from clacad.formats.mesh.stl import stl_bytes
     from clacad.mesh import tessellate
     from clacad.sheet.representative_cells import representative_cells
     from clacad.tracing.trace import trace
-    from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
+    from clacad.verification.accuracy.file_rounding import EXACT, rounded
 
     window, rays = ladder.window, ladder.rays
     began = time.process_time()

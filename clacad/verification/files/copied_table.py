@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.design.cell_table import digest
-from clacad.exporting.copied_table import FORMAT
+from clacad.exporting.formats.table import CELL_TABLE
 from clacad.verification.check_kinds.files import TABLE
 from clacad.verification.checks import Check
 
@@ -23,7 +23,7 @@ def with_copied_table(design: Design, delivery: Delivery | None) -> Design:
     if table is None or delivery is None:
         return design
     for subject in delivery.subjects:
-        same_name = subject.format == FORMAT and subject.name == table.file
+        same_name = subject.format == CELL_TABLE and subject.name == table.file
         if same_name and subject.path.is_file() and digest(str(subject.path)) == table.sha256:
             beside = subject.path.parent / (Path(design.path).name or "design.toml")
             return replace(design, path=os.fspath(beside))

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.exporting.roles import NOT_OPTICAL, Role
+from clacad.exporting.formats.registry import formats, without_optics
+from clacad.exporting.roles import Role
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
@@ -21,26 +22,10 @@ from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError
 from clacad.verification.check_kinds.files import BODIES, CLOSED, DELIVERY, READABLE, VOLUME, unreadable
 from clacad.verification.checks import Check
-from clacad.verification.files.find_files import SUFFIXES, Subject
-from clacad.verification.files.map_file import format_of
+from clacad.verification.files.find_files import Subject, part_kind
+from clacad.verification.files.map_file import kind_of_map
 from clacad.verification.files.unit_and_cells import FACTORS, SAME_EXTENT
 from clacad.verification.limit_sources import derived
-
-FIXTURES = frozenset(
-    {
-        "baffle",
-        "baffle1",
-        "baffle2",
-        "spacer",
-        "spacer1",
-        "spacer2",
-        "retainer1",
-        "retainer2",
-        "pins",
-        "coupon",
-    }
-)
-"""Names of the parts that an export writes in addition to the optics."""
 
 SAME_VOLUME = 1e-6
 """Relative difference of volume up to which a non-optical part has the volume its manifest states."""
@@ -60,19 +45,24 @@ class Reason:
     withheld: str = ""
 
 
+def fixture_names() -> frozenset[str]:
+    """Names of the parts that an export writes in addition to the optics."""
+    return frozenset(name for one in formats() for name in one.bodies)
+
+
 def no_optics(window: Window, subject: Subject) -> Reason | None:
     """Reason why a file of a manifest has no optics; None for a file with optics."""
     names, named = {body.name for body in window.bodies}, set(subject.bodies)
-    if subject.format in NOT_OPTICAL and not (subject.is_mesh or subject.path.suffix.lower() in SUFFIXES):
+    if without_optics(subject.format) and not (subject.is_mesh or part_kind(subject.path)):
         return Reason("no part of the optics: judged by its bytes")
-    if not (subject.is_mesh or subject.is_solid or format_of(subject) is not None):
+    if not (subject.is_mesh or subject.is_solid or kind_of_map(subject) is not None):
         return Reason(
             "not judged",
             f"the manifest calls it {subject.format!r}, which is no format of an export: nothing of it was judged",
         )
     if subject.role is not Role.OTHER and (not named or named & names):
         return None
-    if named & names or not named <= FIXTURES:
+    if named & names or not named <= fixture_names():
         listed = ", ".join(sorted(named))
         return Reason(
             "not judged",
@@ -144,7 +134,7 @@ def judge_other(subject: Subject, reason: Reason) -> list[Check]:
 
 def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
     """Checks of a non-optical file: readable, closed, of the stated volume."""
-    if subject.is_solid and subject.format != "brep":
+    if subject.is_solid and subject.kind is not None and subject.kind.text_budget:
         from clacad.formats.step.text_health import scan_step
 
         scan = scan_step(subject.path)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.exporting.roles import NOT_OPTICAL, WORDS, Role
+from clacad.exporting.formats.registry import kind_ending, kind_of, kinds, without_optics
+from clacad.exporting.roles import WORDS, Role
 from clacad.storage.atomic import MANIFEST, file_hash, read_manifest
 from clacad.storage.errors import BadRequest
 from clacad.storage.overheard import Overheard
@@ -17,14 +18,7 @@ from clacad.verification.files.stranger_words import believable, is_there, shown
 
 if TYPE_CHECKING:
     from clacad.design import Design
-
-MESH_FORMATS = ("stl-binary", "stl-ascii", "stl", "3mf", "ply", "glb", "obj")
-SOLID_FORMATS = ("step", "brep")
-SUFFIXES: Mapping[str, str] = {
-    ".stl": "stl", ".3mf": "3mf", ".ply": "ply", ".glb": "glb", ".obj": "obj", ".step": "step", ".stp": "step",
-    ".brep": "brep",
-}  # fmt: skip
-
+    from clacad.exporting.formats.file_kind import FileKind
 
 AGAIN = " (listed again)"
 
@@ -62,6 +56,11 @@ class Subject:
     declared: bool = False
 
     @property
+    def kind(self) -> FileKind | None:
+        """Kind of the file; None for an unknown format."""
+        return kind_of(self.format)
+
+    @property
     def bodies(self) -> tuple[str, ...]:
         """Names of the bodies in the manifest entry; a body with its name engraved counts as that body."""
         listed = self.entry.get("bodies")
@@ -71,12 +70,12 @@ class Subject:
     @property
     def is_mesh(self) -> bool:
         """Whether the file holds triangles."""
-        return self.format in MESH_FORMATS
+        return self.kind is not None and self.kind.family == "mesh"
 
     @property
     def is_solid(self) -> bool:
         """Whether the file holds exact solids."""
-        return self.format in SOLID_FORMATS or self.format.startswith("step")
+        return self.kind is not None and self.kind.family == "solid"
 
     @property
     def missing(self) -> bool:
@@ -184,15 +183,28 @@ def _with_role(subject: Subject, roles: Roles) -> Subject:
     return replace(subject, role=role, declared=True)
 
 
+def part_kind(path: Path) -> FileKind | None:
+    """Kind of a file of triangles or solids, by its suffix; None for every other file."""
+    kind = kind_ending(path.suffix)
+    return kind if kind is not None and kind.family in ("mesh", "solid") else None
+
+
+def _part_suffixes() -> list[str]:
+    """Suffixes of meshes, then of solids."""
+    return [
+        end for family in ("mesh", "solid") for kind in kinds() if kind.family == family for end in kind.ends
+    ]
+
+
 def _found(place: Path) -> Delivery:
     """Files at a path, with the roles of their manifest."""
     if place.is_dir():
         manifest = read_manifest(place)
         if manifest is None:
-            known = sorted(p for p in place.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+            known = sorted(p for p in place.iterdir() if part_kind(p) is not None and p.is_file())
             if not known:
                 raise FileNotFoundError(
-                    f"{place}: no {MANIFEST} and no file of a known format ({', '.join(SUFFIXES)})"
+                    f"{place}: no {MANIFEST} and no file of a known format ({', '.join(_part_suffixes())})"
                 )
             return Delivery(tuple(_bare(path) for path in known), None)
         return Delivery(tuple(_all_listed(place, manifest["files"])), manifest)
@@ -234,7 +246,7 @@ def _listed(folder: Path, told: Any) -> Subject:
     format = shown_name(format) if isinstance(format, str) else ""
     role = next((one for one in Role if one.value == entry.get("role")), None)
     if role is None or role is Role.SCAN:  # no export writes scans; files of old versions have no role
-        role = Role.OTHER if format in NOT_OPTICAL else Role.MASTER
+        role = Role.OTHER if without_optics(format) else Role.MASTER
     return Subject(
         path, shown_name(path.name if known else name) or "(no name)", format, entry,
         path.stat().st_size if known else 0, "", role,
@@ -246,7 +258,7 @@ def _bare(path: Path) -> Subject:
     return Subject(
         path,
         shown_name(path.name),
-        SUFFIXES.get(path.suffix.lower(), "unknown"),
+        "unknown" if (kind := part_kind(path)) is None else kind.word,
         {},
         path.stat().st_size,
     )

@@ -11,6 +11,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.optics.surface import Quadric
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.vignetting import focal_ratio
@@ -31,7 +32,6 @@ from clacad.verification.checks import Check
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import light_checks
 from clacad.verification.files.mesh_shape import volume_of
-from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, light_of_cells
 from clacad.verification.limit_sources import LimitSource, default, other
 

@@ -34,9 +34,6 @@ FACTORS: tuple[tuple[str, float], ...] = (
 )
 """Candidate units, in metres, of a file without a manifest whose format defines no unit."""
 
-STATED = ("3mf", "glb", "step")
-"""Formats whose unit every reader interprets alike."""
-
 SAME_EXTENT = 0.02
 """Relative difference up to which two extents are the same."""
 

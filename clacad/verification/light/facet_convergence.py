@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Progress
+from clacad.exporting.formats.registry import formats
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import size_text
 from clacad.exporting.quads_and_roles import Needed, masters
@@ -32,7 +33,14 @@ if TYPE_CHECKING:
 QUADS = (4, 8, 16, 32)
 RAYS = 65536
 FIT_FIELD = 0.35
-FORMATS = ("3mf", "glb", "stl", "ply")
+
+
+def _mesh_formats() -> list[str]:
+    """Mesh formats of the whole sheet: those that repeat cells, then streams, then the others."""
+    whole = [one for one in formats() if one.chosen_by_error and one.whole_sheet]
+    return [one.word for one in sorted(whole, key=lambda one: (not one.repeats, one.family != "stream"))]
+
+
 """Mesh formats for which the size of a master file is reported."""
 ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
 """Allowed orders: the direction error is first order in the facet size; the mean slope, and so eta, is second order."""
@@ -91,7 +99,7 @@ def converge(
     grader = Grader.of(Meshes(window), design)
     return Convergence(
         np.array(quads), np.array(errors), np.array(etas), slopes[0], slopes[1],
-        masters(grader, FORMATS), grader.limits.rms,
+        masters(grader, _mesh_formats()), grader.limits.rms,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Progress
+from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.sheet.volume_and_extent import whole_extent
@@ -340,7 +341,7 @@ def _shape_limit(
 ) -> tuple[float, LimitSource]:
     """Allowed deviation of faces (length): unavoidable error of their facets, and rounding to `step` (length)."""
     pitch = max(placed.window.lattice.pitch)
-    if placed.mesh.format == "step":  # corners of its facets lie on its faces, to float32
+    if placed.mesh.format == STEP:  # corners of its facets lie on its faces, to float32
         reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
         return ON_FACES * pitch + 2.0**-22 * reach, other("corners on exact faces")
     limit = design.check.shape * own_sag_error(gathered) + 1e-6 * pitch + 0.6 * step

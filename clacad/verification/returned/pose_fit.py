@@ -12,6 +12,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.exporting.formats.registry import kind_of
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
@@ -22,7 +23,6 @@ from clacad.verification.files.find_files import Subject
 from clacad.verification.files.unit_and_cells import (
     FACTORS,
     SAME_EXTENT,
-    STATED,
     CannotRegister,
     fitting_window,
     held_bodies,
@@ -188,9 +188,15 @@ def all_trials(
             )  # fmt: skip
 
 
+def _states_unit(mesh: FileMesh) -> bool:
+    """Whether every reader interprets the unit of a mesh file alike."""
+    kind = kind_of(mesh.format)
+    return kind is not None and kind.states_unit
+
+
 def units_of(mesh: FileMesh) -> list[tuple[str, float]]:
     """Names and metres of the candidate units of a file."""
-    return [("its own unit", mesh.unit)] if mesh.unit is not None and mesh.format in STATED else list(FACTORS)
+    return [("its own unit", mesh.unit)] if mesh.unit is not None and _states_unit(mesh) else list(FACTORS)
 
 
 def _fits(
@@ -240,7 +246,7 @@ def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, ex
     want = " x ".join(
         f"{v * millimetres(design.unit_m):.4g}" for v in (x1 - x0, y1 - y0, np.subtract(*whole.z_range[::-1]))
     )
-    if mesh.unit is not None and mesh.format in STATED:
+    if mesh.unit is not None and _states_unit(mesh):
         return f"{subject.name} measures {size} in units of {mesh.unit:g} m and the design {want} mm, whichever way it is turned"
     tried = ", ".join(name for name, _ in FACTORS)
     return (

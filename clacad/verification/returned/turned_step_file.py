@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.units import MILLIMETRE, millimetres
+from clacad.exporting.formats.step import WORD as STEP
+from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.window import Window
@@ -30,7 +32,6 @@ from clacad.verification.checks import Check, State
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_light import MeshEvidence
-from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_file import hole_words, judge_solid
 from clacad.verification.limit_sources import other
 from clacad.verification.returned.judge_part import judge_returned
@@ -105,7 +106,7 @@ def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float
             "clacad.formats.step.step_triangles:facets", str(subject.path), str(target), deflection, timeout=longest_wait(subject.path),
             progress=asked.progress,
         )  # fmt: skip
-    return replace(read_mesh(target), format="step", unit=MILLIMETRE)
+    return replace(read_mesh(target), format=STEP, unit=MILLIMETRE)
 
 
 def _deflection(window: Window, facts: Mapping[str, Any]) -> float:

@@ -10,7 +10,7 @@ from trust.attacks.odd_values import BASES, VALUES, Tally, answered, attack, cas
 
 from clacad.design import Design
 from clacad.design.keys import ROOT, SECTIONS
-from clacad.exporting.outlook import outlook
+from clacad.exporting.forecast import outlook
 from clacad.prescription.prescribe import prescribe
 
 

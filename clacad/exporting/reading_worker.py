@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from clacad.exporting.formats.registry import kind_ending, kinds
 from clacad.exporting.limits import worker_memory
 from clacad.formats.step.read_back import OCC_BYTES
 from clacad.storage.spending import Spending
@@ -39,5 +40,8 @@ def longest_wait(path: Path) -> float:
 def _spending(path: Path) -> tuple[Spending, int]:
     """Budget of a file (a separate one where only its text is read), and its size in bytes."""
     size = path.stat().st_size
-    reader = {".brep": "brep", ".gds": "gds"}.get(path.suffix.lower(), "step")
-    return Spending("step-text" if reader == "step" and size > OCC_BYTES else reader, path, size), size
+    kind = kind_ending(path.suffix)
+    if kind is None or not kind.native:
+        kind = next(one for one in kinds() if one.text_budget)
+    by_text = kind.text_budget and size > OCC_BYTES
+    return Spending(kind.text_budget if by_text else kind.word, path, size), size

@@ -1,0 +1,224 @@
+"""A file format: its word, its family, the sheets that it holds, its cost, its requirements, its writer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from clacad.exporting.formats.storing import NO_SURFACE, Storing
+from clacad.exporting.roles import Role
+
+if TYPE_CHECKING:
+    from clacad.exporting.job import Job
+    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.request import Request
+    from clacad.exporting.roles import Prospect
+    from clacad.exporting.rough_sizes import RoughSheet
+    from clacad.exporting.tessellations import Meshes
+    from clacad.sheet.window import Window
+    from clacad.storage.worker import Worker
+
+BASE = 0.02
+"""Seconds to open, hash and read back a very small file, on the reference machine.
+
+The cost constants of all formats hold for one x86-64 server core; `clacad.base.machine_rates` scales them to
+other machines.
+"""
+
+STREAM_MEMORY = (80_000_000, 400_000_000)
+"""Memory (bytes) of writing a file as a stream."""
+
+Family = Literal["exact", "stream", "welded", "map", "part", "prescription", "drawing"]
+"""Exact solids; facets as a stream; facets of shared vertices; heights, points, tables, masks and scenes; parts modelled
+one by one; one telescopelet for lens-design programs; sheets of paper.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """Price of one format.
+
+    Parameters
+    ----------
+    format : str
+    bytes : int
+    exact : bool
+        Whether `bytes` is exact; otherwise within 20 %.
+    facets : int or None
+        Facets of the sheet; every instance is counted.
+    quads : int or None
+    modelled : float
+        Processor seconds on the reference machine.
+    memory : (low, high) bytes
+    seconds : (low, high)
+        Processor seconds on this machine.
+    stored : int or None
+        Facets that the file stores; fewer than `facets` where it repeats a cell.
+    places : int
+        Bytes of the positions of the repeated cells.
+    prospect : Prospect or None
+        The file's role and the light through it.
+    note : str
+        Reason why this file costs more than that of a uniform sheet; "" if it does not.
+    """
+
+    format: str
+    bytes: int
+    exact: bool
+    facets: int | None
+    quads: int | None
+    modelled: float
+    memory: tuple[int, int]
+    seconds: tuple[float, float] = (0.0, 0.0)
+    stored: int | None = None
+    places: int = 0
+    prospect: Prospect | None = None
+    note: str = ""
+
+    @property
+    def task(self) -> str:
+        """Name under which the seconds of this format are recorded."""
+        return f"export {self.format}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        plain: dict[str, Any] = {
+            "format": self.format, "bytes": self.bytes, "exact": self.exact, "facets": self.facets,
+            "quads": self.quads, "seconds": list(self.seconds), "memory": list(self.memory),
+        }  # fmt: skip
+        if self.facets is not None:
+            plain["stored"] = self.facets if self.stored is None else self.stored
+        if self.prospect is not None:
+            plain |= self.prospect.entry()
+            plain |= {"law_rms_limit": self.prospect.limit} if self.quads is not None else {}
+        return plain | ({"note": self.note} if self.note else {})
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenMesh:
+    """A mesh file of an export with default options.
+
+    quads : int, a cell side
+    facets, bytes : int
+        Approximate number of stored facets and size.
+    """
+
+    quads: int
+    facets: int
+    bytes: int
+
+
+def _anything(_window: Window, _asked: Request, _worker: Worker) -> None:
+    """Require nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Format:
+    """Properties of a format.
+
+    Attributes
+    ----------
+    word : str
+        Name in requests, messages and manifests of options.
+    family : str
+        See `Family`.
+    about : str
+        Contents of the files, in one line.
+    write : callable
+        `write(job)` writes into the private folder, reads back, compares and describes the files.
+    forecast : callable
+        `forecast(meshes, quads, request)` → `Forecast`; `quads` is unused by formats without facets.
+    rough_seconds : callable
+        `rough_seconds(sheet, quads, request)`: processor seconds on the reference machine, from the design's numbers.
+    require : callable
+        `require(window, request, worker)` refuses designs and machines for which the format is impossible.
+    refuse_places : callable or None
+        `refuse_places(window, request)` refuses more repeated cells than the reader of the format takes.
+    at_a_glance : callable or None
+        `at_a_glance(window, sheet, chosen)` → `Forecast` for `check`, of a format that designs are commonly exported in;
+        `chosen` is the mesh that an export would write, None without a design.
+    optical : bool
+        Whether the light of the law goes through a part made from its files.
+    any_cells : bool
+        Whether it holds non-uniform sheets.
+    turned_arrays, many_sizes : bool
+        Whether these may have a rotated array, and lenses of many sizes.
+    repeats : bool
+        Whether it stores one cell and its places if the sheet is `tessellations.instanceable`.
+    fusable : bool
+        Whether the option `fused` applies.
+    whole_sheet : bool
+        Whether one file holds all bodies.
+    kernel : bool
+        Whether OCC reads every file back, so that it is loaded early.
+    smaller : str
+        Options that make its files smaller; "": fewer quads or cells.
+    stored : tuple of Storing
+        Ways in which the faces are stored, of which a reader may choose.
+    bodies : tuple of str
+        Names of the parts that it writes in addition to the optics.
+    """
+
+    word: str
+    family: Family
+    about: str
+    write: Callable[[Job], list[FileRecord]]
+    forecast: Callable[[Meshes, int, Request], Forecast]
+    rough_seconds: Callable[[RoughSheet, int, Request], float]
+    require: Callable[[Window, Request, Worker], None] = _anything
+    refuse_places: Callable[[Window, Request], None] | None = None
+    at_a_glance: Callable[[Window, RoughSheet, ChosenMesh | None], Forecast] | None = None
+    optical: bool = True
+    any_cells: bool = True
+    turned_arrays: bool = True
+    many_sizes: bool = True
+    repeats: bool = False
+    fusable: bool = False
+    whole_sheet: bool = True
+    kernel: bool = False
+    smaller: str = ""
+    stored: tuple[Storing, ...] = (NO_SURFACE,)
+    bodies: tuple[str, ...] = ()
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether the files consist of facets, so that their role depends on the facet grid."""
+        return self.family in ("stream", "welded")
+
+    @property
+    def chosen_by_error(self) -> bool:
+        """Whether the facet grid can be chosen by the error that the facets leave."""
+        return self.is_mesh and any(way.holding is not None for way in self.stored)
+
+    @property
+    def role(self) -> Role:
+        """Role of files with exact faces, heights or poses, or without optics; that of facets depends on their grid."""
+        return Role.MASTER if self.optical else Role.OTHER
+
+    def repeats_cells(self, meshes: Meshes) -> bool:
+        """Whether a file of these meshes stores one cell and its places."""
+        return self.repeats and meshes.repeatable
+
+    def holds(self, window: Window) -> bool:
+        """Whether a file can hold the cells of a sheet."""
+        if window.uniform:
+            return True
+        turned = any(place.turn for place in window.placements)
+        return (
+            self.any_cells
+            and (self.turned_arrays or not turned)
+            and (self.many_sizes or not window.many_sizes)
+        )
+
+
+def about_number(number: int) -> int:
+    """A number rounded to two digits, its known accuracy."""
+    return int(float(f"{number:.1e}"))
+
+
+def own_cells_note(window: Window) -> str:
+    """Note on the extra cost of a file of a non-uniform sheet; "" for a uniform sheet."""
+    if window.uniform:
+        return ""
+    return f"every cell differs: {window.lattice.cell_count:,} are written out, none can be repeated"

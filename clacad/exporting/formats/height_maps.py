@@ -1,0 +1,192 @@
+"""Heights of single faces: maps of pixels (TIFF, PNG), the sag grid of a cell, points with normals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from clacad.base.units import millimetres
+from clacad.exporting.formats.format import BASE, Forecast, Format
+from clacad.exporting.formats.records import (
+    CALIBRATION,
+    calibration_record,
+    drawn_cost,
+    map_kind,
+    map_row,
+    structured_cost,
+)
+from clacad.exporting.formats.storing import ABOVE_FACE, AT_POINTS, SIXTEEN_BITS
+
+if TYPE_CHECKING:
+    from clacad.exporting.job import Job
+    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.request import Request
+    from clacad.exporting.tessellations import Meshes
+    from clacad.sheet.window import Window
+
+SAG, TIFF, PNG, XYZ = "sag", "tiff", "png", "xyz"
+TIFF32, TIFF16, PNG16, GRID, POINTS = "tiff32", "tiff16", "png16", "grid-sag", "xyz-normals"
+"""Words of the files in manifests."""
+
+TIFF_SECONDS, PNG_SECONDS, XYZ_SECONDS = 4.4e-7, 2.2e-7, 1.3e-6
+"""Seconds per pixel or point."""
+
+
+# -- writing ---------------------------------------------------------------------------------------
+
+
+def _maps(job: Job, word: str, kinds: Mapping[str, str]) -> list[FileRecord]:
+    """Write every structured face as each kind of raster, and one calibration file for them all."""
+    from clacad.formats.maps.sag import check_map, height_map, samples_per_cell, structured_faces, write_map
+
+    records, calibration = [], {}
+    per_cell = samples_per_cell(job.window, None)
+    for body, face, label in structured_faces(job.window):
+        map_ = height_map(job.window, body, face, label, per_cell)
+        calibration[label] = map_.calibration(job.scale)
+        for kind, suffix in kinds.items():
+            path = job.stage.path(f"{job.stem}.{label}.{suffix}")
+            job.progress(f"write {path.name}", 0.0)
+            write_map(map_, path, kind, job.scale)
+            check_map(map_, path, kind, job.scale)
+            facts = {"float": "f32"} if kind == TIFF32 else {}
+            records.append(job.record(path, kind, bodies=[body.name], facts=facts))
+    return [*records, calibration_record(job, word, calibration)]
+
+
+def _write_tiff(job: Job) -> list[FileRecord]:
+    """Write single-precision heights and 16-bit levels of each face."""
+    return _maps(job, TIFF, {TIFF32: "f32.tiff", TIFF16: "u16.tiff"})
+
+
+def _write_png(job: Job) -> list[FileRecord]:
+    """Write 16-bit levels of each face."""
+    return _maps(job, PNG, {PNG16: "u16.png"})
+
+
+def _write_sag(job: Job) -> list[FileRecord]:
+    from clacad.formats.maps.sag import check_grid_sag, structured_faces, write_grid_sag
+
+    records = []
+    for body, face, label in structured_faces(job.window):
+        path = job.stage.path(f"{job.stem}.{label}.cell.dat")
+        write_grid_sag(job.window, face, 64, path, job.scale)
+        check_grid_sag(face, path, job.scale)
+        records.append(job.record(path, GRID, bodies=[body.name], facts={"mode": "cell"}))
+    return records
+
+
+def _write_xyz(job: Job) -> list[FileRecord]:
+    """Write points with normals of each face."""
+    from clacad.formats.maps.sag import check_points, structured_faces, write_points
+
+    records = []
+    per_cell = _points_a_cell(job.window)
+    for body, face, label in structured_faces(job.window):
+        path = job.stage.path(f"{job.stem}.{label}.xyz")
+        job.progress(f"write {path.name}", 0.0)
+        count = write_points(job.window, body, face, per_cell, path, job.scale)
+        check_points(job.window, face, path, job.scale, count)
+        records.append(job.record(path, POINTS, bodies=[body.name], facts={"points": count}))
+    return records
+
+
+# -- cost ------------------------------------------------------------------------------------------
+
+
+def _points_a_cell(window: Window) -> int:
+    from clacad.formats.maps.sag import samples_per_cell
+
+    return min(16, samples_per_cell(window, None))
+
+
+def _points(window: Window, per_cell: int) -> int:
+    """Pixels or points of all faces."""
+    from clacad.formats.maps.sag import structured_faces
+
+    return per_cell * per_cell * window.lattice.cell_count * len(structured_faces(window))
+
+
+def _forecast_sag(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    """Forecast the sag grids: 65 x 65 lines of 70 bytes a face."""
+    from clacad.formats.maps.sag import structured_faces
+
+    faces = len(structured_faces(meshes.window))
+    return map_row(SAG, faces * 70 * 65 * 65, structured_cost(faces))
+
+
+def _forecast_tiff(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    """Forecast both TIFF files of each face: six bytes a pixel."""
+    from clacad.formats.maps.sag import samples_per_cell
+
+    pixels = _points(meshes.window, samples_per_cell(meshes.window, None))
+    return map_row(TIFF, 6 * pixels, BASE + TIFF_SECONDS * pixels)
+
+
+def _forecast_png(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    from clacad.formats.maps.sag import samples_per_cell
+
+    per_cell = samples_per_cell(meshes.window, None)
+    pixels = _points(meshes.window, per_cell)
+    return map_row(PNG, _png_bytes(meshes.window, per_cell), BASE + PNG_SECONDS * pixels)
+
+
+def _forecast_xyz(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    per_cell = _points_a_cell(meshes.window)
+    points = _points(meshes.window, per_cell)
+    return map_row(XYZ, _xyz_bytes(meshes.window, per_cell), BASE + XYZ_SECONDS * points)
+
+
+def _png_bytes(window: Window, per_cell: int) -> int:
+    """Size of the PNG files: one row of cells of each map, deflated."""
+    import zlib
+    from dataclasses import replace
+
+    from clacad.formats.maps.sag import height_map, map_levels, structured_faces
+
+    total = 0.0
+    for body, face, label in structured_faces(window):
+        map_ = height_map(window, body, face, label, per_cell)
+        rows = min(map_.height, 8 * per_cell)  # rows of cells repeat: what deflate learns in a few, it knows
+        # in a non-uniform sheet nothing repeats, and the first rows are representative
+        strip = replace(map_, height=rows)
+        packer = zlib.compressobj(6)
+        size = sum(
+            len(packer.compress(map_levels(strip, block).astype(">u2").tobytes())) for block in strip.blocks()
+        )
+        total += (size + len(packer.flush())) * map_.height / rows + 200
+    return int(total) + 600 * len(structured_faces(window))
+
+
+def _xyz_bytes(window: Window, per_cell: int) -> int:
+    """Size of the point files: the text of one cell of each face, times the number of cells."""
+    from clacad.formats.maps.sag import point_lines, structured_faces
+
+    row = window.lattice.row(window.lattice.count[1] // 2)
+    middle = row[len(row) // 2 : len(row) // 2 + 1]
+    total = 0.0
+    for _, face, _ in structured_faces(window):
+        lines = point_lines(window, face, per_cell, middle, millimetres(window.unit))
+        total += sum(len(line) + 1 for line in lines) * window.lattice.cell_count + 80
+    return int(total)
+
+
+FORMATS = (
+    Format(
+        SAG, "map", "grid of heights and slopes of one cell of each face, for ray tracers", _write_sag, _forecast_sag,
+        lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies), any_cells=False, stored=(AT_POINTS,),
+    ),
+    Format(
+        TIFF, "map", "height map of each face, in single precision and in 16 bits", _write_tiff, _forecast_tiff,
+        drawn_cost(TIFF_SECONDS), stored=(ABOVE_FACE, SIXTEEN_BITS),
+    ),
+    Format(PNG, "map", "height map of each face, in 16 bits", _write_png, _forecast_png, drawn_cost(PNG_SECONDS), stored=(SIXTEEN_BITS,)),
+    Format(
+        XYZ, "map", "points of each face with their normals", _write_xyz, _forecast_xyz, drawn_cost(XYZ_SECONDS), stored=(AT_POINTS,),
+    ),
+)  # fmt: skip
+
+FILES = (
+    map_kind(TIFF32, ".f32.tiff"), map_kind(TIFF16, ".u16.tiff"), map_kind(PNG16, ".u16.png"), map_kind(POINTS, ".xyz"),
+    map_kind(GRID, ".cell.dat"), map_kind(CALIBRATION, ".tiff.json", ".png.json", ".gds.json"),
+)  # fmt: skip

@@ -1,0 +1,365 @@
+"""3MF, PLY, GLB: facets of shared vertices; 3MF and GLB store one cell of a uniform sheet and its places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from math import log2
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.base.units import millimetres
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import BASE, ChosenMesh, Forecast, Format, about_number
+from clacad.exporting.formats.storing import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORMALS
+
+if TYPE_CHECKING:
+    from clacad.base.types import Floats
+    from clacad.exporting.job import Job
+    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.request import Request
+    from clacad.exporting.rough_sizes import RoughSheet
+    from clacad.exporting.tessellations import Meshes
+    from clacad.formats.mesh.repeated_pieces import Piece, Places
+    from clacad.sheet.window import Window
+
+THREEMF, PLY, GLB = "3mf", "ply", "glb"
+
+SAMPLE = 6_000
+"""Number of facets or places whose text is generated; the rest is assumed to be similar."""
+
+ROUGH_GRID = 8
+"""Quads per cell side when there is no design to choose them."""
+
+FEW, ROUGH_PLACES, ROW_BYTES = 10_000, (1.0, 3.2), 12.0
+"""3MF: cell count of a small sheet; deflated bytes per place in a small and a large one; bytes per row of places."""
+
+PLACE_IN_ARRAY = 12
+"""Bytes of a place in a GLB file whose cells are one node: three numbers of single precision."""
+
+PER_FACET_AND_PLACE = {THREEMF: (4.5e-6, 6.0e-6), GLB: (4.0e-6, 1.3e-5)}
+"""Seconds for a facet of the repeated cell, and for a place."""
+
+Writer = Callable[["Sequence[Piece]", Path, float, str], None]
+
+
+# -- writing ---------------------------------------------------------------------------------------
+
+
+def _write_threemf(job: Job) -> list[FileRecord]:
+    """Write one 3MF file; its vertices have no normals."""
+    return [threemf_record(job)]
+
+
+def threemf_record(job: Job, plain: bool = False) -> FileRecord:
+    """Write one 3MF file; `plain`: no cell is repeated."""
+    from clacad.formats.mesh.threemf import write_threemf
+
+    repeated = not plain and _repeated(job)
+    return _record(job, THREEMF, write_threemf, False, repeated, normals=False)
+
+
+def _write_ply(job: Job) -> list[FileRecord]:
+    from clacad.formats.mesh.ply import write_ply
+
+    return [_record(job, PLY, write_ply, False, False)]
+
+
+def _write_glb(job: Job) -> list[FileRecord]:
+    """Write one GLB file, in metres and single precision."""
+    from clacad.formats.mesh.glb import write_glb
+
+    writer = partial(write_glb, gpu_instancing=job.request.gpu_instancing)
+    return [_record(job, GLB, writer, True, _repeated(job), unit="m")]
+
+
+def _repeated(job: Job) -> bool:
+    from clacad.exporting.tessellations import instanceable
+
+    return instanceable(job.window) and not job.request.fused
+
+
+def _record(
+    job: Job, word: str, write: Writer, single: bool, repeated: bool, normals: bool = True, unit: str = "mm"
+) -> FileRecord:
+    """Write a file, read it back and compare; `repeated`: it stores one cell; `single`: single precision."""
+    from clacad.exporting.compare import compare_mesh
+    from clacad.exporting.formats.records import SCALES, mesh_facts
+    from clacad.formats.mesh.readers import read_mesh
+    from clacad.sheet.volume_and_extent import volume_sum
+
+    name = f"{job.stem}.{word}"
+    path = job.stage.path(name)
+    job.progress(f"write {name}", 0.0)
+    write(job.tessellation.pieces(repeated, normals=normals), path, job.scale, job.stem)
+    job.progress(f"read back {name}", 0.5)
+    promise = job.tessellation.promise(instanced=repeated, single=single)
+    verdict = compare_mesh(read_mesh(path), job.window, promise, name, volume_sum(job.integrals, job.bodies))
+    facts = mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies, unit, repeated)
+    if repeated:  # neighbouring cells share no vertex, and nothing touches within one
+        facts = {key: value for key, value in facts.items() if not key.startswith("saddle")} | {"saddles": 0}
+        bevel = job.request.saddle_bevel * job.scale * SCALES[unit]
+        facts |= {"saddle_policy": "bevel", "saddle_bevel": bevel} if promise.bevel else {}
+        facts["triangles_stored"] = job.tessellation.cell.facet_count
+    facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
+    facts |= {
+        "objects": len(job.window.bodies),
+        "instances": job.window.lattice.cell_count if repeated else None,
+    }
+    return job.record(path, word, unit=unit, facts=facts, checks=verdict.checks)
+
+
+# -- cost ------------------------------------------------------------------------------------------
+
+
+def _seconds(word: str, held: int, places: int) -> float:
+    """Seconds for shared vertices, exact normals and the places of repeated cells."""
+    if word == PLY:
+        return BASE + 4.2e-7 * held * log2(max(2, held))
+    if places == 0:  # the whole sheet is welded: sorting decides
+        return BASE + 6.0e-7 * held * log2(max(2, held))
+    each, place = PER_FACET_AND_PLACE[word]
+    return BASE + 0.01 + each * held + place * places
+
+
+def _row(word: str, size: int, held: int, facets: int, places: int, quads: int) -> Forecast:
+    """Forecast a file from its bytes, the facets that it stores and the places that are read back."""
+    memory = int(700 * held + 400 * places)
+    needed = (memory // 2 + 100_000_000, 2 * memory + 200_000_000)
+    modelled = _seconds(word, held, places)
+    return Forecast(word, size, False, facets, quads, modelled, needed, stored=held)
+
+
+def _vertices(held: int, quads: int) -> float:
+    """Vertices of welded facets: half of one a facet, and more where walls and rims split them by their normals."""
+    return held * (0.5 + 1.9 / max(quads, 2))
+
+
+def _forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
+    from clacad.exporting.formats.records import of_own_cells
+
+    return of_own_cells(meshes.window, threemf_row(meshes, quads), quads)
+
+
+def threemf_row(meshes: Meshes, quads: int) -> Forecast:
+    """Forecast a 3MF file, without the cost of a non-uniform sheet."""
+    from clacad.exporting.rough_sizes import RoughSheet
+
+    window, repeated = meshes.window, meshes.repeatable
+    held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)
+    listed = _listed(RoughSheet.of_window(window)) if repeated else 0
+    facets = held * window.lattice.cell_count if repeated else held
+    places = _threemf_place_bytes(window) if repeated else 0
+    size = _threemf_bytes(meshes, quads) + places
+    return replace(_row(THREEMF, size, held, facets, listed, quads), places=places)
+
+
+def _forecast_ply(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
+    from clacad.exporting.formats.records import of_own_cells
+    from clacad.formats.mesh.ply import ply_bytes
+
+    held = meshes.facets(quads)
+    size = ply_bytes(int(_vertices(held, quads)), held, header=300)
+    return of_own_cells(meshes.window, _row(PLY, size, held, held, 0, quads), quads)
+
+
+def _forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
+    """Forecast a GLB file, whose cells are one node each or one node a body."""
+    from clacad.exporting.formats.records import of_own_cells
+
+    window, repeated = meshes.window, meshes.repeatable
+    held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)
+    facets = held * window.lattice.cell_count if repeated else held
+    places = window.lattice.cell_count * len(window.bodies) if repeated else 0
+    listed = len(window.bodies) if places and asked.gpu_instancing else places
+    nodes = int((PLACE_IN_ARRAY if asked.gpu_instancing else _node_bytes(window)) * places)
+    size = int(24 * _vertices(held, quads) + 12 * held + nodes + 2500)
+    row = replace(_row(GLB, size, held, facets, listed, quads), places=nodes)
+    return of_own_cells(window, row, quads)
+
+
+def _listed(sheet: RoughSheet) -> int:
+    """Places that a 3MF file lists and its reader keeps: all, or for a large sheet its rows and one row's cells."""
+    from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+
+    in_rows = sheet.repeats and sheet.cells > FLAT_LIMIT
+    return sheet.bodies * (sum(sheet.count) if in_rows else sheet.cells)
+
+
+def _rough_bytes(sheet: RoughSheet, quads: int) -> int:
+    """Bytes of a 3MF file, within 40 %."""
+    from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+
+    if not sheet.repeats:
+        return 1000 + 8 * sheet.facets(quads) * sheet.cells
+    flat = sheet.cells <= FLAT_LIMIT
+    places = ROUGH_PLACES[sheet.cells > FEW] * sheet.cells if flat else ROW_BYTES * sum(sheet.count)
+    return int(1000 + 16 * sheet.piece(quads) + sheet.bodies * places)
+
+
+def _rough_threemf(sheet: RoughSheet, quads: int, asked: Request) -> float:
+    if asked.fused:
+        return rough_welded(sheet, quads, asked)
+    return _seconds(THREEMF, sheet.facets(quads), _listed(sheet))
+
+
+def _rough_glb(sheet: RoughSheet, quads: int, asked: Request) -> float:
+    if asked.fused:
+        return rough_welded(sheet, quads, asked)
+    return _seconds(GLB, sheet.facets(quads), sheet.cells * sheet.bodies)
+
+
+def _rough_ply(sheet: RoughSheet, quads: int, _asked: Request) -> float:
+    return _seconds(PLY, sheet.facets(quads) * sheet.cells, 0)
+
+
+def rough_welded(sheet: RoughSheet, quads: int, _asked: Request) -> float:
+    """Seconds of a 3MF or GLB file that repeats no cell, from the design's numbers."""
+    return _seconds(GLB, sheet.facets(quads) * sheet.cells, 0)
+
+
+def _threemf_at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) -> Forecast:
+    """Forecast a 3MF file from the sheet's numbers, on a coarse grid without a chosen one."""
+    times, places = (sheet.cells, _listed(sheet)) if sheet.repeats else (1, 0)
+    if chosen is None:
+        held = sheet.piece(ROUGH_GRID) if sheet.repeats else sheet.facets(ROUGH_GRID) * sheet.cells
+        chosen = ChosenMesh(ROUGH_GRID, held, _rough_bytes(sheet, ROUGH_GRID))
+    size, held, facets = (about_number(n) for n in (chosen.bytes, chosen.facets, chosen.facets * times))
+    return _row(THREEMF, size, held, facets, places, chosen.quads)
+
+
+def _threemf_bytes(meshes: Meshes, quads: int) -> int:
+    """Size of the 3MF file without places: the text of the first facets of each body, deflated."""
+    import zlib
+
+    import numpy as np
+
+    from clacad.exporting.tessellations import weld
+    from clacad.formats.mesh import threemf
+
+    mesh = meshes.at(quads).cell if meshes.repeatable else meshes.at(quads).mesh
+    total = 950.0
+    packed = zlib.compressobj(6)
+    for body, part in zip(meshes.window.bodies, mesh.bodies, strict=True):
+        corners = _first_facets(part.rows())
+        if not len(corners):
+            continue
+        piece = replace(weld(body, corners, np.zeros_like(corners)), normals=None)
+        text = "".join(threemf.mesh_lines(piece, 1, millimetres(meshes.window.unit))).encode()
+        # one stream for all bodies, as in the file: a second body similar to the first compresses well
+        size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))
+        total += size * part.facets_about / len(corners)
+    return int(total)
+
+
+def _threemf_place_bytes(window: Window) -> int:
+    """Bytes of a 3MF file for the positions of the repeated cells of each body."""
+    from clacad.formats.mesh.repeated_pieces import Places
+
+    arrays = (next(f.array for f in (b.front, b.back) if f.array is not None) for b in window.bodies)
+    return int(
+        sum(
+            _places_bytes(Places(window.lattice, window.shifts[array]), millimetres(window.unit))
+            for array in arrays
+        )
+    )
+
+
+def _first_facets(rows: Iterator[Floats]) -> Floats:
+    import numpy as np
+
+    kept, count = [], 0
+    for block in rows:
+        kept.append(block[: SAMPLE - count])
+        count += len(kept[-1])
+        if count >= SAMPLE:
+            break
+    return np.concatenate(kept) if kept else np.empty((0, 3, 3))
+
+
+def _places_bytes(places: Places, scale: float) -> float:
+    import numpy as np
+
+    from clacad.formats.mesh import threemf
+    from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+
+    if places.count > FLAT_LIMIT:
+        offsets, standing = places.rows()
+        lines = sum(len(row) for row in offsets) + len(standing)
+        return ROW_BYTES * lines
+    sample = places.lattice.cells()[:SAMPLE] if places.count <= SAMPLE else places.lattice.row(0)
+    centres = (places.lattice.centres(sample) + np.asarray(places.shift)) * scale
+    text = (threemf.component_text(2, x, y) for x, y in centres.tolist())
+    return _deflated(text) * places.count / max(1, len(sample))
+
+
+def _deflated(lines: Iterable[str]) -> int:
+    import zlib
+
+    return len(zlib.compress("".join(lines).encode(), 6))
+
+
+def _node_bytes(window: Window) -> float:
+    """Bytes of one node of a GLB file, from the cells of one row."""
+    row = window.lattice.row(window.lattice.count[1] // 2)
+    centres = (window.lattice.centres(row) * millimetres(window.unit)).tolist()
+    nodes = [f'{{"mesh":0,"translation":[{x!r},{y!r},0.0]}},{window.lattice.cell_count},' for x, y in centres]
+    return sum(map(len, nodes)) / max(1, len(nodes))
+
+
+# -- limits ----------------------------------------------------------------------------------------
+
+
+def _refuse_places(window: Window, _asked: Request) -> None:
+    """Refuse a 3MF file that lists more places than its reader takes.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    from clacad.exporting.limits import refuse_many_places
+    from clacad.formats.mesh.threemf import MOST_PLACES
+
+    listed = len(window.bodies) * (window.lattice.cell_count + max(500, window.lattice.count[1]))
+    refuse_many_places(window, THREEMF, listed, "places", MOST_PLACES, "--format step")
+
+
+def _refuse_nodes(window: Window, asked: Request) -> None:
+    """Refuse a GLB file that has more nodes than its reader takes.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    from clacad.exporting.limits import refuse_many_places
+    from clacad.formats.mesh.glb import MOST_NODES
+
+    if not asked.gpu_instancing:
+        listed = len(window.bodies) * (window.lattice.cell_count + 1) + 1
+        refuse_many_places(window, GLB, listed, "nodes", MOST_NODES, "--gpu-instancing, --format step")
+
+
+_BOTH: dict[str, Any] = {"repeats": True, "fusable": True}
+
+FORMATS = (
+    Format(
+        THREEMF, "welded", "facets with units, for printing; one cell and its places where the sheet allows it",
+        _write_threemf, _forecast_threemf, _rough_threemf, refuse_places=_refuse_places,
+        at_a_glance=_threemf_at_a_glance, stored=(DOUBLES,), **_BOTH,
+    ),
+    Format(
+        PLY, "welded", "facets with exact normals, in double precision", _write_ply, _forecast_ply, _rough_ply,
+        stored=(DOUBLES, DOUBLE_NORMALS),
+    ),
+    Format(
+        GLB, "welded", "facets with exact normals in metres, for viewers; one cell and its places where the sheet allows it",
+        _write_glb, _forecast_glb, _rough_glb, refuse_places=_refuse_nodes, stored=(IN_CELL, SINGLE_NORMALS), **_BOTH,
+    ),
+)  # fmt: skip
+
+FILES = (
+    FileKind(THREEMF, "mesh", (".3mf",), 10.0, states_unit=True), FileKind(PLY, "mesh", (".ply",), 43.0),
+    FileKind(GLB, "mesh", (".glb",), 25.0, states_unit=True), FileKind("obj", "mesh", (".obj",), 90.0, like=PLY),
+)  # fmt: skip
+"""OBJ files are read and not written."""

@@ -1,0 +1,304 @@
+"""Parts modelled one by one: bodies as BREP, baffle (STL), frame, pins, coupon and marked bodies (STEP).
+
+The modelling runs in the worker because OCC can crash; the parent receives numbers only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.exporting.formats import step
+from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.format import STREAM_MEMORY, Forecast, Format
+from clacad.exporting.formats.stl import KIND as STL
+from clacad.exporting.formats.stl import seconds as stream_seconds
+from clacad.exporting.formats.storing import EXACT_FACES
+from clacad.storage.errors import FileDisagrees, LimitRefused
+
+if TYPE_CHECKING:
+    from clacad.exporting.fixtures import BaffleMesh
+    from clacad.exporting.job import Job
+    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.request import Request
+    from clacad.exporting.rough_sizes import RoughSheet
+    from clacad.exporting.tessellations import Meshes
+    from clacad.sheet.window import Window
+    from clacad.storage.worker import Worker
+
+BREP, BAFFLE, FRAME, PINS, COUPON, MARKED = "brep", "baffle", "frame", "pins", "coupon", "marked"
+
+SECONDS = 1800.0
+VOLUME_LIMIT = 1e-6
+"""Relative difference allowed between a modelled part and what is read back from its file."""
+MOST_BREP_CELLS = 2500
+"""Largest number of cells for BREP: above it, OCC's solids take gigabytes."""
+
+
+def _write_baffle(job: Job) -> list[FileRecord]:
+    """Write each honeycomb as binary STL and compare it with its closed-form volume.
+
+    Raises
+    ------
+    NoFixture
+        The design has no baffle.
+    FileDisagrees
+    """
+    from clacad.exporting.fixtures import baffle_meshes
+
+    return [_baffle_record(job, baffle) for baffle in baffle_meshes(job.window)]
+
+
+def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
+    from clacad.formats.mesh.closed_stream import measure
+    from clacad.formats.mesh.readers import read_mesh
+    from clacad.formats.mesh.stl import write_stl
+
+    path = job.stage.path(f"{job.stem}.{baffle.name}.stl")
+    job.progress(f"write {path.name}", 0.0)
+    write_stl([baffle], path, job.scale, f"{job.stem} {baffle.name}")
+    found = measure(read_mesh(path).chunks())
+    exact = baffle.volume() * job.scale**3
+    if found.facets != baffle.facet_count or not found.closed or abs(found.volume / exact - 1.0) > 1e-4:
+        raise FileDisagrees(
+            f"{path.name}: {found.facets} facets enclosing {found.volume:.9g} mm^3; the honeycomb has "
+            f"{baffle.facet_count} and {exact:.9g} mm^3"
+        )
+    facts = {
+        "triangles": found.facets,
+        "volume": found.volume,
+        "volume_exact": exact,
+        "float": "f32",
+        "mode": "fused",
+    }
+    return job.record(path, STL, bodies=[baffle.name], facts=facts, checks=("closed", "volume"))
+
+
+def refuse_many(window: Window, what: str) -> None:
+    """Refuse solids of more cells than OCC takes.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    cells = window.lattice.cell_count
+    if cells > MOST_BREP_CELLS:
+        raise LimitRefused(
+            f"{what} of {cells:,} cells: the kernel takes up to {MOST_BREP_CELLS:,}\n"
+            "  use --cells 50x50, or --format step"
+        )
+
+
+def _modelled(what: str, job: Job) -> list[FileRecord]:
+    """Model parts in the worker; one record per file, each compared with its own exact volume."""
+    job.progress(f"model {what}", 0.0)
+    folder = job.stage.path(f"{job.stem}.{what}.step").parent
+    made: Mapping[str, Any] = job.worker.run(
+        "clacad.exporting.formats.parts:model", what, job.window, str(folder), job.stem, timeout=SECONDS,
+        progress=job.progress,
+    )  # fmt: skip
+    records = []
+    for name, facts in made.items():
+        path = job.stage.path(name)
+        apart = abs(facts["volume"] / facts["volume_exact"] - 1.0)
+        if not facts.pop("valid") or not apart <= VOLUME_LIMIT:
+            raise FileDisagrees(
+                f"{name}: read back with {facts['volume']:.9g} mm^3, modelled with {facts['volume_exact']:.9g} mm^3"
+            )
+        kind = BREP if what == BREP else step.WORD
+        records.append(
+            job.record(path, kind, bodies=facts.pop("bodies"), facts=facts, checks=("closed", "volume"))
+        )
+    return records
+
+
+def model(what: str, window: Window, folder: str, stem: str) -> dict[str, dict[str, Any]]:
+    """Build, write and read back parts in the worker; return file name → facts."""
+    parts = _parts(what, window)
+    if what == BREP:
+        return {f"{stem}.brep": _brep(list(parts.values()), list(parts), Path(folder) / f"{stem}.brep")}
+    return {
+        f"{stem}.{name}.step": _step(part, name, Path(folder) / f"{stem}.{name}.step")
+        for name, part in parts.items()
+    }
+
+
+def _parts(what: str, window: Window) -> dict[str, Any]:
+    """Parts of a fixture, build123d by name, mm."""
+    if what == FRAME:
+        from clacad.exporting.fixtures import frame_solids, frame_spec
+
+        return frame_solids(frame_spec(window, window.land.border), window.name)
+    if what == PINS:
+        from clacad.exporting.fixtures import pin_solids, pin_spec
+
+        return {PINS: pin_solids(pin_spec(window))}
+    if what == COUPON:
+        from clacad.exporting.fixtures import coupon_solid
+
+        return {COUPON: coupon_solid(window)}
+    if what == MARKED:
+        from clacad.exporting.fixtures import marked_solids
+
+        return {f"{name}.{MARKED}": part for name, part in marked_solids(window, window.name).items()}
+    from clacad.solid.solids import solids
+
+    return {body.name: part for body, part in zip(window.bodies, solids(window), strict=True)}
+
+
+def _step(part: Any, name: str, path: Path) -> dict[str, Any]:
+    from build123d import Color, export_step, import_step
+
+    part.label = name
+    part.color = (
+        Color(0.62, 0.78, 0.90) if name == COUPON or name.endswith(f".{MARKED}") else Color(0.15, 0.15, 0.17)
+    )
+    export_step(part, str(path), timestamp="2000-01-01T00:00:00")
+    return _facts(part, import_step(str(path)), [name])
+
+
+def _brep(parts: list[Any], names: list[str], path: Path) -> dict[str, Any]:
+    from build123d import Compound, export_brep, import_brep
+
+    whole = Compound(children=parts)
+    export_brep(whole, str(path))
+    return _facts(whole, import_brep(str(path)), names)
+
+
+def _facts(made: Any, found: Any, names: list[str]) -> dict[str, Any]:
+    return {
+        "bodies": names, "solids": len(found.solids()), "faces": len(found.faces()), "volume": float(found.volume),
+        "volume_exact": float(made.volume), "valid": bool(found.is_valid), "float": "f64", "mode": "fused",
+    }  # fmt: skip
+
+
+# -- requirements ----------------------------------------------------------------------------------
+
+DRAWING_SECONDS = 300.0
+"""Time for OCC to draw a line of text."""
+
+
+def _require_baffle(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Require walls, and a gap for them."""
+    from clacad.exporting.fixtures import baffle_meshes
+
+    baffle_meshes(window)
+
+
+def _require_frame(window: Window, _asked: Request, worker: Worker) -> None:
+    """Require two plates with flat borders, a gap, and room for the name."""
+    from clacad.exporting.fixtures.frame import frame_spec, mark_lines
+    from clacad.solid.marks import mark_text
+
+    for width, height in mark_lines(frame_spec(window, window.land.border)):
+        _require_room(mark_text(window.name), width, height, worker)
+
+
+def _require_pins(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Require two plates with pin holes, a gap, and land for the shoulders."""
+    from clacad.exporting.fixtures.shoulder_pins import pin_spec
+
+    pin_spec(window)
+
+
+def require_marks(window: Window, _asked: Request, worker: Worker) -> None:
+    """Require a border with room for the name."""
+    from clacad.solid.marks import mark_place, mark_text
+
+    for place, body in [(mark_place(window, body), body) for body in window.bodies]:
+        _require_room(mark_text(f"{window.name} {body.name}"), place.width, place.height, worker)
+
+
+def _require_marked(window: Window, asked: Request, worker: Worker) -> None:
+    """Require a border with room for the name, and bodies that OCC accepts."""
+    require_marks(window, asked, worker)
+    _require_solids(window, MARKED)
+
+
+def _require_brep(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Require bodies that OCC accepts."""
+    _require_solids(window, "BREP")
+
+
+def _require_coupon(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Require a patch of a few cells that is a solid."""
+    from clacad.exporting.fixtures.coupon import PATCH_CELLS
+
+    _require_solids(window.with_cells(PATCH_CELLS), COUPON)
+
+
+def _require_solids(window: Window, what: str) -> None:
+    """Require at most the number of cells that OCC takes, and faces that can be described."""
+    refuse_many(window, what)
+    step.step_bytes(window, "fused")  # describes the faces of small sheets, as the solids are described
+
+
+def _require_room(text: str, width: float, height: float, worker: Worker) -> None:
+    """Require room (mm) for a line of text, estimated from its number of letters or measured by drawing it."""
+    from clacad.solid.marks import surely_fits
+
+    if not surely_fits(text, width, height):
+        worker.run("clacad.solid.marks:require_room", text, width, height, timeout=DRAWING_SECONDS)
+
+
+# -- cost ------------------------------------------------------------------------------------------
+
+
+def solid_seconds(size: int) -> float:
+    """Seconds for solids made by OCC: frame, coupon, BREP."""
+    return 1.5 + 2.0e-6 * size
+
+
+def _rough_seconds(sheet: RoughSheet, _quads: int, _asked: Request) -> float:
+    return solid_seconds(8000 * sheet.cells * sheet.bodies)
+
+
+def _forecast_baffle(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    window = meshes.window
+    honeycombs = max(1, len(window.bodies) - 1)
+    facets = 6 * len(window.lattice.steps) * window.lattice.cell_count * honeycombs
+    size = 84 * honeycombs + 50 * facets
+    return Forecast(BAFFLE, size, False, facets, None, stream_seconds(facets), STREAM_MEMORY)
+
+
+def _solid_row(word: str, size: int | None, meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    """Forecast of solids of a known size, or of one that grows with the cells (None)."""
+    window = meshes.window
+    about = 15_000 + 8_000 * window.lattice.cell_count * len(window.bodies) if size is None else size
+    return Forecast(word, about, False, None, None, solid_seconds(about), (500_000_000, 2_500_000_000))
+
+
+def _solid(
+    word: str, about: str, require: Callable[[Window, Request, Worker], None], size: int | None = None, **facts: Any
+) -> Format:  # fmt: skip
+    """Format of parts modelled by OCC; `size`: approximate bytes."""
+    return Format(
+        word,
+        "part",
+        about,
+        partial(_modelled, word),
+        partial(_solid_row, word, size),
+        _rough_seconds,
+        require,
+        **facts,
+    )
+
+
+_FRAME_PARTS = ("spacer", "spacer1", "spacer2", "retainer1", "retainer2")
+
+FORMATS = (
+    replace(_solid(BREP, "exact solids of all bodies for OCC", _require_brep, stored=(EXACT_FACES,)), family="exact"),
+    Format(
+        BAFFLE, "part", "opaque honeycombs between the arrays, STL", _write_baffle, _forecast_baffle, _rough_seconds,
+        _require_baffle, optical=False, any_cells=False, bodies=(BAFFLE, "baffle1", "baffle2"),
+    ),
+    _solid(FRAME, "spacer frame and its retainers, STEP", _require_frame, 400_000, optical=False, bodies=_FRAME_PARTS),
+    _solid(PINS, "shoulder pins between the bodies, STEP", _require_pins, 40_000, optical=False, any_cells=False, bodies=(PINS,)),
+    _solid(COUPON, "test coupon for the compensation of a process, STEP", _require_coupon, 2_000_000, optical=False, any_cells=False, bodies=(COUPON,), stored=(EXACT_FACES,)),
+    _solid(MARKED, "bodies with their name and an arrow in the border, STEP", _require_marked, stored=(EXACT_FACES,)),
+)  # fmt: skip
+
+FILES = (FileKind(BREP, "solid", (".brep",), native=True),)
