@@ -41,7 +41,7 @@ from clacad.verification.tolerance.misaligned import Errors, Telescopelet, teles
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.design.sections import CheckSpec
+    from clacad.design.limits import CheckSpec
 
 
 RAYS = 256
