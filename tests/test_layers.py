@@ -200,7 +200,6 @@ def test_heavy_packages_are_imported_inside_functions():
     # modules that are themselves imported inside functions only, as the next test shows
     entry = {
         "base/kernel_cache.py": {"numba"},
-        "design/schema.py": {"pydantic"},
         "solid/occ_writer.py": {"OCP"},
     }
     for name, path in files().items():

@@ -11,7 +11,7 @@ from clacad.advice.nearest_wish import plain_words
 from clacad.advice.trade_offs import Trade, rows_of
 from clacad.advice.wish import Wish
 from clacad.base.text import table
-from clacad.design.canonical_text import to_toml
+from clacad.config.edit_text import to_toml
 from clacad.design.keys import ROOT, SECTIONS
 
 WIDTH = 118

@@ -16,14 +16,15 @@ from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
 from clacad.config.compound_kinds import Several
 from clacad.config.design_error import DesignError
+from clacad.config.keys import REQUIRED, Key
 from clacad.config.mistakes import Mistake
-from clacad.config.quantities import Quantity
+from clacad.config.quantities import LENGTH_ABOVE_0
 from clacad.config.toml_text import toml_value
 from clacad.config.value_kinds import Refusal, Whole, Word, shown
-from clacad.design.keys import CHECK, LAW, PAIR, REQUIRED, Key
+from clacad.design.body import Outline
+from clacad.design.keys import LAW, PAIR, SECTIONS
 from clacad.design.process_profiles import profile
 from clacad.design.rules import Asked, law_is_a_pair, lens_faces_forward, material_is_known
-from clacad.design.sections import Outline
 from clacad.optics.material.catalogue import find, names
 
 UNIT: Final = Unit("mm", LENGTHS["mm"])
@@ -32,28 +33,28 @@ UNIT: Final = Unit("mm", LENGTHS["mm"])
 ASSUMED_VIEWING: Final = 1000.0
 """Assumed viewing distance (millimetres) where the wish states no viewer."""
 
-_LENGTH = Quantity("length", "a length > 0", above=0.0)
+_LAW, _PAIR, _CHECK = (SECTIONS[name] for name in ("law", "pair", "check"))
 
 KEYS: Final[dict[str, Key]] = {
-    "eta": Key(Several(LAW["eta"].kind.kind, ("x", "y"), single=True), "light leaves at slopes (t - delta)/eta; -1 turns it over, "  # type: ignore[attr-defined]
+    "eta": Key(Several(_LAW["eta"].kind.kind, ("x", "y"), single=True), "light leaves at slopes (t - delta)/eta; -1 turns it over, "  # type: ignore[attr-defined]
                "0 < eta < 1 shrinks without turning", REQUIRED),
-    "delta": Key(LAW["delta"].kind, "offset of the image, delta_i = d_i/f1_i", (0.0, 0.0)),
-    "euler": Key(LAW["euler"].kind, "phi, theta, psi: turn and tilt of the lens axes, degrees", (0.0, 0.0, 0.0)),
-    "width": Key(Several(_LENGTH, ("width", "height"), single=True), "a rectangular sheet of this width (and height)"),
-    "circle": Key(_LENGTH, "a round sheet of this diameter"),
-    "viewing": Key(_LENGTH, "distance of the eye before the sheet; the eye's light is then judged over the whole sheet"),
-    "object": Key(_LENGTH, "distance behind the sheet of what shall be seen sharply"),
-    "process": Key(CHECK["process"].kind, "who makes it: its limits", "diamond-turning"),
-    "material": Key(PAIR["material"].kind, "what it is made of; PMMA if the process works it, else the first it works", "PMMA"),
-    "index": Key(PAIR["index"].kind, "refractive index, instead of a material"),
-    "wavelength": Key(PAIR["wavelength"].kind, "design wavelength", PAIR["wavelength"].default),
-    "pitch": Key(_LENGTH, "size of a cell, instead of the one that looks best"),
-    "flange": Key(_LENGTH, "width of the land round the cells, body.border"),
+    "delta": Key(_LAW["delta"].kind, "offset of the image, delta_i = d_i/f1_i", (0.0, 0.0)),
+    "euler": Key(_LAW["euler"].kind, "phi, theta, psi: turn and tilt of the lens axes, degrees", (0.0, 0.0, 0.0)),
+    "width": Key(Several(LENGTH_ABOVE_0, ("width", "height"), single=True), "a rectangular sheet of this width (and height)"),
+    "circle": Key(LENGTH_ABOVE_0, "a round sheet of this diameter"),
+    "viewing": Key(LENGTH_ABOVE_0, "distance of the eye before the sheet; the eye's light is then judged over the whole sheet"),
+    "object": Key(LENGTH_ABOVE_0, "distance behind the sheet of what shall be seen sharply"),
+    "process": Key(_CHECK["process"].kind, "who makes it: its limits", "diamond-turning"),
+    "material": Key(_PAIR["material"].kind, "what it is made of; PMMA if the process works it, else the first it works", "PMMA"),
+    "index": Key(_PAIR["index"].kind, "refractive index, instead of a material"),
+    "wavelength": Key(_PAIR["wavelength"].kind, "design wavelength", _PAIR["wavelength"].default),
+    "pitch": Key(LENGTH_ABOVE_0, "size of a cell, instead of the one that looks best"),
+    "flange": Key(LENGTH_ABOVE_0, "width of the land round the cells, body.border"),
     "holes": Key(Whole("a whole number from 1 to 360", most=360), "mounting holes in the flange, half its width wide: 4 in the "
                  "corners of a rectangular sheet, any number on a circle of a round one"),
     "form": Key(Word(("any", "slab", "plano", "biconvex")), "how a lenslet pair is built", "any"),
     "kind": Key(Word(("square", "hexagonal")), "pattern of the cells", "square"),
-    "field": Key(CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)),
+    "field": Key(_CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)),
 }  # fmt: skip
 """Words of a wish, with reader, meaning and default of each."""
 
@@ -156,7 +157,7 @@ def angle_text(radians_: float) -> str:
 def wavelength_text(metres: float) -> str:
     """A wavelength as written: in nanometres where that is exact."""
     text = f"{1e9 * metres:g} nm"
-    return text if PAIR["wavelength"].kind.read(text, UNIT) == metres else f"{metres!r} m"
+    return text if _PAIR["wavelength"].kind.read(text, UNIT) == metres else f"{metres!r} m"
 
 
 _TEXTS: Final = {"field": angle_text, "wavelength": wavelength_text}
@@ -272,14 +273,14 @@ def _converted(words: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]
 
 def _broken_rules(found: Mapping[str, Any]) -> list[Mistake]:
     """Mistakes of the law and the material by the rules of designs."""
-    homes = {"eta": "law.eta", "delta": "law.delta", "euler": "law.euler", "wavelength": "pair.wavelength"}
-    homes |= {} if "index" in found else {"material": "pair.material"}
+    homes = {"eta": LAW.eta, "delta": LAW.delta, "euler": LAW.euler, "wavelength": PAIR.wavelength}
+    homes |= {} if "index" in found else {"material": PAIR.material}
     values = {
         home: found.get(name, KEYS[name].default)
         for name, home in homes.items()
         if name in found or name != "eta"
     }
-    asked = Asked(values, {"pair.wavelength": ""} if "wavelength" in found else {}, UNIT)
+    asked = Asked(values, {PAIR.wavelength: ""} if "wavelength" in found else {}, UNIT)
     return [
         Mistake(m.code, m.message, m.key.split(".", 1)[1], "--for", allowed=m.allowed, hint=m.hint)
         for rule in (law_is_a_pair, lens_faces_forward, material_is_known)

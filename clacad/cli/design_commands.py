@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def print_schema(*, scene: bool) -> int:
     """Print the JSON Schema of design files, or of scene files."""
     if scene:
-        from clacad.scene.schema import scene_schema as made
+        from clacad.scene.keys import scene_schema as made
     else:
         from clacad.design import json_schema as made
     show_json(made())

@@ -161,8 +161,8 @@ def _published(
 ) -> Rendered:
     """Write design, table and picture; nothing where the sheet cannot be built."""
     from clacad.config.design_error import DesignError
+    from clacad.config.edit_text import to_toml
     from clacad.design import load
-    from clacad.design.canonical_text import to_toml
     from clacad.imaging.shape import rendered, table_text
     from clacad.imaging.shape_picture import plot_png
     from clacad.prescription.prescribe import prescribe

@@ -1,23 +1,33 @@
-"""Kinds of value composed of other kinds: lists, small tables, a word or another value."""
+"""Kinds of value composed of other kinds: lists, tables of keys, a word or another value."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from clacad.base import units
 from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
+from clacad.config.keys import REQUIRED, attributes_of, keys_of, written
 from clacad.config.value_kinds import JsonSchema, Kind, Refusal, not_this, shown
 
 
 @dataclass(frozen=True, slots=True)
 class Several:
-    """A list of one value per name, all of one kind; with `single`, one value may represent all of them.
+    """A list of one value per name, all of one kind.
 
-    not_all : values that may not occupy every position; given such a value in place of a list, the hint is
-    `example`.
+    Parameters
+    ----------
+    kind : Kind
+    names : tuple of str
+    single : bool
+        Whether one value may represent all of them.
+    not_all : tuple of float
+        Values that may not occupy every position; given such a value in place of a list, the hint is
+        `example`.
+    alone : bool
+        Whether a single value is read as itself, not as a tuple of equal values.
     """
 
     kind: Kind
@@ -25,12 +35,14 @@ class Several:
     single: bool = False
     not_all: tuple[float, ...] = ()
     example: str = ""
+    alone: bool = False
 
-    def read(self, value: object, unit: Unit) -> tuple[Any, ...]:
+    def read(self, value: object, unit: Unit) -> Any:
         """Return a tuple with one value for each name."""
         if not isinstance(value, list):
             if self.single:
-                return (self.kind.read(value, unit),) * len(self.names)
+                one = self.kind.read(value, unit)
+                return one if self.alone else (one,) * len(self.names)
             raise Refusal(
                 "CL104", not_this(value, "a list"), value, self.allowed(unit), self._listed(value, unit)
             )
@@ -39,6 +51,12 @@ class Several:
                 "CL108", f"has {len(value)} value{'s' * (len(value) != 1)}", value, self.allowed(unit)
             )
         return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
+
+    def write(self, value: Any, unit: Unit) -> Any:
+        """Return a list; a single value as itself."""
+        if isinstance(value, tuple):
+            return [self.kind.write(item, unit) for item in value]
+        return self.kind.write(value, unit)
 
     def _listed(self, value: object, unit: Unit) -> str:
         """Hint of a valid list in place of one number; "" where the number would be refused in a list too."""
@@ -92,19 +110,28 @@ def each(readers: Iterable[tuple[int | str, Kind, object]], unit: Unit) -> list[
 
 @dataclass(frozen=True, slots=True)
 class WordOr:
-    """One of a few words, or a value of another kind."""
+    """One of a few words, or a value of another kind; `absent` is a word that is read as None."""
 
     words: tuple[str, ...]
     other: Kind
+    absent: str = ""
 
     def read(self, value: object, unit: Unit) -> Any:
         """Return the word or the other value."""
-        if not isinstance(value, str) or value in self.words:
-            return value if isinstance(value, str) else self._other(value, unit)
+        if not isinstance(value, str):
+            return self._other(value, unit)
+        if value in self.words:
+            return None if value == self.absent else value
         if units.split(value) is None:  # a text that is no quantity is a misspelt word
             hint = did_you_mean(near(value.lower(), self.words, 0.5), quote='"')
             raise Refusal("CL107", "is not a word known here", value, self.allowed(unit), hint)
         return self._other(value, unit)
+
+    def write(self, value: Any, unit: Unit) -> Any:
+        """Return the word, or the other value as its kind writes it."""
+        if value is None or value in self.words:
+            return self.absent if value is None else value
+        return self.other.write(value, unit)
 
     def allowed(self, unit: Unit) -> str:
         """Return the words, then the values that the other kind allows."""
@@ -124,53 +151,115 @@ class WordOr:
 
 
 @dataclass(frozen=True, slots=True)
-class InlineTable:
-    """A small inline table; `exactly_one` requires one key out of several."""
+class Record:
+    """A table whose keys are the key fields of a dataclass, read into that dataclass."""
 
-    kinds: tuple[tuple[str, Kind], ...]
-    required: tuple[str, ...] = ()
-    exactly_one: bool = False
+    of: type
 
-    def read(self, value: object, unit: Unit) -> tuple[tuple[str, Any], ...]:
-        """Return (key, value) pairs in the order of `kinds`."""
-        if not isinstance(value, dict):
-            raise Refusal("CL104", not_this(value, "a table"), value, self.allowed(unit))
-        known = dict(self.kinds)
-        refused = [self._unknown(key, value, unit) for key in value if key not in known]
-        missing = [key for key in self.required if key not in value]
-        refused += [Refusal("CL103", f"lacks the key {key}", value, self.allowed(unit)) for key in missing]
-        if self.exactly_one and len(value) != 1:
-            refused.append(Refusal("CL112", "needs exactly one key", value, self.allowed(unit)))
-        try:
-            found = each(((key, kind, value[key]) for key, kind in self.kinds if key in value), unit)
-        except Refusal as refusal:
-            refused += [refusal, *refusal.others]
-        if refused:
-            refused[0].others = tuple(refused[1:])
-            raise refused[0]
-        return tuple(zip((key for key, _ in self.kinds if key in value), found, strict=True))
+    def read(self, value: object, unit: Unit) -> Any:
+        """Return the dataclass with the values."""
+        kinds = self._kinds()
+        needed = [name for name, key in keys_of(self.of).items() if key.default is REQUIRED]
+        found = _read_table(value, kinds, needed, unit, self.allowed(unit))
+        return self.of(**attributes_of(self.of, found))
 
-    def _unknown(self, key: str, value: object, unit: Unit) -> Refusal:
-        hint = did_you_mean(near(key, dict(self.kinds), 0.5))
-        refusal = Refusal("CL102", f"has an unknown key {shown(key)}", value, self.allowed(unit), hint)
-        refusal.where = (key,)
-        return refusal
+    def write(self, value: Any, unit: Unit) -> dict[str, Any]:
+        """Return the table, see `clacad.config.keys.written`."""
+        return written(value, unit)
 
     def allowed(self, unit: Unit) -> str:
-        """Return the table's keys with their kinds."""
-        if self.exactly_one:
-            return " | ".join(f"{{{key} = ...}}, {kind.allowed(unit)}" for key, kind in self.kinds)
-        return "{" + ", ".join(f"{key} = ..." for key, _ in self.kinds) + "}"
+        """Return the table's keys."""
+        return "{" + ", ".join(f"{key} = ..." for key in self._kinds()) + "}"
 
     def schema(self) -> JsonSchema:
         """Return the JSON Schema of an object without other keys."""
-        made: JsonSchema = {
+        keys = keys_of(self.of)
+        return {
+            "type": "object",
+            "properties": {
+                name: key.kind.schema() | {"description": key.about} for name, key in keys.items()
+            },
+            "additionalProperties": False,
+            "required": [name for name, key in keys.items() if key.default is REQUIRED],
+        }
+
+    def _kinds(self) -> dict[str, Kind]:
+        return {name: key.kind for name, key in keys_of(self.of).items()}
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """A table with exactly one of several keys.
+
+    Parameters
+    ----------
+    kinds : tuple of (key, Kind)
+    made : callable
+        Result from key and value.
+    parts : callable
+        Key and value from a result.
+    """
+
+    kinds: tuple[tuple[str, Kind], ...]
+    made: Callable[[str, Any], Any]
+    parts: Callable[[Any], tuple[str, Any]]
+
+    def read(self, value: object, unit: Unit) -> Any:
+        """Return the result of the only key."""
+        ((name, found),) = _read_table(value, dict(self.kinds), None, unit, self.allowed(unit)).items()
+        return self.made(name, found)
+
+    def write(self, value: Any, unit: Unit) -> dict[str, Any]:
+        """Return the table of the only key."""
+        name, part = self.parts(value)
+        return {name: dict(self.kinds)[name].write(part, unit)}
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the table's keys with their kinds."""
+        return " | ".join(f"{{{key} = ...}}, {kind.allowed(unit)}" for key, kind in self.kinds)
+
+    def schema(self) -> JsonSchema:
+        """Return the JSON Schema of an object with one key."""
+        return {
             "type": "object",
             "properties": {key: kind.schema() for key, kind in self.kinds},
             "additionalProperties": False,
-            "required": list(self.required),
+            "required": [],
+            "minProperties": 1,
+            "maxProperties": 1,
         }
-        return made | {"minProperties": 1, "maxProperties": 1} if self.exactly_one else made
+
+
+def _read_table(
+    value: object, kinds: Mapping[str, Kind], needed: Iterable[str] | None, unit: Unit, allowed: str
+) -> dict[str, Any]:
+    """Values of an inline table by key, in the order of `kinds`; all faults in one refusal.
+
+    needed : keys that must be there; None: exactly one key, whichever.
+    """
+    if not isinstance(value, dict):
+        raise Refusal("CL104", not_this(value, "a table"), value, allowed)
+    refused = [_unknown(key, kinds, value, allowed) for key in value if key not in kinds]
+    missing = [key for key in needed or () if key not in value]
+    refused += [Refusal("CL103", f"lacks the key {key}", value, allowed) for key in missing]
+    if needed is None and len(value) != 1:
+        refused.append(Refusal("CL112", "needs exactly one key", value, allowed))
+    names = [key for key in kinds if key in value]
+    try:
+        found = each(((key, kinds[key], value[key]) for key in names), unit)
+    except Refusal as refusal:
+        refused += [refusal, *refusal.others]
+    if refused:
+        refused[0].others = tuple(refused[1:])
+        raise refused[0]
+    return dict(zip(names, found, strict=True))
+
+
+def _unknown(key: str, kinds: Mapping[str, Kind], value: object, allowed: str) -> Refusal:
+    hint = did_you_mean(near(key, kinds, 0.5))
+    refusal = Refusal("CL102", f"has an unknown key {shown(key)}", value, allowed, hint)
+    refusal.where = (key,)
+    return refusal
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,9 +267,9 @@ class ListOrTable:
     """A list of one kind, or an inline table of another."""
 
     listed: Several
-    table: InlineTable
+    table: Record
 
-    def read(self, value: object, unit: Unit) -> tuple[Any, ...]:
+    def read(self, value: object, unit: Unit) -> Any:
         """Return the value of the list or of the table."""
         try:
             return self.table.read(value, unit) if isinstance(value, dict) else self.listed.read(value, unit)
@@ -188,6 +277,11 @@ class ListOrTable:
             if not refusal.where:
                 refusal.allowed = self.allowed(unit)
             raise
+
+    def write(self, value: Any, unit: Unit) -> Any:
+        """Return the list or the table."""
+        is_table = isinstance(value, self.table.of)
+        return self.table.write(value, unit) if is_table else self.listed.write(value, unit)
 
     def allowed(self, unit: Unit) -> str:
         """Return the values that the list allows, then those that the table allows."""
@@ -212,6 +306,10 @@ class ListOf:
         if len(value) > 1000:
             raise Refusal("CL108", f"has {len(value)} values", value, f"at most 1000 {self.what}")
         return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
+
+    def write(self, value: tuple[Any, ...], unit: Unit) -> list[Any]:
+        """Return the values as a list."""
+        return [self.kind.write(item, unit) for item in value]
 
     def allowed(self, unit: Unit) -> str:
         """Return the content of the list."""

@@ -1,4 +1,4 @@
-"""Change of some keys in a file's text; comments, order and everything else stay as they are."""
+"""Text of files: data as TOML, and change of some keys, where comments and everything else stay as they are."""
 
 from __future__ import annotations
 
@@ -25,6 +25,15 @@ def value_text(value: Any) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key} = {value_text(item)}" for key, item in value.items()) + "}"
     return repr(value)
+
+
+def to_toml(data: Mapping[str, Any]) -> str:
+    """Write nested dictionaries (one level of tables) as TOML."""
+    lines = [f"{key} = {value_text(value)}" for key, value in data.items() if not isinstance(value, Mapping)]
+    for section, values in data.items():
+        if isinstance(values, Mapping):
+            lines += ["", f"[{section}]", *(f"{key} = {value_text(value)}" for key, value in values.items())]
+    return "\n".join(lines) + "\n"
 
 
 def with_values(text: str, changes: Mapping[str, Any], *, is_json: bool = False) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from clacad.base.text import plain
+from clacad.config.design_error import DesignError
 from clacad.config.key_positions import KeyPath, split_key
 from clacad.config.mistakes import Mistake
 from clacad.config.toml_text import toml_value
@@ -33,10 +35,22 @@ def parse(text: str) -> tuple[str, Any] | Mistake:
         return key, value
 
 
+Put = Callable[[Any, str, Any], Any]
+"""Data with one dotted key replaced: data, key, value."""
+
+
 def apply(
-    data: Mapping[str, Any], texts: Sequence[str]
+    data: Mapping[str, Any], texts: Sequence[str], put_key: Put
 ) -> tuple[dict[str, Any], list[tuple[KeyPath, str]], list[Mistake]]:
     """Apply overrides to the data of a file.
+
+    Parameters
+    ----------
+    data : mapping
+    texts : sequence of str
+        "key.path=value" each, applied in order.
+    put_key : callable
+        As `put_dotted`.
 
     Returns
     -------
@@ -54,18 +68,34 @@ def apply(
             mistakes.append(parsed)
             continue
         key, value = parsed
-        path = split_key(key)
-        complaint = ""
         try:
-            made = put(made, path, value)
+            made = put_key(made, key, value)
         except LookupError as problem:
             complaint = str(problem.args[0])
-        if complaint:
             mistakes.append(
                 Mistake("CL118", complaint, key=key, path="--set", source_line=text, column=1, width=len(key))
             )
-        places.append((path, text))
+        places.append((split_key(key), text))
     return made, places, mistakes
+
+
+def with_changes(data: Any, changes: Mapping[str, Any], put_key: Put, path: str) -> Any:
+    """Data with dotted keys changed by a program; `path` is the file's name in messages.
+
+    Raises
+    ------
+    DesignError
+        A key leads nowhere.
+    """
+    mistakes = []
+    for key, value in changes.items():
+        try:
+            data = put_key(data, key, plain(value, float))
+        except LookupError as problem:
+            mistakes.append(Mistake("CL118", str(problem.args[0]), key=key, path=path))
+    if mistakes:
+        raise DesignError(mistakes)
+    return data
 
 
 def changed_keys(changes: Mapping[str, Any] | str, value: Any) -> Mapping[str, Any]:
@@ -81,6 +111,11 @@ def changed_keys(changes: Mapping[str, Any] | str, value: Any) -> Mapping[str, A
     if not isinstance(changes, Mapping) or value is not None:
         raise TypeError('replace takes "pair.separation", 12 or {"pair.separation": 12, …}')
     return changes
+
+
+def put_dotted(data: Any, key: str, value: Any) -> Any:
+    """Return the data with the value of a dotted key replaced, see `put`."""
+    return put(data, split_key(key), value)
 
 
 def put(data: Any, path: KeyPath, value: Any, done: KeyPath = ()) -> Any:

@@ -33,6 +33,8 @@ class Quantity:
         Angles only: the result is in degrees, not radians.
     bare : bool
         Whether a number without a unit is accepted.
+    named : bool
+        Lengths only: whether the written value names its unit even if a bare number is accepted.
     """
 
     family: units.Family
@@ -42,6 +44,7 @@ class Quantity:
     most: float = 1e9
     degrees: bool = False
     bare: bool = True
+    named: bool = False
 
     def read(self, value: object, unit: Unit) -> float:
         """Return the value as float: design units, degrees or radians, metres, or a plain ratio."""
@@ -61,6 +64,16 @@ class Quantity:
         if not (number > self.above and self.least <= number <= self.most):
             raise self._refused("CL106", "is out of range", value, unit, self._scale_hint(value))
         return number + 0.0  # -0.0 becomes 0.0: equal designs must have equal texts
+
+    def write(self, value: float, unit: Unit) -> float | str:
+        """Return nanometres, a text with a unit, or a number in the file's unit."""
+        if self.family == "wavelength":
+            return units.nanometres(value)
+        if self.family == "angle" and not self.degrees:
+            return f"{value!r} rad"
+        if self.family == "length" and (self.named or not self.bare):
+            return _length_text(value, unit.name)
+        return value
 
     def allowed(self, unit: Unit) -> str:
         """Return the range and the allowed units."""
@@ -145,6 +158,28 @@ class Quantity:
 
     def _refused(self, code: str, complaint: str, value: object, unit: Unit, hint: str = "") -> Refusal:
         return Refusal(code, complaint, value, self.allowed(unit), hint)
+
+
+LENGTH: Final = Quantity("length", "a length")
+LENGTH_ABOVE_0: Final = Quantity("length", "a length > 0", above=0.0)
+LENGTH_FROM_0: Final = Quantity("length", "a length >= 0", least=0.0)
+
+
+def _length_text(value: float, unit: str) -> str:
+    """Write a length of `value` units of the file with a unit word, so that it reads back exactly."""
+    if unit in units.LENGTHS:
+        return f"{value!r} {unit}"
+    parts = units.split(unit)
+    assert parts is not None, unit  # the unit was validated when the file was read
+    return f"{_decimal(Fraction(repr(value)) * parts[0])} {parts[1]}"
+
+
+def _decimal(number: Fraction) -> str:
+    """Return a terminating decimal fraction, digit for digit."""
+    tens, whole = 0, number
+    while whole.denominator != 1:
+        whole, tens = whole * 10, tens + 1
+    return f"{whole.numerator}e-{tens}" if tens else str(whole.numerator)
 
 
 def _pattern(family: units.Family) -> str:

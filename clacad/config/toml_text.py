@@ -15,7 +15,7 @@ from typing import Any, Final, NoReturn
 
 from clacad.base.reading_budgets import BUDGETS
 from clacad.base.regular_file import read_regular
-from clacad.base.text import DEEPEST, did_you_mean, near
+from clacad.base.text import DEEPEST, did_you_mean, near, plain
 from clacad.base.whole_numbers import beyond_64_bits
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import Place, find, syntax_place
@@ -182,3 +182,19 @@ def too_deep(data: Any) -> bool:
         level = [item for part in level if isinstance(part, dict | list)
                  for item in (part.values() if isinstance(part, dict) else part)]  # fmt: skip
     return False
+
+
+def given_table(data: object, what: str = "design") -> dict[str, Any]:
+    """Nested dictionaries as a file of that kind would give them.
+
+    Raises
+    ------
+    DesignError
+        The data are no dictionary, or nested more than 64 levels deep.
+    """
+    given = plain(data, float)
+    if not isinstance(given, dict):
+        _refuse(Mistake("CL104", f"a {what} is a table, not {kind_of(given)}"))
+    if too_deep(given):
+        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep"))
+    return given

@@ -1,7 +1,8 @@
 """Kinds of value of design keys: each reads one value, describes what it allows, and has a JSON Schema.
 
-A kind is a frozen dataclass with three methods. `read(value, unit)` returns the converted value or raises
-`Refusal`; `allowed(unit)` returns the text for messages; `schema()` returns the JSON Schema.
+A kind is a frozen dataclass with four methods. `read(value, unit)` returns the converted value or raises
+`Refusal`; `write(value, unit)` returns the value as a file's data; `allowed(unit)` returns the text for
+messages; `schema()` returns the JSON Schema.
 """
 
 from __future__ import annotations
@@ -10,11 +11,14 @@ import re
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
+from clacad.base import units
 from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
 
 JsonSchema = dict[str, Any]
 LARGEST_COUNT: Final = 2**63 - 1
+FORMAT: Final = 1
+"""Version of the format of design and scene files."""
 
 
 class Refusal(ValueError):
@@ -58,6 +62,9 @@ class Kind(Protocol):
     def read(self, value: object, unit: Unit) -> Any:
         """Return the converted value, or raise `Refusal`."""
 
+    def write(self, value: Any, unit: Unit) -> Any:
+        """Return a converted value as data of a file in this unit; `read` of it is the value again."""
+
     def allowed(self, unit: Unit) -> str:
         """Return the allowed values, in words."""
 
@@ -98,8 +105,18 @@ def not_this(value: object, wanted: str) -> str:
     return f"is {kind_of(value)}, not {wanted}"
 
 
+class WrittenAsRead:
+    """A kind whose converted value is the written value; a tuple is written as a list."""
+
+    __slots__ = ()
+
+    def write(self, value: Any, unit: Unit) -> Any:
+        """Return the value, a tuple as a list."""
+        return list(value) if isinstance(value, tuple) else value
+
+
 @dataclass(frozen=True, slots=True)
-class Whole:
+class Whole(WrittenAsRead):
     """A whole number from `least` to `most`, at most 2⁶³ − 1, the range of an index;
     sizes are checked later.
     """
@@ -128,7 +145,7 @@ class Whole:
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
+class Word(WrittenAsRead):
     """One of a few words."""
 
     words: tuple[str, ...]
@@ -156,7 +173,7 @@ class Word:
 
 
 @dataclass(frozen=True, slots=True)
-class Flag:
+class Flag(WrittenAsRead):
     """true or false."""
 
     def read(self, value: object, unit: Unit) -> bool:
@@ -175,7 +192,7 @@ class Flag:
 
 
 @dataclass(frozen=True, slots=True)
-class Text:
+class Text(WrittenAsRead):
     """A text of limited length; `plain` allows only characters that are safe in file names,
     `pattern` is a full match.
     """
@@ -208,3 +225,47 @@ class Text:
     def schema(self) -> JsonSchema:
         """Return the JSON Schema of a string with its length."""
         return {"description": self.what, "type": "string", "minLength": 1, "maxLength": self.longest}
+
+
+@dataclass(frozen=True, slots=True)
+class UnitWord(WrittenAsRead):
+    """The value of `unit`."""
+
+    def read(self, value: object, unit: Unit) -> str:
+        """Return the text; its length in metres is `units.design_unit`."""
+        if not isinstance(value, str):
+            raise Refusal("CL104", not_this(value, "a text"), value, self.allowed(unit))
+        if units.design_unit(value) is None:
+            words = ("nm", "um", "mm", "cm", "m", "in")
+            hint = did_you_mean(near(value.lower(), words, 0.5), quote='"')
+            raise Refusal("CL105", "is not a length", value, self.allowed(unit), hint)
+        return value
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the words of the message."""
+        return '"m" | "cm" | "mm" | "um" | "nm" | "in", or a length such as "100 mm"'
+
+    def schema(self) -> JsonSchema:
+        """Return the JSON Schema of a string."""
+        return {"type": "string", "examples": ["mm", "um", "m", "100 mm"]}
+
+
+@dataclass(frozen=True, slots=True)
+class FormatVersion(WrittenAsRead):
+    """The value of `format`: the version of the file format, so that old files stay readable forever."""
+
+    def read(self, value: object, unit: Unit) -> int:
+        """Return the version; refuse an unsupported one."""
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise Refusal("CL104", not_this(value, "a whole number"), value, self.allowed(unit))
+        if value != FORMAT:
+            raise Refusal("CL109", "is not a format this version reads", value, self.allowed(unit))
+        return value
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the supported versions."""
+        return str(FORMAT)
+
+    def schema(self) -> JsonSchema:
+        """Return the JSON Schema of a constant."""
+        return {"const": FORMAT}

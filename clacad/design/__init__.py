@@ -6,25 +6,13 @@ Nothing heavy is imported until something is validated.
 
 from __future__ import annotations
 
-from typing import Any
-
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import CODES, Mistake
+from clacad.design.body import BodySpec, Frame, Outline
+from clacad.design.keys import json_schema
+from clacad.design.limits import Allowed, CheckSpec, TolerancesSpec
 from clacad.design.model import Design, load
-from clacad.design.sections import (
-    AimedAt,
-    Allowed,
-    BodySpec,
-    CheckSpec,
-    FieldSpec,
-    Frame,
-    LatticeSpec,
-    LawSpec,
-    LightSpec,
-    Outline,
-    PairSpec,
-    TolerancesSpec,
-)
+from clacad.design.sections import AimedAt, FieldSpec, LatticeSpec, LawSpec, LightSpec, PairSpec
 from clacad.design.starter_designs import template, templates
 
 __all__ = [
@@ -49,10 +37,3 @@ __all__ = [
     "template",
     "templates",
 ]
-
-
-def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a design file, for editors that complete keys."""
-    from clacad.design.schema import json_schema as made
-
-    return made()

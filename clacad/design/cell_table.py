@@ -19,36 +19,32 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from clacad.base.reading_budgets import BUDGETS
 from clacad.base.regular_file import require_regular
 from clacad.base.text import printable
 from clacad.config.design_error import DesignError, DesignTooLarge
+from clacad.config.keys import REQUIRED, key
 from clacad.config.mistakes import Mistake
 from clacad.config.named_paths import folder_of, outside
+from clacad.config.value_kinds import Text
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.design.cell_table_rows import CellNumbers
     from clacad.sheet.lattice import Lattice
 
 KEY = "law.varying.table"
+TABLE_NAME: Final = Text("the name of a CSV or NPZ file in the design's folder", 200)
+_SHA: Final = Text("a SHA-256 in hexadecimal", 64, pattern="[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, slots=True)
 class TableSpec:
-    """A table of cells as named in a design.
+    """A table of cells as named in a design; `sha256` in hexadecimal."""
 
-    Parameters
-    ----------
-    file : str
-        Path relative to the design's folder.
-    sha256 : str
-        SHA-256 of the file's bytes, in hexadecimal.
-    """
-
-    file: str
-    sha256: str
+    file: str = key(TABLE_NAME, "path of the table, relative to the design's folder", REQUIRED)
+    sha256: str = key(_SHA, "SHA-256 of the table's bytes", REQUIRED)
 
 
 def table_path(design_path: str, file: str) -> str:

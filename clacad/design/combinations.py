@@ -8,6 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from clacad.design.keys import BODY, LATTICE, LAW, PAIR, TOLERANCES
+from clacad.design.sections import AimedAt
+
 Ask = Callable[[str], Any]
 
 
@@ -33,100 +36,100 @@ class Feature:
     instead: str = ""
 
 
-def has_point(aperture: Any) -> bool:
-    """Whether an aperture as read is a table with a point."""
-    return not isinstance(aperture, str) and aperture is not None and isinstance(aperture[0], tuple)
+def has_point(a: Ask) -> bool:
+    """Whether the sheet is aimed at a point."""
+    return isinstance(a(POINT), AimedAt)
 
 
 def has_plate(a: Ask) -> bool:
     """Whether bodies end at a polygon, or have holes, corners or pins."""
-    outline = a("lattice.outline")
-    polygon = outline is not None and bool(outline) and outline[0][0] not in ("circle", "rectangle")
-    return polygon or any(bool(a(f"body.{key}")) for key in ("holes", "corners", "pins"))
+    outline = a(LATTICE.outline)
+    polygon = outline is not None and outline.shape not in ("circle", "rectangle")
+    return polygon or any(bool(a(key)) for key in (BODY.holes, BODY.corners, BODY.pins))
 
 
 def _tilted(a: Ask) -> bool:
     """Whether lenses are tilted against the sheet."""
-    return bool((a("law.euler") or (0.0, 0.0, 0.0))[1])
+    return bool((a(LAW.euler) or (0.0, 0.0, 0.0))[1])
 
 
 def _images(a: Ask) -> bool:
     """Whether the law varies in order to image planes."""
-    varying = a("law.varying")
-    return bool(varying) and varying[0][0] in ("f_image", "conjugates")
+    varying = a(LAW.varying)
+    return varying is not None and (varying.f_image or varying.conjugates) is not None
 
 
 def _focused(a: Ask) -> bool:
     """Whether pairs are requested to image two planes sharply."""
-    return a("pair.focus") not in (None, "afocal")
+    return a(PAIR.focus) is not None
 
 
 def _is_slope(a: Ask) -> bool:
     """Whether the aperture is a slope, neither a word nor a point."""
-    aperture = a("lattice.aperture")
-    return aperture not in (None, "centred", "aligned") and not has_point(aperture)
+    aperture = a(LATTICE.aperture)
+    return aperture not in (None, "centred", "aligned") and not has_point(a)
 
 
 def _auto_thickness(a: Ask) -> bool:
     """Whether the thickness of biconvex lenses is to be solved."""
-    return a("pair.form") == "biconvex" and a("pair.thickness") in (None, "auto")
+    return a(PAIR.form) == "biconvex" and a(PAIR.thickness) in (None, "auto")
 
 
 def _tolerated(a: Ask) -> bool:
     """Whether any tolerance is stated."""
-    return any(a(f"tolerances.{key}") not in (None, 0.0, (0.0, 0.0)) for key in _TOLERATED)
+    return any(a(key) not in (None, 0.0, (0.0, 0.0)) for key in _TOLERATED)
 
 
 _TOLERATED: Final = (
-    "decentre",
-    "rotation",
-    "separation",
-    "radius",
-    "index",
-    "thickness",
-    "tilt",
-    "roughness",
+    TOLERANCES.decentre,
+    TOLERANCES.rotation,
+    TOLERANCES.separation,
+    TOLERANCES.radius,
+    TOLERANCES.index,
+    TOLERANCES.thickness,
+    TOLERANCES.tilt,
+    TOLERANCES.roughness,
 )
 
 FEATURES: Final = (
-    Feature("hexagonal cells", "lattice.kind", lambda a: a("lattice.kind") == "hexagonal"),
-    Feature("seam", "lattice.seam", lambda a: bool(a("lattice.seam"))),
-    Feature("outline", "lattice.outline", lambda a: a("lattice.outline") is not None),
-    Feature("tilt", "law.euler", _tilted, "theta = 0"),
-    Feature("tilt where planes are imaged", "law.euler", lambda a: _tilted(a) and _images(a), "theta = 0, or gradient or table instead of planes"),
-    Feature("offset", "law.delta", lambda a: any(a("law.delta") or ())),
-    Feature("biconvex", "pair.form", lambda a: a("pair.form") == "biconvex", 'form = "slab"'),
-    Feature("plano", "pair.form", lambda a: a("pair.form") == "plano", 'form = "slab"'),
-    Feature("slab", "pair.form", lambda a: a("pair.form") == "slab"),
-    Feature("given faces", "pair.prescription", lambda a: a("pair.prescription") == "given", 'prescription = "derived"'),
+    Feature("hexagonal cells", LATTICE.kind, lambda a: a(LATTICE.kind) == "hexagonal"),
+    Feature("seam", LATTICE.seam, lambda a: bool(a(LATTICE.seam))),
+    Feature("outline", LATTICE.outline, lambda a: a(LATTICE.outline) is not None),
+    Feature("tilt", LAW.euler, _tilted, "theta = 0"),
+    Feature("tilt where planes are imaged", LAW.euler, lambda a: _tilted(a) and _images(a), "theta = 0, or gradient or table instead of planes"),
+    Feature("offset", LAW.delta, lambda a: any(a(LAW.delta) or ())),
+    Feature("biconvex", PAIR.form, lambda a: a(PAIR.form) == "biconvex", 'form = "slab"'),
+    Feature("plano", PAIR.form, lambda a: a(PAIR.form) == "plano", 'form = "slab"'),
+    Feature("slab", PAIR.form, lambda a: a(PAIR.form) == "slab"),
+    Feature("given faces", PAIR.prescription, lambda a: a(PAIR.prescription) == "given", 'prescription = "derived"'),
     Feature("tolerances", "tolerances", _tolerated, "leave [tolerances] out"),
-    Feature("aimed at a point", "lattice.aperture", lambda a: has_point(a("lattice.aperture")), 'aperture = "centred", or a slope'),
-    Feature("steered", "lattice.aperture", _is_slope, 'aperture = "centred"'),
-    Feature("traced vertices", "pair.offset", lambda a: a("pair.offset") == "traced", 'offset = "paraxial"'),
-    Feature("law that varies", "law.varying", lambda a: a("law.varying") is not None, "leave one of the two out"),
-    Feature("other pitch", "lattice.pitch_2", lambda a: a("lattice.pitch_2") is not None, "leave one of the two out"),
-    Feature("turned array", "lattice.rotation_2", lambda a: bool(a("lattice.rotation_2")), "leave one of the two out"),
-    Feature("sharp pairs", "pair.focus", _focused, "leave one of the two out"),
-    Feature("curved inside", "pair.curved", lambda a: a("pair.form") == "plano" and a("pair.curved") == "inside", 'curved = "outside"'),
-    Feature("thin recipe", "pair.confocal", lambda a: a("pair.confocal") == "thin", 'confocal = "exact"'),
-    Feature("confocal best", "pair.confocal", lambda a: a("pair.confocal") == "best", 'confocal = "exact"'),
-    Feature("plate with holes, corners or pins", "body.holes", has_plate, "plain edges"),
-    Feature("plate with an outline of its own", "body.outline", lambda a: a("body.outline") is not None, "body.border, or the edge of lattice.outline"),
-    Feature("field lens", "pair.field_lens", lambda a: bool(a("pair.field_lens")), "field_lens = false"),
-    Feature("baffle", "body.baffle", lambda a: bool(a("body.baffle")), "baffle = false"),
-    Feature("eta_x and eta_y that differ", "law.eta", lambda a: a("law.eta")[0] != a("law.eta")[1], "eta_x = eta_y"),
-    Feature("depth of a lens", "pair.depth", lambda a: a("pair.depth") is not None, "leave depth out"),
-    Feature("biconvex of a thickness to be found", "pair.thickness", _auto_thickness, "thickness = a length"),
+    Feature("aimed at a point", LATTICE.aperture, has_point, 'aperture = "centred", or a slope'),
+    Feature("steered", LATTICE.aperture, _is_slope, 'aperture = "centred"'),
+    Feature("traced vertices", PAIR.offset, lambda a: a(PAIR.offset) == "traced", 'offset = "paraxial"'),
+    Feature("law that varies", LAW.varying, lambda a: a(LAW.varying) is not None, "leave one of the two out"),
+    Feature("other pitch", LATTICE.pitch_2, lambda a: a(LATTICE.pitch_2) is not None, "leave one of the two out"),
+    Feature("turned array", LATTICE.rotation_2, lambda a: bool(a(LATTICE.rotation_2)), "leave one of the two out"),
+    Feature("sharp pairs", PAIR.focus, _focused, "leave one of the two out"),
+    Feature("curved inside", PAIR.curved, lambda a: a(PAIR.form) == "plano" and a(PAIR.curved) == "inside", 'curved = "outside"'),
+    Feature("thin recipe", PAIR.confocal, lambda a: a(PAIR.confocal) == "thin", 'confocal = "exact"'),
+    Feature("confocal best", PAIR.confocal, lambda a: a(PAIR.confocal) == "best", 'confocal = "exact"'),
+    Feature("plate with holes, corners or pins", BODY.holes, has_plate, "plain edges"),
+    Feature("plate with an outline of its own", BODY.outline, lambda a: a(BODY.outline) is not None, "body.border, or the edge of lattice.outline"),
+    Feature("field lens", PAIR.field_lens, lambda a: bool(a(PAIR.field_lens)), "field_lens = false"),
+    Feature("baffle", BODY.baffle, lambda a: bool(a(BODY.baffle)), "baffle = false"),
+    Feature("eta_x and eta_y that differ", LAW.eta, lambda a: a(LAW.eta)[0] != a(LAW.eta)[1], "eta_x = eta_y"),
+    Feature("depth of a lens", PAIR.depth, lambda a: a(PAIR.depth) is not None, "leave depth out"),
+    Feature("biconvex of a thickness to be found", PAIR.thickness, _auto_thickness, "thickness = a length"),
 )  # fmt: skip
 
 
-POINT: Final = "lattice.aperture"
-VARYING: Final = "law.varying"
-PITCH_2: Final = "lattice.pitch_2"
-ROTATION_2: Final = "lattice.rotation_2"
-FOCUS: Final = "pair.focus"
+POINT: Final = LATTICE.aperture
+VARYING: Final = LAW.varying
+PITCH_2: Final = LATTICE.pitch_2
+ROTATION_2: Final = LATTICE.rotation_2
+FOCUS: Final = PAIR.focus
 SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
-    POINT: lambda a: has_point(a(POINT)),
+    POINT: has_point,
     VARYING: lambda a: a(VARYING) is not None,
     PITCH_2: lambda a: a(PITCH_2) is not None,
     ROTATION_2: lambda a: bool(a(ROTATION_2)),

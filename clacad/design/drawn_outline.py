@@ -24,6 +24,7 @@ from clacad.config.design_error import DesignTooLarge
 from clacad.config.mistakes import Mistake
 from clacad.config.quantities import SMALLEST_M
 from clacad.config.value_kinds import shown
+from clacad.design.body import MOST_VERTICES, VERTICES, Vertex
 from clacad.design.dxf_entities import (
     Entity,
     TooMuch,
@@ -34,9 +35,9 @@ from clacad.design.dxf_entities import (
     text_lines,
     unit_factor,
 )
-from clacad.design.plate_keys import MOST_VERTICES, Vertex, vertex_lists
 
 LAYER: Final = "OUTLINE"
+_ANY_UNIT: Final = units.Unit("m", units.LENGTHS["m"])
 JOINED: Final = 1e-6
 """Tolerance within which two ends coincide, as part of the drawing's size."""
 
@@ -74,7 +75,7 @@ def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[M
         except Unfit as problem:
             mistakes.append(_of_section(problem.mistake, section))
             continue
-        data = {**data, section: {**data[section], "outline": {"polygon": vertex_lists(points)}}}
+        data = {**data, section: {**data[section], "outline": {"polygon": VERTICES.write(points, _ANY_UNIT)}}}
     return data, mistakes
 
 

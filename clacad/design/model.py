@@ -10,20 +10,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.units import Unit, design_unit
+from clacad.config.edit_text import to_toml
+from clacad.config.keys import written
 from clacad.config.overrides import changed_keys
-from clacad.design.canonical_text import to_dict, to_toml
+from clacad.config.value_kinds import FORMAT
+from clacad.design.body import BodySpec
+from clacad.design.limits import CheckSpec, TolerancesSpec
 from clacad.design.read import read_changed, read_dict, read_file
-from clacad.design.sections import (
-    DAYLIGHT,
-    NO_TOLERANCES,
-    BodySpec,
-    CheckSpec,
-    LatticeSpec,
-    LawSpec,
-    LightSpec,
-    PairSpec,
-    TolerancesSpec,
-)
+from clacad.design.sections import LatticeSpec, LawSpec, LightSpec, PairSpec
+
+_LATER = ("tolerances", "light")
+"""Sections younger than the first canonical texts, absent from them where nothing differs from the defaults."""
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,8 +63,8 @@ class Design:
     lattice: LatticeSpec
     body: BodySpec
     check: CheckSpec
-    tolerances: TolerancesSpec = NO_TOLERANCES
-    light: LightSpec = DAYLIGHT
+    tolerances: TolerancesSpec = TolerancesSpec()
+    light: LightSpec = LightSpec()
     notes: tuple[str, ...] = ()
     given: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
     source: str | None = field(default=None, repr=False, compare=False)
@@ -74,8 +72,10 @@ class Design:
 
     def __repr__(self) -> str:
         eta, cells, pair = self.law_spec.eta, self.lattice.count, self.pair
+        length = pair.thickness if pair.separation is None else pair.separation  # one of them is given
+        which = "thickness" if pair.separation is None else "separation"
         return (
-            f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, separation {pair.separation:g} {self.unit}, "
+            f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, {which} {length:g} {self.unit}, "
             f"{cells[0]} x {cells[1]} cells)"
         )
 
@@ -144,14 +144,15 @@ class Design:
         """Distances from the sheet to the eye before array 1 and to the object behind, metres;
         None where not given.
         """
-        from clacad.base.units import design_unit
+        metres = self._unit.metres
+        viewer, distance = (None if v is None else v * metres for v in (self.check.viewer, self.check.object))
+        return viewer, distance
 
+    @property
+    def _unit(self) -> Unit:
         unit = design_unit(self.unit)
         assert unit is not None  # it was validated when the design was made
-        viewer, distance = (
-            None if v is None else v * unit.metres for v in (self.check.viewer, self.check.object)
-        )
-        return viewer, distance
+        return unit
 
     @property
     def toml(self) -> str:
@@ -167,10 +168,15 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """Return every key with its value, defaults included; `Design.from_dict` of it is an equal design."""
-        head = {"name": self.name, "unit": self.unit, "notes": list(self.notes)}
+        head = {"format": FORMAT, "name": self.name, "unit": self.unit}
         specs = {"law": self.law_spec, "pair": self.pair, "lattice": self.lattice, "body": self.body,
                  "check": self.check, "tolerances": self.tolerances, "light": self.light}  # fmt: skip
-        return to_dict(head, self.unit, specs)
+        tables = {
+            name: written(spec, self._unit)
+            for name, spec in specs.items()
+            if name not in _LATER or spec != type(spec)()
+        }
+        return head | ({"notes": list(self.notes)} if self.notes else {}) | tables
 
     def canonical_toml(self) -> str:
         """Return the design as TOML in one fixed form: every key, fixed order, shortest numbers."""

@@ -1,45 +1,65 @@
-"""The sections of a design file as frozen values in the design's unit.
+"""Sections [law], [pair], [lattice] and [light] of a design file: each field is a key of the file.
 
 Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; the Euler angles are
-kept in degrees too, as written, so that 90 degrees stays exact.
+kept in degrees, as written, so that 90 degrees stays exact. `clacad explain pair.web` prints what a key means.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-from clacad.design.given_faces import FaceSpec
-from clacad.design.plate_keys import CornersSpec, HoleSpec, PinsSpec, Vertex
-from clacad.design.search_record import SearchRecord
-from clacad.design.varying import Conjugates, VaryingSpec
+from clacad.config.compound_kinds import ListOf, ListOrTable, Record, Several, WordOr
+from clacad.config.keys import REQUIRED, key, keys_of
+from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
+from clacad.config.value_kinds import LARGEST_COUNT, Flag, Text, Whole, Word
+from clacad.design.body import OUTLINE, Outline
+from clacad.design.faces import CONIC, FaceSpec, SearchRecord
+from clacad.design.varying import VARYING, Planes, VaryingSpec
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2
 
+_ETA: Final = Quantity("ratio", "a number, not 0, from -1e6 to 1e6", least=-1e6, most=1e6)
+_DELTA: Final = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
+_EULER: Final = Quantity(
+    "angle", "an angle from -36000 to 36000 deg", least=-36000.0, most=36000.0, degrees=True
+)
+_SLOPE: Final = Quantity("ratio", "a slope from -100 to 100", least=-100.0, most=100.0)
+_INDEX: Final = Quantity("ratio", "a number > 1, at most 10", above=1.0, most=10.0)
+_WAVELENGTH: Final = Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3)
+_TURN: Final = Quantity(
+    "angle", "an angle from -45 to 45 deg", least=-math.pi / 4, most=math.pi / 4, bare=False
+)
+_XY: Final = ("x", "y")
+_LENSES: Final = ("lens 1", "lens 2")
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LawSpec:
-    """The requested law of refraction, paper eqs (4), (5) and section 3.
+    """Section [law]: the requested law of refraction, paper eqs (4), (5) and section 3.
 
-    Parameters
-    ----------
-    eta, delta : (2,) tuple of float
-        η_i = −f2_i/f1_i and δ_i = d_i/f1_i for i = x, y in the lens frame.
-    euler_degrees : (3,) tuple of float, degrees
-        φ, θ, ψ as written.
-    euler_axes : {"fixed", "moving"}
-        R = Rz(ψ) Rx(θ) Rz(φ) for fixed axes, Rz(φ) Rx(θ) Rz(ψ) for moving ones.
-    varying : VaryingSpec or None
-        Variation of δ over the sheet; None: all cells obey one law.
+    η_i = −f2_i/f1_i and δ_i = d_i/f1_i for i = x, y in the lens frame. `euler_degrees` are φ, θ, ψ as
+    written: R = Rz(ψ) Rx(θ) Rz(φ) for fixed axes, Rz(φ) Rx(θ) Rz(ψ) for moving ones. `varying` None: all cells
+    obey one law.
     """
 
-    eta: Pair2
-    delta: Pair2
-    euler_degrees: tuple[float, float, float]
-    euler_axes: Literal["fixed", "moving"]
-    varying: VaryingSpec | None = None
+    eta: Pair2 = key(
+        Several(_ETA, _XY, not_all=(0.0, 1.0), example="[-1.0, -1.0]"),
+        "eta_i = -f2_i/f1_i in the lens frame",
+        REQUIRED,
+    )
+    delta: Pair2 = key(Several(_DELTA, _XY), "delta_i = d_i/f1_i, offset of lens 2", (0.0, 0.0))
+    euler_degrees: tuple[float, float, float] = key(
+        Several(_EULER, ("phi", "theta", "psi")), "turns about z, x, z", (0.0, 0.0, 0.0), name="euler"
+    )
+    euler_axes: Literal["fixed", "moving"] = key(
+        Word(("fixed", "moving")), "whether the turns are about fixed or moving axes", "fixed"
+    )
+    varying: VaryingSpec | None = key(
+        VARYING, "how delta varies over the sheet: f_image, conjugates, gradient or table"
+    )
 
     @property
     def cylinders(self) -> bool:
@@ -52,94 +72,121 @@ class LawSpec:
         phi, theta, psi = (math.radians(angle) for angle in self.euler_degrees)
         return phi, theta, psi
 
+    def words(self, turned: bool = False) -> str:
+        """Requested law as text: "eta = (-0.25, -1), phi = 45°, theta = 0.5°, psi = 90°".
+
+        Parameters
+        ----------
+        turned : bool
+            Whether to write the three angles even if all are 0; a non-zero offset is always written.
+        """
+        parts = [f"eta = ({self.eta[0]:.4g}, {self.eta[1]:.4g})"]
+        if any(self.delta):
+            parts.append(f"delta = ({self.delta[0]:.4g}, {self.delta[1]:.4g})")
+        if turned or any(self.euler_degrees):
+            names = zip(("phi", "theta", "psi"), self.euler_degrees, strict=True)
+            parts += [f"{name} = {angle:.5g}°" for name, angle in names]
+        return ", ".join(parts)
+
 
 @dataclass(frozen=True, slots=True)
 class FieldSpec:
     """Requested properties of the field lens.
 
-    Parameters
-    ----------
-    conic : float or None
-        Conic constant of its faces; None: 0 between the two plates of a slab, −n² on a plate in air.
-    gap : float or None, length
-        Air gap between the plates of a slab, vertex to vertex; None: the larger of pitch/25 and 1.25 times
-        the clearance limit.
+    `conic` None: 0 between the two plates of a slab, −n² on a plate in air. `gap` None: the larger of pitch/25
+    and 1.25 times the clearance limit.
     """
 
-    conic: float | None = None
-    gap: float | None = None
+    conic: float | None = key(CONIC, "conic constant of the faces of the field lens")
+    gap: float | None = key(LENGTH_ABOVE_0, "air gap between the plates of a slab, vertex to vertex")
 
 
-@dataclass(frozen=True, slots=True)
+def _derived(pair: PairSpec, value: Any) -> Any:
+    """Write keys of the recipes where the recipe solves for the faces."""
+    return None if pair.given else value
+
+
+def _plano(pair: PairSpec, curved: str) -> str | None:
+    """Write which faces are curved where there is a choice."""
+    return curved if pair.form == "plano" else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PairSpec:
-    """Construction of a lenslet pair.
+    """Section [pair]: construction of a lenslet pair. Lengths in design units, wavelength in metres.
 
-    Parameters
-    ----------
-    form : {"biconvex", "plano", "slab"}
-        Two biconvex lenses, two plano-convex ones, or both faces of one slab.
-    separation : float or None, length
-        Biconvex: centre to centre; plano: f1 + f2 in air; slab: T/n (None: given by `thickness`).
-    thickness : "auto", float or (2,) tuple of float, length
-        Centre thickness of both lenses, or of lens 1 and lens 2; slab: thickness of the slab.
-    web : float or None, length
-        Plate joining the lenslets (biconvex); None: 0, or the neck where there is a seam.
-    confocal : {"exact", "thin", "best"}
-        Recipe for the radii.
-    surface : {"ellipsoid", "biconic"}
-        Shape of the faces.
-    conic : (2,) tuple of float or None
-        Conic constants of a biconic; None: the form's default.
-    depth : (2,) tuple of float or None, length
-        1/κ of lens 1 and 2; None: sqrt(|R_x R_y|).
-    curved : {"outside", "inside"}
-        Plano: which faces are curved.
-    index : float or None
-        Refractive index; None: from `material`.
-    material : str or None
-        Name in the table of materials.
-    wavelength : float, metres
-        Design wavelength.
-    prescription : {"derived", "given"}
-        Whether the recipe solves for the faces, or `face` gives them.
-    face : tuple of FaceSpec
-        The given faces in the order light reaches them: 2 for a slab, else 4. A field lens has two more. A
-        slab that the field lens cuts in three has the faces of plano lenses.
-    vertex : (2,) tuple of float or None, length
-        Given offset of lens 2 in the lens frame; None: δ f1.
-    offset : {"paraxial", "traced"} or None
-        Position of lens 2: by paraxial rays, or so that traced light obeys the law; None: traced on
-        non-uniform sheets.
-    search : SearchRecord or None
-        Origin of given faces.
-    field_lens : bool
-        Whether an array of lenses at the common focus images lens 1 onto lens 2.
-    field : FieldSpec
-        Properties of the field lens.
-    focus : Conjugates or None
-        Planes that every pair images sharply onto one another; None: the pair is afocal.
+    Two biconvex lenses, two plano-convex ones, or both faces of one slab. None means: of `separation`, given by
+    `thickness`; of `web`, 0, or the neck where there is a seam; of `conic`, the form's default; of `depth`
+    (1/κ of lens 1 and 2), sqrt(|R_x R_y|); of `index`, from `material`; of `vertex`, δ f1; of `offset`, traced on
+    non-uniform sheets; of `focus`, afocal. The given faces are 2 for a slab, else 4. A field lens has two more;
+    a slab that the field lens cuts in three has the faces of plano lenses.
     """
 
-    form: Literal["biconvex", "plano", "slab"]
-    separation: float | None
-    thickness: Literal["auto"] | float | Pair2
-    web: float | None
-    confocal: Literal["exact", "thin", "best"]
-    surface: Literal["ellipsoid", "biconic"]
-    conic: Pair2 | None
-    depth: Pair2 | None
-    curved: Literal["outside", "inside"]
-    index: float | None
-    material: str | None
-    wavelength: float
-    prescription: Literal["derived", "given"] = "derived"
-    face: tuple[FaceSpec, ...] = ()
-    vertex: Pair2 | None = None
-    offset: Literal["paraxial", "traced"] | None = None
-    search: SearchRecord | None = None
-    field_lens: bool = False
-    field: FieldSpec = FieldSpec()
-    focus: Conjugates | None = None
+    form: Literal["biconvex", "plano", "slab"] = key(
+        Word(("biconvex", "plano", "slab")), "how a lenslet pair is built", REQUIRED
+    )
+    separation: float | None = key(
+        LENGTH_ABOVE_0, "biconvex: centre to centre; plano: f1 + f2 in air; slab: thickness / index"
+    )
+    thickness: Literal["auto"] | float | Pair2 = key(
+        WordOr(("auto",), Several(LENGTH_ABOVE_0, _LENSES, single=True, alone=True)),
+        "centre thickness",
+        "auto",
+    )
+    web: float | None = key(
+        LENGTH_FROM_0, "biconvex: thickness of the plate that joins the lenslets of an array"
+    )
+    confocal: Literal["exact", "thin", "best"] = key(
+        Word(("exact", "thin", "best")), "recipe for the radii", "exact", written=_derived
+    )
+    surface: Literal["ellipsoid", "biconic"] = key(
+        Word(("ellipsoid", "biconic")), "shape of the lens faces", "ellipsoid", written=_derived
+    )
+    conic: Pair2 | None = key(Several(CONIC, _XY), "biconic: conic constants", written=_derived)
+    depth: Pair2 | None = key(
+        Several(LENGTH_ABOVE_0, _LENSES, single=True),
+        "ellipsoid: semi-axis along the optical axis",
+        written=_derived,
+    )
+    curved: Literal["outside", "inside"] = key(
+        Word(("outside", "inside")), "plano: which faces are curved", "outside", written=_plano
+    )
+    index: float | None = key(_INDEX, "refractive index")
+    material: str | None = key(Text("the name of a material", 60), "material instead of an index")
+    wavelength: float = key(_WAVELENGTH, "design wavelength", 550e-9)
+    prescription: Literal["derived", "given"] = key(
+        Word(("derived", "given")),
+        "derived: faces follow from eta and delta; given: they stand in [[pair.face]]",
+        "derived",
+        later=True,
+    )
+    face: tuple[FaceSpec, ...] = key(
+        ListOf(Record(FaceSpec), "tables"),
+        "given: the faces in the order light meets them, in their own lens frames",
+        (),
+    )
+    vertex: Pair2 | None = key(Several(LENGTH, _XY), "given: lens 2's offset (d_x, d_y) instead of delta f1")
+    offset: Literal["paraxial", "traced"] | None = key(
+        Word(("paraxial", "traced")),
+        "where lens 2 stands: by paraxial rays, or where the mean traced light of its cell obeys the law (default where cells differ)",
+    )
+    search: SearchRecord | None = key(
+        Record(SearchRecord),
+        "given: where the faces come from; clacad optimise writes it, nothing is built from it",
+    )
+    field_lens: bool = key(
+        Flag(), "lenses at the common focus, which image lens 1 onto lens 2", False, later=True
+    )
+    field: FieldSpec = key(
+        Record(FieldSpec),
+        "field lens: conic constant of its faces, and air gap between the plates of a slab",
+        FieldSpec(),
+        later=True,
+    )
+    focus: Planes | None = key(
+        WordOr(("afocal",), Record(Planes), absent="afocal"),
+        "afocal: parallel light leaves parallel; or two planes that every pair images sharply to one another",
+    )
 
     @property
     def given(self) -> bool:
@@ -160,17 +207,8 @@ class PairSpec:
         return self.thickness if isinstance(self.thickness, tuple) else (self.thickness, self.thickness)
 
 
-@dataclass(frozen=True, slots=True)
-class Outline:
-    """Outer shape of the sheet: a circle of diameter size[0], a rectangle size[0] by size[1], or a closed polygon.
-
-    For a polygon, `points` are the corners (x, y, bulge of the side that begins there), lengths; `size` is
-    that of the box centred on the origin that contains it.
-    """
-
-    shape: Literal["circle", "rectangle", "polygon"]
-    size: Pair2
-    points: tuple[Vertex, ...] = ()
+OF_RECIPES: Final = tuple(name for name, one in keys_of(PairSpec).items() if one.written is _derived)
+"""Keys of the recipes that solve for faces."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,273 +217,59 @@ class AimedAt:
     z < 0 before array 1.
     """
 
-    point: tuple[float, float, float]
+    point: tuple[float, float, float] = key(Several(LENGTH, ("x", "y", "z")), "where the viewer is", REQUIRED)
 
 
-@dataclass(frozen=True, slots=True)
+def _pitch_of_kind(lattice: LatticeSpec, pitch: Pair2 | None) -> Pair2 | float | None:
+    """Write one pitch where the lattice has one."""
+    return pitch if pitch is None or lattice.kind == "rectangular" else pitch[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LatticeSpec:
-    """Number and positions of the pairs.
+    """Section [lattice]: number and positions of the pairs. Lengths in design units, `rotation_2` in radians.
 
-    Parameters
-    ----------
-    kind : {"square", "rectangular", "hexagonal"}
-        Pattern of the cells.
-    pitch : (2,) tuple of float, length
-        Cell size in x and y; hexagonal: centre to centre, given twice.
-    count : (2,) tuple of int
-        Cells along the two lattice vectors (hexagonal: cells per row, rows); by default the count that fills
-        the outline.
-    seam : float, length
-        Width of the land along cell borders.
-    seam_depth : float or None, length
-        Plano, slab: land below the deepest optical point; None: pitch/50.
-    outline : Outline or None
-        Cells wholly inside are kept; None: the lattice's own outline.
-    pitch_2 : (2,) tuple of float or None, length
-        Pitch of array 2, whose lenses lie in the centres of their own cells; None: that of array 1.
-    rotation_2 : float, radians
-        Rotation of array 2's cells and of the positions of their lenses about its centre; lenses keep the
-        law's axes.
-    aperture : "centred", "aligned", (2,) tuple of float or AimedAt
-        Cell 2 is cell 1 displaced by the height of centre 2 over centre 1 times this slope, or times that of
-        a viewer's light.
-    land : {"clear", "opaque"}
-        Whether land transmits light.
+    A hexagonal pitch is the distance of centres, given twice; its count is cells per row, rows. None means: of
+    `seam_depth`, pitch/50; of `outline`, the lattice's own; of `pitch_2`, that of array 1. Lenses of array 2 with
+    a pitch or rotation of its own lie in the centres of their cells and keep the law's axes. Cell 2 is cell 1
+    displaced by the height of centre 2 over centre 1 times the slope `aperture`, or times that of a viewer's light.
     """
 
-    kind: Literal["square", "rectangular", "hexagonal"]
-    pitch: Pair2
-    count: tuple[int, int]
-    seam: float
-    seam_depth: float | None
-    outline: Outline | None
-    aperture: Literal["centred", "aligned"] | Pair2 | AimedAt
-    land: Literal["clear", "opaque"]
-    pitch_2: Pair2 | None = None
-    rotation_2: float = 0.0
+    kind: Literal["square", "rectangular", "hexagonal"] = key(
+        Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"
+    )
+    pitch: Pair2 = key(
+        Several(LENGTH_ABOVE_0, _XY, single=True), "size of a cell", REQUIRED, written=_pitch_of_kind
+    )
+    count: tuple[int, int] = key(
+        Several(Whole(f"a whole number from 1 to {LARGEST_COUNT}"), ("n1", "n2"), single=True),
+        "number of cells; may be left out with an outline, which is then filled",
+    )
+    seam: float = key(LENGTH_FROM_0, "width of the land along cell borders", 0.0)
+    seam_depth: float | None = key(
+        LENGTH_ABOVE_0, "plano, slab: how far the land lies below the deepest optical point"
+    )
+    outline: Outline | None = key(OUTLINE, "outer shape of the cells; cells wholly inside are kept")
+    aperture: Literal["centred", "aligned"] | Pair2 | AimedAt = key(
+        WordOr(("centred", "aligned"), ListOrTable(Several(_SLOPE, _XY), Record(AimedAt))),
+        "where cell 2 of a telescopelet stands; point: where the light of a viewer there arrives",
+        "centred",
+    )
+    land: Literal["clear", "opaque"] = key(
+        Word(("clear", "opaque")), "whether land lets light through", "clear"
+    )
+    pitch_2: Pair2 | None = key(
+        Several(LENGTH_ABOVE_0, _XY, single=True),
+        "size of a cell of array 2, where it is another: a superlens",
+        written=_pitch_of_kind,
+    )
+    rotation_2: float = key(
+        _TURN, "turn of array 2 against array 1 about the sheet's normal: a moire magnifier", 0.0, later=True
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """Opaque frame around the sheet: width beyond the border, height along z (None: as high as the sheet)."""
-
-    width: float
-    height: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class BodySpec:
-    """Parts in addition to the lenses.
-
-    Parameters
-    ----------
-    border : float, length
-        Width of the land around the sheet: around its cells, or beyond `lattice.outline`.
-    neck : float or None, length
-        Least thickness at an inner border; None: max(process minimum, pitch/50).
-    baffle : bool
-        Opaque honeycomb between the arrays.
-    baffle_wall : float or None, length
-        Wall thickness of the baffle; given if `baffle`.
-    frame : Frame or None
-        Opaque frame.
-    roughness : float, length
-        Rms height of the optical faces' roughness.
-    slope_rms : float, radians
-        Rms slope error of the optical faces.
-    corners : CornersSpec or None
-        Corners of a rectangular plate; None: sharp.
-    holes : tuple of HoleSpec
-    pins : PinsSpec or None
-    outline : Outline or None
-        Edge of the plate where it is not that of the cells; instead of `border`.
-    """
-
-    border: float
-    neck: float | None
-    baffle: bool
-    baffle_wall: float | None
-    frame: Frame | None
-    roughness: float
-    slope_rms: float
-    corners: CornersSpec | None = None
-    holes: tuple[HoleSpec, ...] = ()
-    pins: PinsSpec | None = None
-    outline: Outline | None = None
-
-    @property
-    def apart(self) -> bool:
-        """Whether the plate has its own edge, separate from `lattice.outline`."""
-        return self.border > 0.0 or self.outline is not None
-
-    @property
-    def shaped(self) -> bool:
-        """Whether corners, holes or pins are requested."""
-        return self.corners is not None or bool(self.holes) or self.pins is not None
-
-
-@dataclass(frozen=True, slots=True)
-class Allowed:
-    """A warning that the designer accepts, with a reason."""
-
-    code: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class CheckSpec:
-    """Limits for checks of the built design and its files. Angles in radians, lengths in design units.
-
-    None means that the process profile gives the limit (`clearance edge neck radius sag part_height
-    part_width materials pitch tool wall draft slope voxel layer aspect`), or that `law_rms` applies
-    (`mesh_law_rms`).
-
-    Parameters
-    ----------
-    field : float, radians
-        Half angle of the cone of test rays.
-    field_centre : {"axis", "normal"}
-        Centre of that cone: the axis of the field (aperture slope), or the sheet's normal.
-    process : str
-        Name of the process profile.
-    confocality : float
-        Afocal defect over the separation; default .002 for exact recipes, .02 for thin, best and given faces.
-    viewed : float
-        Least share of the viewer's light that must obey the law, mean over the whole sheet.
-    viewer, object : float, lengths
-        Distance from the sheet to the eye before array 1 (see the check `viewed`), and to the object behind
-        array 2.
-    allow : tuple of Allowed
-        Accepted warnings.
-    """
-
-    field: float
-    field_centre: Literal["axis", "normal"]
-    process: str
-    law_rms: float
-    law_bias: float
-    mesh_law_rms: float | None
-    eta: float
-    delta: float
-    confocality: float
-    throughput: float
-    cover: float
-    clearance: float | None
-    graph: float
-    edge: float | None
-    neck: float | None
-    radius: float | None
-    sag: float | None
-    part_height: float | None
-    part_width: float | None
-    materials: tuple[str, ...] | None
-    pitch: float | None
-    tool: float | None
-    wall: float | None
-    draft: float | None
-    slope: float | None
-    voxel: float | None
-    layer: float | None
-    aspect: float | None
-    volume: float
-    shape: float
-    file_rms: float
-    pose: float
-    scale: float
-    fresnel_number: float
-    viewed: float
-    viewer: float | None
-    object: float | None
-    allow: tuple[Allowed, ...]
-
-    @property
-    def of_light(self) -> tuple[float, float, float, float, float]:
-        """Limits for light through a file: rms and bias (radians), relative error of eta, error of delta,
-        confocality.
-        """
-        rms = self.law_rms if self.mesh_law_rms is None else self.mesh_law_rms
-        return rms, self.law_bias, self.eta, self.delta, self.confocality
-
-
-@dataclass(frozen=True, slots=True)
-class TolerancesSpec:
-    """Fabrication errors, and limits of a good sheet. Lengths in design units, angles in radians.
-
-    A field lens on its own plate has the larger tolerance of the two arrays. Each tolerance t means ±t
-    (roughness: 0 … t); 0 means no error.
-
-    Parameters
-    ----------
-    decentre : (2,) tuple of float, length
-        Displacement of array 1 and array 2 as wholes, in x and in y.
-    rotation : float, radians
-        Rotation of array 2 relative to array 1 about the sheet's normal.
-    separation : float, length
-        Displacement of array 2 along the sheet's normal.
-    radius : (2,) tuple of float
-        Relative error of all radii of a face of array 1 and array 2.
-    index : float
-        Error of the refractive index of each body.
-    thickness : (2,) tuple of float, length
-        Error of the centre thickness of each body.
-    tilt : float, radians
-        Tilt of array 2 relative to array 1 about x and about y.
-    roughness : float, length
-        Rms height.
-    distribution : {"normal", "uniform"}
-        Normal: t is two standard deviations; uniform: t is the limit.
-    samples, seed : int
-        Number of samples and seed of the Monte-Carlo run.
-    image_shift, blur, residual_power, moire_period : float or None
-        Limits of a good sheet in addition to those of [check]: radians, radians, 1/m, length.
-    """
-
-    decentre: Pair2
-    rotation: float
-    separation: float
-    radius: Pair2
-    index: float
-    thickness: Pair2
-    tilt: float
-    roughness: float
-    distribution: Literal["normal", "uniform"]
-    samples: int
-    seed: int
-    image_shift: float | None
-    blur: float | None
-    residual_power: float | None
-    moire_period: float | None
-
-    @staticmethod
-    def of_array(halves: Pair2, array: int) -> float:
-        """Tolerance of array 0 or 1; for a field lens, which has none of its own, the larger of the two."""
-        return halves[array] if array < 2 else max(halves)
-
-    def of_body(self, number: int, bodies: int) -> float:
-        """Tolerance (length) of the thickness of body 1, 2 …;
-        for a plate between two, the larger of theirs.
-        """
-        middle = bodies == 3 and number == 2
-        return max(self.thickness) if middle else self.thickness[min(number, 2) - 1]
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LightSpec:
-    """Light that illuminates the sheet.
+    """Section [light]: light that illuminates the sheet."""
 
-    Parameters
-    ----------
-    coherent : bool
-        Whether the light is coherent over many cells.
-    """
-
-    coherent: bool
-
-
-DAYLIGHT = LightSpec(coherent=False)
-"""Light of a design without a [light] section."""
-
-NO_TOLERANCES = TolerancesSpec(
-    (0.0, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0, (0.0, 0.0), 0.0, 0.0, "normal", 1000, 0, None, None, None, None
-)
-"""Tolerances of a design without a [tolerances] section."""
+    coherent: bool = key(Flag(), "whether the light is one wave over many cells, as a laser's", False)

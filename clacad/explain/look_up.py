@@ -7,8 +7,8 @@ from dataclasses import replace
 from clacad.base.text import did_you_mean, near
 from clacad.base.units import LENGTHS, Unit
 from clacad.base.whole_numbers import whole_number
-from clacad.config.mistakes import CODES as DESIGN
-from clacad.design.keys import ROOT, SECTIONS, homes
+from clacad.config.mistakes import CODES as IN_DESIGNS
+from clacad.design.keys import DESIGN, PAIR, ROOT, SECTIONS
 from clacad.explain.design_mistakes import MISTAKES
 from clacad.explain.entry import Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
@@ -36,7 +36,7 @@ def entries() -> dict[str, Entry]:
     What has the name of a word or a check (diffraction) is an entry of its own: "effect diffraction".
     """
     found = {}
-    for code, title in sorted({**DESIGN, **BODIES}.items()):
+    for code, title in sorted({**IN_DESIGNS, **BODIES}.items()):
         means, why, formula, do = MISTAKES[code]
         found[code] = Entry(code, "", title, means, why, formula, do)
     for kind in sorted(kinds().values(), key=lambda kind: kind.code):
@@ -98,7 +98,7 @@ def explain(asked: str) -> Entry:
 
 def _key(name: str) -> Entry | None:
     """A key of the design file, by its dotted name or its last part."""
-    places = homes(name.rsplit(".", 1)[-1])
+    places = DESIGN.homes(name.rsplit(".", 1)[-1])
     place = name if name in places else (places[0] if places and "." not in name else None)
     if place is None:
         return None
@@ -109,7 +109,7 @@ def _key(name: str) -> Entry | None:
         )
     key = (SECTIONS[section] if section else ROOT)[last]
     allowed = key.kind.allowed(Unit("the design's unit", LENGTHS["m"]))
-    if place == "pair.material":
+    if place == PAIR.material:
         allowed = f"one of the names of the table ({materials_text()}), or a page of the refractiveindex.info database (ri:…)"
     return Entry("", place, f"key {place} of the design file", key.about, "", "", f"it takes {allowed}")
 

@@ -13,7 +13,7 @@ from clacad.base.types import Bools, Floats
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.design import Design
-from clacad.design.search_record import SearchRecord, faces_digest
+from clacad.design.faces import SearchRecord, faces_digest
 from clacad.optics.fit import minimise
 from clacad.optimising.aim import RAYS, Aim, AimedRays
 from clacad.optimising.search_walls import Walls, penalties

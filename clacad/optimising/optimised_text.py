@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import degrees
 
-from clacad.design.canonical_text import to_toml
+from clacad.config.edit_text import to_toml
 from clacad.optimising.aim import RAYS, WHOLE
 from clacad.optimising.search import Optimised
 

@@ -8,7 +8,7 @@ from time import monotonic
 from typing import Any
 
 from clacad.design import Design
-from clacad.design.given_faces import face_table
+from clacad.design.faces import face_table
 from clacad.optimising.aim import RAYS, WHOLE, Aim, AimedRays, Weights
 from clacad.optimising.face_search import FaceSearch, Progress
 from clacad.optimising.measured_light import FIELDS, Seen, measured

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from clacad.design import Design
-from clacad.design.canonical_text import OF_RECIPES
-from clacad.design.given_faces import FaceSpec, face_table
-from clacad.design.search_record import SearchRecord
+from clacad.design.faces import FaceSpec, SearchRecord, face_table
+from clacad.design.sections import OF_RECIPES
 from clacad.prescription.given import given_surface
 from clacad.sheet.window import Window
 

@@ -18,7 +18,7 @@ from clacad.base.types import Floats
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
-from clacad.design.given_faces import FaceSpec
+from clacad.design.faces import FaceSpec
 from clacad.optics.surface import EvenPolynomial, Quadric, Surface
 from clacad.prescription.given import given_conics
 from clacad.sheet.window import Window

@@ -12,8 +12,8 @@ import numpy as np
 from clacad.base.digits import rounded_up
 from clacad.base.types import Floats, Pair2
 from clacad.design.asked_cells import lattice_of
+from clacad.design.faces import faces_digest
 from clacad.design.process_profiles import profile
-from clacad.design.search_record import faces_digest
 from clacad.design.sections import AimedAt
 from clacad.prescription import poses
 from clacad.prescription.cell_heights import face_range, window_range

@@ -12,7 +12,7 @@ from math import inf
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.given_faces import FaceSpec
+from clacad.design.faces import FaceSpec
 from clacad.design.sections import PairSpec
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, as_quadric
 from clacad.prescription.cell_heights import face_range, least_thickness, zone_points

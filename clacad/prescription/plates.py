@@ -15,7 +15,7 @@ import numpy as np
 
 from clacad.base.digits import rounded_up
 from clacad.base.types import Pair2
-from clacad.design.sections import BodySpec, Outline
+from clacad.design.body import BodySpec, Outline
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Hole, Plate, counter_clockwise, plate_of_circle, plate_of_rectangle

@@ -21,7 +21,7 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Pair2
-from clacad.design.varying import Conjugates
+from clacad.design.varying import Planes
 from clacad.optics.law.focusing import SharpPair
 from clacad.prescription.radii import (
     LensPair,
@@ -47,7 +47,7 @@ LADDER = 1.25
 """Factor by which planes are moved away until they work."""
 
 
-def sharp_pairs(eta: Pair2, separation: float, planes: Conjugates) -> tuple[SharpPair, SharpPair]:
+def sharp_pairs(eta: Pair2, separation: float, planes: Planes) -> tuple[SharpPair, SharpPair]:
     """Lenses of both meridians.
 
     Raises
@@ -64,7 +64,7 @@ def sharp_pairs(eta: Pair2, separation: float, planes: Conjugates) -> tuple[Shar
     return found
 
 
-def _pairs(eta: Pair2, separation: float, planes: Conjugates) -> tuple[SharpPair, SharpPair]:
+def _pairs(eta: Pair2, separation: float, planes: Planes) -> tuple[SharpPair, SharpPair]:
     x, y = (SharpPair.of(value, separation, planes.object, planes.image) for value in eta)
     return x, y
 
@@ -80,12 +80,12 @@ def _no_telescopelet(eta: float, separation: float, pair: SharpPair) -> str:
     return ""
 
 
-def _farther(eta: Pair2, separation: float, planes: Conjugates) -> str:
+def _farther(eta: Pair2, separation: float, planes: Planes) -> str:
     """Describe planes that work: the requested two, multiplied by a common factor."""
     factor = 1.0
     while factor < 1e9:
         factor *= LADDER
-        trial = Conjugates(_shortened(planes.object * factor), _shortened(planes.image * factor))
+        trial = Planes(_shortened(planes.object * factor), _shortened(planes.image * factor))
         pairs = _pairs(eta, separation, trial)
         if not any(_no_telescopelet(value, separation, pair) for value, pair in zip(eta, pairs, strict=True)):
             return f"object = {trial.object:g}, image = {trial.image:g}"
@@ -96,17 +96,15 @@ def _shortened(length: float) -> float:
     return float(f"{length:.3g}") if isfinite(length) else length
 
 
-def seen_through(planes: Conjugates, thickness: Pair2, index: float) -> Conjugates:
+def seen_through(planes: Planes, thickness: Pair2, index: float) -> Planes:
     """Planes (lengths) as seen by lenses behind plates of these thicknesses:
     equivalent air distances, paraxial.
     """
     before, behind = (t * (1.0 - 1.0 / index) for t in thickness)
-    return Conjugates(planes.object + before, planes.image - behind)
+    return Planes(planes.object + before, planes.image - behind)
 
 
-def sharp_lenses(
-    eta: Pair2, separation: float, planes: Conjugates, thickness: Pair2, index: float
-) -> LensPair:
+def sharp_lenses(eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float) -> LensPair:
     """Lenses with one curved face each, R = (n − 1) f, exact in paraxial light for any thickness."""
     focal = _lens_by_lens(sharp_pairs(eta, separation, planes))
     (a, b), (c, d) = focal
@@ -115,7 +113,7 @@ def sharp_lenses(
 
 
 def sharp_thick_lenses(
-    eta: Pair2, separation: float, planes: Conjugates, thickness: Pair2, index: float
+    eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float
 ) -> LensPair:
     """Symmetric biconvex lenses, centres `separation` apart, exact in paraxial light for any thickness.
 
@@ -137,7 +135,7 @@ def sharp_thick_lenses(
 
 
 def thick_pairs(
-    eta: Pair2, separation: float, planes: Conjugates, thickness: Pair2, index: float
+    eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float
 ) -> tuple[SharpPair, SharpPair]:
     """Thin equivalents of symmetric thick lenses in both meridians, between principal planes,
     solved by iteration.
@@ -147,7 +145,7 @@ def thick_pairs(
 
 
 def _thick_meridian(
-    eta: float, separation: float, planes: Conjugates, thickness: Pair2, index: float
+    eta: float, separation: float, planes: Planes, thickness: Pair2, index: float
 ) -> SharpPair:
     lost, pair = (0.0, 0.0), SharpPair.of(eta, separation, planes.object, planes.image)
     for _ in range(ROUNDS):

@@ -82,14 +82,14 @@ def coordinate_scene(scene: Scene, z: float, pixels: int = 400) -> Scene:
     """The scene with nothing but a coordinate screen in z, one ray a pixel, self-luminous."""
     grey = (0.0, 0.0, 0.0)
     screen = SceneObject(
-        "screen", "screen", (0.0, 0.0, z), (WIDE, WIDE), (0.0, 0.0, 0.0), grey, 0.0, 1.0, None, (grey, grey), None, "y",
-        "coordinates", None,
+        id="screen", kind="screen", at=(0.0, 0.0, z), size=(WIDE, WIDE), colour=grey, colours=(grey, grey),
+        pattern="coordinates",
     )  # fmt: skip
     width, height = scene.camera.pixels
     across = (pixels, max(1, round(pixels * height / width)))
     camera = replace(scene.camera, pixels=across, samples=1, noise=0.0, aperture=0.0)
     light = replace(scene.light, spectrum=550e-9)
-    none = EffectsSpec("none", (), (), (), None, scene.effects.radiance, "none", 1)
+    none = EffectsSpec(mode="none", radiance=scene.effects.radiance, order=1)
     black = replace(scene.background, sky=(grey, grey), ground=grey)
     return replace(
         scene, objects=(screen,), camera=camera, light=light, effects=none, background=black, animation=None

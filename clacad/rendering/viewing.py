@@ -9,7 +9,7 @@ from clacad.base.types import Floats
 from clacad.rendering.scene_arrays import SceneArrays
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.spectrum import SpectralLine
-from clacad.scene.colour import Rgb
+from clacad.scene.kinds import Rgb
 from clacad.sheet.window import Window
 
 

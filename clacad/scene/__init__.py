@@ -7,7 +7,7 @@ A scene knows its design's file and the changes to it; this package computes no 
 from __future__ import annotations
 
 from clacad.scene.model import Scene, load_scene
-from clacad.scene.scene_error import SceneError
+from clacad.scene.rules import SceneError
 from clacad.scene.sections import (
     Animation,
     Background,

@@ -6,25 +6,24 @@ Report every mistake at once.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from fractions import Fraction
 from typing import Any
 
 from clacad.base import units
-from clacad.base.text import DEEPEST, plain
-from clacad.base.units import Unit
 from clacad.base.whole_numbers import whole_number
 from clacad.config import overrides as override
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import located, split_key
+from clacad.config.key_reader import NO_UNIT, KeyReader
 from clacad.config.mistakes import Mistake, in_order
-from clacad.config.toml_text import parse, read_text, too_deep
-from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
-from clacad.design.keys import REQUIRED, Key
+from clacad.config.toml_text import given_table, parse, read_text
+from clacad.config.value_kinds import Refusal, not_this, shown
 from clacad.scene import keys
-from clacad.scene.key_table import Reader
-from clacad.scene.rules import broken
-from clacad.scene.scene_error import SceneError
+from clacad.scene.rules import SceneError, broken
 from clacad.scene.sections import (
+    SIZES,
     Animation,
     Background,
     Camera,
@@ -35,45 +34,39 @@ from clacad.scene.sections import (
     SheetSpec,
 )
 
-MOST_SHEETS = 26
-"""Largest number of sheets in a scene, as in a stack."""
-
 
 def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
     """Read a scene file; the fields of a `Scene`, see `load_scene`."""
     name = os.fspath(path)
-    try:
+    with _as_scene_error():
         text = read_text(name, "scene")
         data = parse(text, name, "scene")
-    except DesignTooLarge:
-        raise
-    except DesignError as error:
-        raise SceneError(error.mistakes) from None
     return _read(data, tuple(overrides), text, name)
 
 
 def read_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) -> dict[str, Any]:
     """Read nested dictionaries; the fields of a `Scene`, see `Scene.from_dict`."""
-    given = plain(data, float)
-    if not isinstance(given, dict):
-        raise SceneError([Mistake("CL104", f"a scene is a table, not {kind_of(given)}")])
-    if too_deep(given):
-        raise SceneError([Mistake("CL100", f"nested more than {DEEPEST} deep")])
+    with _as_scene_error():
+        given = given_table(data, "scene")
     return _read(given, tuple(overrides), None, os.path.join(folder, ""))
 
 
 def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Read a scene's keys as written, with some changed; the fields of a `Scene`, see `Scene.replace`."""
-    data: Any = given
-    mistakes = []
-    for key, value in changes.items():
-        try:
-            data = put(data, key, plain(value, float))
-        except LookupError as problem:
-            mistakes.append(Mistake("CL118", str(problem.args[0]), key=key, path=path))
-    if mistakes:
-        raise SceneError(mistakes)
+    with _as_scene_error():
+        data = override.with_changes(given, changes, put, path)
     return _read(data, (), None, path)
+
+
+@contextmanager
+def _as_scene_error() -> Iterator[None]:
+    """Turn a `DesignError` into a `SceneError`; a file beyond the size limit stays one."""
+    try:
+        yield
+    except DesignTooLarge:
+        raise
+    except DesignError as error:
+        raise SceneError(error.mistakes) from None
 
 
 def put(data: Any, key: str, value: Any) -> Any:
@@ -119,17 +112,7 @@ def _numbered(data: Any, kind: str, name: str) -> str:
 
 def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> dict[str, Any]:
     """Lay overrides over the data, check and convert everything; every mistake with its place."""
-    mistakes: list[Mistake] = []
-    for text in texts:
-        parsed = override.parse(text)
-        if isinstance(parsed, Mistake):
-            mistakes.append(parsed)
-            continue
-        try:
-            data = put(data, *parsed)
-        except LookupError as problem:
-            mistakes.append(Mistake("CL118", str(problem.args[0]), key=parsed[0], path="--set", source_line=text,
-                                    column=1, width=len(parsed[0])))  # fmt: skip
+    data, _, mistakes = override.apply(data, texts, put)
     fields, found = _checked(data, None if texts else source, path)
     mistakes += found
     if mistakes or fields is None:
@@ -142,15 +125,20 @@ def _checked(
 ) -> tuple[dict[str, Any] | None, list[Mistake]]:
     """Fields of a `Scene`, None if some cannot be read, and every mistake."""
     word = data.get("unit")
-    unit = (units.design_unit(word) if isinstance(word, str) else None) or Unit("1", units.LENGTHS["m"])
-    reader = Reader(unit)
-    top = {name: value for name, value in data.items() if name not in keys.SECTIONS and name != "object"}
-    root = reader.table("", top, keys.ROOT)
+    reader = KeyReader(keys.SCENE, units.design_unit(word) if isinstance(word, str) else None)
+    root = reader.top(data)
     several = isinstance(data.get("sheet"), list)
+    still = "animation" not in data
     parts = {
-        name: _section(reader, data, name) for name in keys.SECTIONS if not (several and name == "sheet")
+        name: reader.section(name, data)
+        for name in keys.SECTIONS
+        if not (several and name == "sheet") and not (still and name == "animation")
     }
-    sheets = _sheets(reader, data["sheet"]) if several else [parts["sheet"]]
+    if several:
+        sheets = _sheets(reader, data["sheet"])
+    else:
+        _refuse_set(reader, data.get("sheet"), "sheet")
+        sheets = [parts["sheet"]]
     objects = _objects(reader, data.get("object", []), "object")
     moves = _moves(reader, parts.get("animation", {}).pop("move", None), data)
     if reader.mistakes:
@@ -158,58 +146,42 @@ def _checked(
     for sheet in sheets:
         sheet["set"] = _flat(sheet["set"])
     in_line = sorted((SheetSpec(**sheet) for sheet in sheets), key=lambda one: one.z)
-    effects = parts["effects"]
-    effects["angle"] = None if effects["angle"] == "auto" else effects["angle"]
-    animation = Animation(**parts["animation"], moves=moves) if "animation" in data else None
     fields = {
-        "name": root["name"], "unit": root["unit"], "unit_m": float(unit.metres), "sheets": tuple(in_line),
+        "name": root["name"], "unit": root["unit"], "unit_m": float(_metres(reader)), "sheets": tuple(in_line),
         "camera": Camera(**parts["camera"]), "light": Light(**parts["light"]),
-        "background": Background(**parts["background"]), "objects": objects, "effects": EffectsSpec(**effects),
-        "animation": animation, "notes": root["notes"], "given": data, "source": source, "path": path,
+        "background": Background(**parts["background"]), "objects": objects, "effects": EffectsSpec(**parts["effects"]),
+        "animation": None if still else Animation(**parts["animation"], moves=moves),
+        "notes": root["notes"], "given": data, "source": source, "path": path,
     }  # fmt: skip
     return fields, broken(fields)
 
 
-def _section(reader: Reader, data: dict[str, Any], name: str) -> dict[str, Any]:
-    """One section's values; {} where it is missing or no table."""
-    table = data.get(name)
-    if table is None and name in keys.OPTIONAL:
-        return reader.table(name, {}, keys.SECTIONS[name]) if name != "animation" else {}
-    if table is None:
-        needed = [key for key, one in keys.SECTIONS[name].items() if one.default is REQUIRED]
-        text = f"a table with at least {', '.join(needed)}"
-        reader.mistakes.append(Mistake("CL103", f"missing section [{name}]", name, allowed=text))
-        return {}
-    if not isinstance(table, dict):
-        reader.mistakes.append(
-            Mistake("CL104", f"{name} {not_this(table, 'a table')}", name, found=shown(table))
-        )
-        return {}
-    values = reader.table(name, table, keys.SECTIONS[name])
-    if name == "sheet":
-        _refuse_set(reader, table, name)
-    return values
+def _metres(reader: KeyReader) -> Fraction:
+    """Metres in a unit of the scene."""
+    assert reader.unit is not None  # its key was read without a mistake
+    return reader.unit.metres
 
 
-def _refuse_set(reader: Reader, table: dict[str, Any], where: str) -> None:
+def _refuse_set(reader: KeyReader, table: object, where: str) -> None:
     """Refuse changes of a sheet's design that are not a table."""
-    if not (table.get("set") is None or isinstance(table["set"], dict)):
-        reader.refused(f"{where}.set", Refusal("CL104", not_this(table["set"], "a table"), table["set"],
-                                               keys.SHEET["set"].kind.allowed(reader.unit)))  # fmt: skip
+    changes = table.get("set") if isinstance(table, dict) else None
+    if not (changes is None or isinstance(changes, dict)):
+        allowed = keys.SHEET["set"].kind.allowed(NO_UNIT)
+        reader.refused(f"{where}.set", Refusal("CL104", not_this(changes, "a table"), changes, allowed))
 
 
-def _sheets(reader: Reader, listed: list[Any]) -> list[dict[str, Any]]:
+def _sheets(reader: KeyReader, listed: list[Any]) -> list[dict[str, Any]]:
     """Values of every [[sheet]]; those that cannot be read are left out."""
-    if not listed or not all(isinstance(one, dict) for one in listed) or len(listed) > MOST_SHEETS:
-        allowed = f"[[sheet]] for each, 1 to {MOST_SHEETS}"
-        reader.mistakes.append(Mistake("CL104", "sheet is not a list of tables", "sheet", allowed=allowed))
+    if not listed or not all(isinstance(one, dict) for one in listed) or len(listed) > keys.MOST_SHEETS:
+        allowed = f"[[sheet]] for each, 1 to {keys.MOST_SHEETS}"
+        reader.refuse("CL104", "sheet is not a list of tables", "sheet", allowed=allowed)
         return []
     found = []
     for k, table in enumerate(listed):
-        before = len(reader.mistakes)
+        before = len(reader.found)
         values = reader.table(f"sheet.{k}", table, keys.STACKED)
         _refuse_set(reader, table, f"sheet.{k}")
-        if len(reader.mistakes) == before:
+        if len(reader.found) == before:
             found.append(values)
     return found
 
@@ -225,46 +197,38 @@ def _flat(table: Mapping[str, Any] | None, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _objects(reader: Reader, listed: Any, where: str) -> tuple[SceneObject, ...]:
+def _objects(reader: KeyReader, listed: Any, where: str) -> tuple[SceneObject, ...]:
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
         complaint = (
             "is not a list of tables" if isinstance(listed, list) else not_this(listed, "a list of tables")
         )
-        mistake = Mistake("CL104", f"{where} {complaint}", where, allowed=f"[[{where}]] for each")
-        reader.mistakes.append(mistake)
+        reader.refuse("CL104", f"{where} {complaint}", where, allowed=f"[[{where}]] for each")
         return ()
     if len(listed) > 1000:
-        reader.mistakes.append(
-            Mistake("CL108", f"{where} has {len(listed)} tables", where, allowed="at most 1000")
-        )
+        reader.refuse("CL108", f"{where} has {len(listed)} tables", where, allowed="at most 1000")
         return ()
     found = [_object(reader, one, f"{where}.{k}") for k, one in enumerate(listed)]
     return tuple(one for one in found if one is not None)
 
 
-def _object(reader: Reader, table: dict[str, Any], where: str) -> SceneObject | None:
+def _object(reader: KeyReader, table: dict[str, Any], where: str) -> SceneObject | None:
     """One object with the keys of its kind, a group with its parts; None if it has a mistake."""
     kind = table.get("kind")
-    taken = keys.KEYS_OF.get(kind) if isinstance(kind, str) else None
-    known: dict[str, Key] = keys.OBJECT
-    if taken is not None:
-        known = {name: keys.OBJECT[name] for name in ("id", "kind", *taken)}
-    before = len(reader.mistakes)
+    before = len(reader.found)
     parts: tuple[SceneObject, ...] = ()
     if kind == "group":
         parts = _objects(reader, table.get("parts", []), f"{where}.parts")
         for k, part in enumerate(parts):
             if part.kind in ("checker", "group"):
                 what = "floor" if part.kind == "checker" else "group"
-                reader.mistakes.append(
-                    Mistake("CL114", f"{where}.parts.{k}: a group holds no {what}", f"{where}.parts.{k}.kind")
-                )
+                message = f"{where}.parts.{k}: a group holds no {what}"
+                reader.refuse("CL114", message, f"{where}.parts.{k}.kind")
         if not table.get("parts"):
-            reader.mistakes.append(Mistake("CL103", f"{where} is a group without parts", where))
-    values = reader.table(where, {k: v for k, v in table.items() if kind != "group" or k != "parts"}, known)
-    if taken is not None:
-        _refuse_size(reader, values, where, kind)
-    if len(reader.mistakes) > before:
+            reader.refuse("CL103", f"{where} is a group without parts", where)
+    own = {name: value for name, value in table.items() if kind != "group" or name != "parts"}
+    values = reader.table(where, own, keys.keys_of_object(kind))
+    _refuse_size(reader, values, where, kind)
+    if len(reader.found) > before:
         return None
     every = {name: values.get(name, key.default) for name, key in keys.OBJECT.items() if name != "parts"}
     every["id"] = every["id"] or where.rsplit(".", 1)[-1]
@@ -272,51 +236,46 @@ def _object(reader: Reader, table: dict[str, Any], where: str) -> SceneObject | 
     return SceneObject(**every, parts=parts)
 
 
-def _refuse_size(reader: Reader, values: dict[str, Any], where: str, kind: Any) -> None:
+def _refuse_size(reader: KeyReader, values: dict[str, Any], where: str, kind: Any) -> None:
     """Refuse a size without the number of lengths of its kind; one length makes a box a cube."""
-    if kind not in keys.SIZES:
+    if not isinstance(kind, str) or kind not in SIZES:
         return
-    count, words = keys.SIZES[kind]
+    count, words = SIZES[kind]
     size = values.get("size")
     if size is None:
-        if not any(m.key.startswith(f"{where}.size") for m in reader.mistakes):
-            reader.mistakes.append(
-                Mistake("CL103", f"missing key {where}.size", where, allowed=f"a {kind}'s size: {words}")
-            )
+        if not any(m.key.startswith(f"{where}.size") for m in reader.found):
+            reader.refuse("CL103", f"missing key {where}.size", where, allowed=f"a {kind}'s size: {words}")
         return
     if len(size) == 1 and kind == "box":
         values["size"] = size * 3
     elif len(size) != count:
-        reader.mistakes.append(Mistake("CL108", f"{where}.size has {len(size)} values", f"{where}.size",
-                                       allowed=f"a {kind}'s size: {words}"))  # fmt: skip
+        message = f"{where}.size has {len(size)} values"
+        reader.refuse("CL108", message, f"{where}.size", allowed=f"a {kind}'s size: {words}")
     elif kind != "cone" and not all(size):
-        reader.mistakes.append(
-            Mistake(
-                "CL106", f"{where}.size is out of range", f"{where}.size", allowed=f"lengths > 0: {words}"
-            )
-        )
+        message = f"{where}.size is out of range"
+        reader.refuse("CL106", message, f"{where}.size", allowed=f"lengths > 0: {words}")
 
 
-def _moves(reader: Reader, listed: Any, data: dict[str, Any]) -> tuple[Move, ...]:
+def _moves(reader: KeyReader, listed: Any, data: dict[str, Any]) -> tuple[Move, ...]:
     if listed is None:
         return ()
     if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
-        reader.mistakes.append(Mistake("CL104", "animation.move is not a list of tables", "animation.move",
-                                       allowed="[[animation.move]] for each moved key"))  # fmt: skip
+        allowed = "[[animation.move]] for each moved key"
+        reader.refuse("CL104", "animation.move is not a list of tables", "animation.move", allowed=allowed)
         return ()
     found = [_move(reader, one, f"animation.move.{k}", data) for k, one in enumerate(listed)]
     return tuple(one for one in found if one is not None)
 
 
-def _move(reader: Reader, table: dict[str, Any], where: str, data: dict[str, Any]) -> Move | None:
+def _move(reader: KeyReader, table: dict[str, Any], where: str, data: dict[str, Any]) -> Move | None:
     """One animated key with its times and values; None if it has a mistake."""
-    before = len(reader.mistakes)
+    before = len(reader.found)
     values = reader.table(where, table, keys.MOVE)
-    if len(reader.mistakes) > before:
+    if len(reader.found) > before:
         return None
 
     def refuse(code: str, message: str, key: str = "") -> None:
-        reader.mistakes.append(Mistake(code, f"{where}{message}", f"{where}.{key}" if key else where))
+        reader.refuse(code, f"{where}{message}", f"{where}.{key}" if key else where)
 
     ends = values["from"] is not None, values["to"] is not None
     if values["values"] is not None and any(ends):
@@ -345,4 +304,4 @@ def _move(reader: Reader, table: dict[str, Any], where: str, data: dict[str, Any
             put(data, values["key"], 0.0)
         except LookupError as problem:
             refuse("CL118", f".key = {shown(values['key'])}: {problem.args[0]}", "key")
-    return None if len(reader.mistakes) > before else Move(values["key"], times, steps, values["ease"])
+    return None if len(reader.found) > before else Move(values["key"], times, steps, values["ease"])

@@ -1,15 +1,35 @@
-"""Rules between the keys of a scene."""
+"""Rules between the keys of a scene, and the error of a scene that is refused."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
+from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.named_paths import folder_of, outside
 from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
-from clacad.scene.sheet_places import place_of
+
+
+class SceneError(DesignError):
+    """A scene that cannot be accepted; holds every mistake found, including those of its design."""
+
+    exit_status = 2
+
+
+def place_of(given: Mapping[str, Any], sheet: SheetSpec) -> str:
+    """Dotted key of a sheet in a scene's file; `given`: the keys as written."""
+    listed = given["sheet"]
+    if not isinstance(listed, list):
+        return "sheet"
+    return f"sheet.{next(k for k, one in enumerate(listed) if one.get('id') == sheet.id)}"
+
+
+def in_scene(mistake: Mistake, place: str) -> Mistake:
+    """Return a mistake of the changed design with its place in the `set` of a scene's sheet."""
+    return replace(mistake, key=f"{place}.set.{mistake.key}", path="", line=None, column=None, source_line="")
 
 
 def broken(fields: Mapping[str, Any]) -> list[Mistake]:

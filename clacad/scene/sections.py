@@ -1,4 +1,4 @@
-"""The sections of a scene file as frozen values in the scene's unit.
+"""The sections of a scene file as frozen values in the scene's unit; each field is a key of the file.
 
 Lengths are multiples of `Scene.unit_m` metres, wavelengths metres, angles radians (rotations in degrees, as
 written, so that 90 degrees stays exact). Axes are the sheet's: right-handed, camera rays towards +z.
@@ -8,208 +8,244 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
+
+from clacad.config import keys
+from clacad.config.compound_kinds import ListOf, Several, WordOr
+from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
+from clacad.config.value_kinds import Flag, Text, Whole, Word
+from clacad.scene.kinds import Anything, ColourValue, NumberOrRow, Numbers, Rgb, Size
 
 Vector = tuple[float, float, float]
-Rgb = tuple[float, float, float]
+
+_XYZ = ("x", "y", "z")
+_VECTOR = Several(Quantity("ratio", "a number"), _XYZ)
+_POINT = Several(LENGTH, _XYZ)
+_ANGLE = Quantity("angle", "an angle from -36000 to 36000 deg", least=-36000.0, most=36000.0, degrees=True)
+_SHARE = Quantity("ratio", "a number from 0 to 1000", least=0.0, most=1000.0)
+_SMALL = Quantity("ratio", "a number from 0 to 1", least=0.0, most=1.0)
+_PIXELS = Whole("a whole number from 1 to 32768", 1, 32768)
+_COLOURS = Several(ColourValue(), ("first", "second"))
+_NAME = Text(
+    "a name of letters, digits, - and _, beginning with a letter", 60, pattern="[A-Za-z][A-Za-z0-9_-]*"
+)
+_EFFECT = Text("the name of an effect", 40, pattern="[a-z_]+")
+_FILE = Text("a relative file name of 1 to 300 characters", 300)
 
 
-@dataclass(frozen=True, slots=True)
+KEYS_OF: Final[dict[str, tuple[str, ...]]] = {
+    "checker": ("height", "tile", "reach", "colours"),
+    "knight": ("at", "size", "turn", "colour"),
+    "mesh": ("at", "size", "turn", "colour", "file", "up"),
+    "screen": ("at", "size", "turn", "pattern", "colour", "colours", "file", "period"),
+    "sphere": ("at", "size", "turn", "colour"),
+    "box": ("at", "size", "turn", "colour"),
+    "cone": ("at", "size", "turn", "colour"),
+    "group": ("at", "turn", "parts"),
+}
+"""Keys of each kind of object, in addition to `id` and `kind`."""
+
+SIZES: Final[dict[str, tuple[int, str]]] = {
+    "knight": (1, "its height"),
+    "mesh": (1, "its height"),
+    "screen": (2, "[width, height]"),
+    "sphere": (1, "its diameter"),
+    "box": (3, "[x, y, z]"),
+    "cone": (3, "[bottom diameter, top diameter, height]"),
+}
+"""Number of lengths in the `size` of each kind, and their meaning."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SheetSpec:
-    """A sheet of the scene, and how exactly rays pass it.
+    """Section [sheet]: a sheet of the scene, and how exactly rays pass it.
 
-    Parameters
-    ----------
-    design : str
-        File, relative to the scene's folder.
-    set : mapping
-        Dotted design key → value, laid over the file.
-    rung : {"auto", "law", "thin", "surfaces", "mesh"}
-    mesh : str or None
-        Triangles as written, for rung mesh.
-    quads : int
-        Quads a cell side, for rung mesh without a file.
-    surround : {"see-through", "opaque"}
-        What is visible next to the sheet.
-    tint : (red, green, blue)
-        Linear transmission, 0 to 1, of light seen through the sheet; for a single sheet only.
-    continuous : bool
-        Rung law: apply a varying law at the exact point hit instead of that of the cell hit.
-    id : str
-        Name among several; "" for the only one.
-    z : float, length
-        Height of the sheet's own z = 0 in the scene.
+    `design` and `mesh` (triangles as written) are files, relative to the scene's folder; `set` is laid over the
+    design. A scene of several sheets lists them as [[sheet]], each with an `id` and a height `z`.
     """
 
-    design: str
-    set: Mapping[str, Any]
-    rung: Literal["auto", "law", "thin", "surfaces", "mesh"]
-    mesh: str | None
-    quads: int
-    surround: Literal["see-through", "opaque"]
-    continuous: bool = False
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    id: str = ""
-    z: float = 0.0
+    id: str = keys.key(_NAME, "name of the sheet, for animation, --set, plan and forecast", "")
+    z: float = keys.key(LENGTH_FROM_0, "where the sheet's own z = 0 stands; 0 for the first", 0.0)
+    design: str = keys.key(_FILE, "design file", keys.REQUIRED)
+    set: Mapping[str, Any] = keys.key(
+        Anything('a table of design keys: { "law.eta" = [-0.25, -1.0] }'), "changed design keys", None
+    )
+    rung: Literal["auto", "law", "thin", "surfaces", "mesh"] = keys.key(
+        Word(("auto", "law", "thin", "surfaces", "mesh")), "how exactly rays pass the sheet", "auto"
+    )
+    mesh: str | None = keys.key(_FILE, "rung mesh: triangles as written")
+    quads: int = keys.key(
+        Whole("a whole number from 1 to 256", 1, 256), "rung mesh without a file: quads a cell side", 16
+    )
+    surround: Literal["see-through", "opaque"] = keys.key(
+        Word(("see-through", "opaque")), "what is seen beside the sheet", "see-through"
+    )
+    tint: tuple[float, float, float] = keys.key(
+        Several(_SMALL, ("red", "green", "blue")),
+        "linear transmission per colour of what is seen through the only sheet",
+        (1.0, 1.0, 1.0),
+    )
+    continuous: bool = keys.key(
+        Flag(), "rung law of a law that varies: by the law at the very point, not of the cell hit", False
+    )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """Pinhole, or an opening of finite diameter, in front of the sheet.
+    """Section [camera]: pinhole, or an opening of finite diameter, in front of the sheet. Lengths in scene
+    units.
 
-    Parameters
-    ----------
-    position, target : (3,) lengths
-        Position of the camera (z < 0) and the point it is aimed at.
-    up : (3,)
-        Direction that is up in the picture.
-    frame : float or None, length
-        Width of the picture at the target; None: given by `fov`.
-    fov : float or None, radians
-        Full width of the picture as an angle.
-    pixels : (width, height)
-    samples : int
-        Rays per pixel.
-    noise : float
-        Standard error of a pixel's mean at which sampling stops; 0: always `samples` rays.
-    most_samples : int
-        Largest number of rays per pixel, where `noise` requires more than `samples`.
-    aperture : float, length
-        Diameter of the opening; 0 is a pinhole.
-    focus : float or None, length
-        Distance of the sharp plane; None: the target's.
-    exposure : float
-        Factor on the light when a file is written.
-    mirror : bool
-        Left-handed view, x to the right.
-    encoding : {"srgb", "linear"}
-        Of picture files.
+    `frame` None: given by `fov`, in radians; `focus` None: the target's distance. `samples` are rays per pixel;
+    where `noise` > 0 requires more, up to `most_samples`.
     """
 
-    position: Vector
-    target: Vector
-    up: Vector
-    frame: float | None
-    fov: float | None
-    pixels: tuple[int, int]
-    samples: int
-    noise: float
-    most_samples: int
-    aperture: float
-    focus: float | None
-    exposure: float
-    mirror: bool
-    encoding: Literal["srgb", "linear"]
+    position: Vector = keys.key(_POINT, "where the camera stands, z < 0", keys.REQUIRED)
+    target: Vector = keys.key(_POINT, "what it looks at", (0.0, 0.0, 0.0))
+    up: Vector = keys.key(_VECTOR, "direction that is up in the picture", (0.0, 1.0, 0.0))
+    frame: float | None = keys.key(LENGTH_ABOVE_0, "width of the picture at the target")
+    fov: float | None = keys.key(
+        Quantity("angle", "an angle > 0, below 180 deg", above=0.0, most=3.14), "full width as an angle"
+    )
+    pixels: tuple[int, int] = keys.key(
+        Several(_PIXELS, ("width", "height"), single=True), "size of the picture", (660, 660)
+    )
+    samples: int = keys.key(Whole("a whole number from 1 to 65536", 1, 65536), "rays a pixel", 9)
+    noise: float = keys.key(
+        _SMALL, "standard error of a pixel at which sampling stops; 0: a fixed number of rays", 0.0
+    )
+    most_samples: int = keys.key(
+        Whole("a whole number from 1 to 65536", 1, 65536), "rays a pixel at most", 256
+    )
+    aperture: float = keys.key(LENGTH_FROM_0, "diameter of the lens's opening; 0 is a pinhole", 0.0)
+    focus: float | None = keys.key(LENGTH_ABOVE_0, "distance of the sharp plane; default: the target's")
+    exposure: float = keys.key(_SHARE, "factor on the light when it is written to a file", 1.0)
+    mirror: bool = keys.key(
+        Flag(), "left-handed view, x to the right, as the paper's renderer draws it", False
+    )
+    encoding: Literal["srgb", "linear"] = keys.key(
+        Word(("srgb", "linear")), "encoding of picture files", "srgb"
+    )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Light:
-    """Light on the objects: radiance = colour · (ambient + key · max(0, n · l)).
+    """Section [light]: light on the objects, radiance = colour · (ambient + key · max(0, n · l)).
 
-    Parameters
-    ----------
-    ambient, key : float
-    direction : (3,)
-        Towards the light, any length > 0.
-    spectrum : "rgb", "D65" or float (metres)
-        Wavelengths at which rays are traced.
-    polariser, analyser : float or None, degrees
-        Directions of a polarisation before and behind the sheet, from the x axis.
+    `spectrum` is "rgb", "D65" or a wavelength in metres; directions of polarisation in degrees from the x axis,
+    before and behind the sheet.
     """
 
-    ambient: float
-    key: float
-    direction: Vector
-    spectrum: Literal["rgb", "D65"] | float
-    polariser: float | None
-    analyser: float | None
+    ambient: float = keys.key(_SHARE, "light from everywhere", 0.35)
+    key: float = keys.key(_SHARE, "light from one direction", 0.65)
+    direction: Vector = keys.key(_VECTOR, "towards that light", (-0.4, 0.8, -0.45))
+    spectrum: Literal["rgb", "D65"] | float = keys.key(
+        WordOr(
+            ("rgb", "D65"), Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3)
+        ),
+        "one wavelength, three lines, or daylight in nine samples",
+        550e-9,
+    )
+    polariser: float | None = keys.key(_ANGLE, "direction the scene's light is polarised in")
+    analyser: float | None = keys.key(_ANGLE, "direction of an analyser before the camera")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """Sky, linear in elevation from the second colour (horizon) to the first (zenith), and ground."""
+    """Section [background]: sky, linear in elevation from the second colour (horizon) to the first (zenith), and ground."""
 
-    sky: tuple[Rgb, Rgb]
-    ground: Rgb
+    sky: tuple[Rgb, Rgb] = keys.key(
+        Several(ColourValue(), ("zenith", "horizon")),
+        "colours of the sky",
+        ((0.275, 0.468, 0.745), (0.855, 0.896, 0.939)),
+    )
+    ground: Rgb = keys.key(
+        ColourValue(), "seen below the horizon where there is no floor", (0.1845, 0.1845, 0.1845)
+    )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectsSpec:
+    """Section [effects]: effects to simulate.
+
+    Mode list: exactly `list`; mode auto: plus `force`, minus `without`. `angle` in radians; None: half a pixel,
+    never under 0.15 mrad.
+    """
+
+    mode: Literal["auto", "list", "none"] = keys.key(
+        Word(("auto", "list", "none")), "how effects are chosen", "auto"
+    )
+    list: tuple[str, ...] = keys.key(ListOf(_EFFECT, "texts"), "mode list: exactly these", ())
+    force: tuple[str, ...] = keys.key(ListOf(_EFFECT, "texts"), "auto plus these", ())
+    without: tuple[str, ...] = keys.key(ListOf(_EFFECT, "texts"), "auto minus these", ())
+    angle: float | None = keys.key(
+        WordOr(("auto",), Quantity("angle", "an angle > 0", above=0.0, most=1.6), absent="auto"),
+        "smallest angle that matters",
+    )
+    radiance: float = keys.key(_SMALL, "smallest relative radiance that matters", 0.01)
+    coating: Literal["none", "quarter-wave"] = keys.key(
+        Word(("none", "quarter-wave")), "fresnel: coating of the faces", "none"
+    )
+    order: int = keys.key(Whole("a whole number from 1 to 4", 1, 4), "reflections: how many in a path", 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SceneObject:
-    """One visible object; its `kind` determines which fields apply (see `clacad.scene.keys.KEYS_OF`).
+    """[[object]]: one visible object; its `kind` determines which keys apply, see `KEYS_OF`, and its size, see
+    `SIZES`. Lengths in scene units, angles in degrees, colours in linear light.
 
     Parameters
     ----------
-    id : str
-        Name for animation.
-    kind : {"checker", "knight", "mesh", "screen", "sphere", "box", "cone", "group"}
-    at : (3,) lengths
-        Centre of sphere, box and screen; middle of the foot of knight, mesh and cone; origin of a group.
-    size : tuple of lengths
-        See `clacad.scene.keys.SIZES`.
-    turn : (3,) degrees
-        About the fixed x, y, z axes through `at`, in this order.
-    colour : (3,) linear rgb
-    height, tile : lengths
-        Of a checker floor.
-    reach : float or None, length
-        Distance along a ray up to which a floor is drawn.
-    colours : ((3,), (3,))
-        Odd and even tiles, or the two stripes.
-    file : str or None
-        Mesh or picture, relative to the scene's folder.
-    up : {"y", "z"}
-        Axis of a mesh file that points up.
-    pattern : {"colour", "coordinates", "image", "stripes"}
-        What a screen shows.
-    period : float or None, length
-        Width of a pair of stripes.
     parts : tuple of SceneObject
         Of a group, relative to its `at`.
     """
 
-    id: str
-    kind: str
-    at: Vector
-    size: tuple[float, ...]
-    turn: Vector
-    colour: Rgb
-    height: float
-    tile: float
-    reach: float | None
-    colours: tuple[Rgb, Rgb]
-    file: str | None
-    up: str
-    pattern: str
-    period: float | None
-    parts: tuple[SceneObject, ...] = ()
+    id: str = keys.key(
+        Text("a name of letters, digits, - and _", 60, pattern="[A-Za-z0-9_-]+"), "name for animation"
+    )
+    kind: str = keys.key(Word(tuple(KEYS_OF)), "what it is", keys.REQUIRED)
+    at: Vector = keys.key(
+        _POINT,
+        "where it is: centre of sphere, box and screen, middle of the foot of all else",
+        (0.0, 0.0, 0.0),
+    )
+    size: tuple[float, ...] = keys.key(Size(), "how large it is")
+    turn: Vector = keys.key(
+        Several(_ANGLE, _XYZ),
+        "turns about the fixed x, y, z axes through `at`, in this order",
+        (0.0, 0.0, 0.0),
+    )
+    colour: Rgb = keys.key(ColourValue(), "its colour", (0.5, 0.5, 0.5))
+    height: float = keys.key(LENGTH, "checker: y of the floor", 0.0)
+    tile: float = keys.key(LENGTH_ABOVE_0, "checker: side of a tile", 1.0)
+    reach: float | None = keys.key(LENGTH_ABOVE_0, "checker: how far along a ray the floor is drawn")
+    colours: tuple[Rgb, Rgb] = keys.key(
+        _COLOURS,
+        "checker: odd and even tiles; stripes: the two stripes",
+        ((0.687, 0.539, 0.323), (0.105, 0.05, 0.019)),
+    )
+    file: str | None = keys.key(_FILE, "mesh or picture")
+    up: str = keys.key(Word(("y", "z")), "mesh: which axis of the file points up", "y")
+    pattern: str = keys.key(
+        Word(("colour", "coordinates", "image", "stripes")), "screen: what it shows", "colour"
+    )
+    period: float | None = keys.key(LENGTH_ABOVE_0, "stripes: width of a pair of stripes")
+    parts: tuple[SceneObject, ...] = keys.key(
+        Anything("a list of tables, each an object"), "group: what it is made of"
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class EffectsSpec:
-    """Effects to simulate.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WrittenMove:
+    """[[animation.move]]: one key of the scene that changes with time, as a file has it."""
 
-    Parameters
-    ----------
-    mode : {"auto", "list", "none"}
-    list, force, without : tuple of str
-        Mode list: exactly these; mode auto: plus these, minus these.
-    angle : float or None, radians
-        Smallest angle that matters; None: half a pixel, never under 0.15 mrad.
-    radiance : float
-        Smallest relative radiance that matters.
-    coating : {"none", "quarter-wave"}
-    order : int
-        Largest number of reflections in a path.
-    """
-
-    mode: Literal["auto", "list", "none"]
-    list: tuple[str, ...]
-    force: tuple[str, ...]
-    without: tuple[str, ...]
-    angle: float | None
-    radiance: float
-    coating: Literal["none", "quarter-wave"]
-    order: int
+    key: Any = keys.key(
+        Text("a key of the scene, such as object.knight.at.2", 200), "what moves", keys.REQUIRED
+    )
+    first: Any = keys.key(NumberOrRow(), "value in the first frame", name="from")
+    last: Any = keys.key(NumberOrRow(), "value in the last frame", name="to")
+    values: Any = keys.key(Numbers(rows=True), "values it takes, straight lines between them")
+    times: Any = keys.key(Numbers(), "when, 0 to 1, rising")
+    ease: Any = keys.key(Word(("linear", "smooth")), "how the time runs", "linear")
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,10 +271,16 @@ class Move:
     ease: Literal["linear", "smooth"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Animation:
-    """Number of frames, and the keys that change."""
+    """Section [animation]: number of frames, and the keys that change."""
 
-    frames: int
-    fps: float
-    moves: tuple[Move, ...]
+    frames: int = keys.key(
+        Whole("a whole number from 2 to 100000", 2, 100_000), "number of frames", keys.REQUIRED
+    )
+    fps: float = keys.key(
+        Quantity("ratio", "a number > 0, at most 240", above=0.0, most=240.0), "frames a second", 25.0
+    )
+    moves: tuple[Move, ...] = keys.key(
+        Anything("one table [[animation.move]] for each moved key"), "what moves", keys.REQUIRED, name="move"
+    )

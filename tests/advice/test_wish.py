@@ -28,7 +28,7 @@ from clacad.advice.proposal import NoSuchSheet, design_for, not_met
 from clacad.advice.wish import KEYS, Wish, parse_wish, read_wish
 from clacad.advice.wish_search import Search, impossible
 from clacad.design import DesignError, load, template
-from clacad.design.sections import Outline
+from clacad.design.body import Outline
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.verification import verify

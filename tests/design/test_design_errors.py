@@ -60,27 +60,24 @@ def test_nothing_that_steers_a_terminal_is_printed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "keys"),
     [
-        lambda d: d.pop("name"), lambda d: d.pop("law"), lambda d: d["law"].pop("eta"), lambda d: d["law"].update(psi=3),
-        lambda d: d.update(pair=[1]), lambda d: d.update(colour="red"), lambda d: d["law"].update(eta="x"),
-        lambda d: d.update(body={"spin": 1}, check=2), lambda d: d["lattice"].update(pitch=True, kin="square"),
+        (lambda d: d.pop("name"), {"name"}),
+        (lambda d: d.pop("law"), {"law"}),
+        (lambda d: d["law"].pop("eta"), {"law.eta"}),
+        (lambda d: d["law"].update(psi=3), {"law.psi"}),
+        (lambda d: d.update(pair=[1]), {"pair"}),
+        (lambda d: d.update(colour="red"), {"colour"}),
+        (lambda d: d["law"].update(eta="x"), {"law.eta"}),
+        (lambda d: d.update(body={"spin": 1}, check=2), {"body.spin", "check"}),
+        (lambda d: d["lattice"].update(pitch=True, kin="square"), {"lattice.pitch", "lattice.kin"}),
     ],
-)  # fmt: skip
-def test_keys_are_found_unknown_missing_or_of_the_wrong_kind_as_the_schemas_models_find_them(change):
-    from pydantic import ValidationError
-
-    from clacad.base.units import design_unit
-    from clacad.design.schema import Document
-
+)
+def test_keys_are_found_unknown_missing_or_of_the_wrong_kind(change, keys):
     data = tomllib.loads(
         (Path(__file__).parents[2] / "designs" / "paper-base.toml").read_text(encoding="utf-8")
     )
     change(data)
-    with pytest.raises(ValidationError) as theirs:
-        Document.model_validate(data, context=design_unit("mm"))
-    with pytest.raises(DesignError) as ours:
+    with pytest.raises(DesignError) as caught:
         Design.from_dict(data)
-    assert {".".join(map(str, one["loc"])) for one in theirs.value.errors()} <= {
-        m.key for m in ours.value.mistakes
-    }
+    assert {mistake.key for mistake in caught.value.mistakes} == keys

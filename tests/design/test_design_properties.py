@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from clacad.config.edit_text import to_toml
 from clacad.design import CODES, Design, DesignError, load
-from clacad.design.canonical_text import to_toml
 
 DESIGNS = sorted((Path(__file__).parents[2] / "designs").glob("*.toml"))
 GOOD = [

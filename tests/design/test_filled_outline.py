@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clacad.design import Design, DesignError
-from clacad.design.filled_outline import filling_count
+from clacad.design.body import filling_count
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 
 

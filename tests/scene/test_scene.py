@@ -12,8 +12,8 @@ from viewscenes import ROOT, view_data
 
 from clacad.scene import Scene, SceneError, load_scene
 from clacad.scene import keys as scene_keys
-from clacad.scene.animation import value_at
-from clacad.scene.schema import scene_schema
+from clacad.scene.keys import scene_schema
+from clacad.scene.model import value_at
 
 SCENES = sorted((ROOT / "designs" / "scenes").glob("*.toml"))
 

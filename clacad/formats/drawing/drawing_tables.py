@@ -10,7 +10,7 @@ import numpy as np
 
 from clacad.base.even_orders import POWER
 from clacad.base.units import millimetres
-from clacad.design.sections import TolerancesSpec
+from clacad.design.limits import TolerancesSpec
 from clacad.formats.drawing.allowances import Allowances
 from clacad.formats.drawing.canvas import CHARACTER, Canvas
 from clacad.formats.drawing.orientation_notes import orientation

@@ -12,7 +12,6 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.design import Design
-from clacad.design.law_in_words import law_words
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.telescopelet import interfaces
@@ -118,7 +117,7 @@ def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
     off = np.linalg.norm(np.cross(thin.direction, asked), axis=1)[alive].max(initial=0.0)
     spread = np.linalg.norm(np.cross(directions, asked), axis=1).max()
     return [
-        f"{window.name} with {law_words(design.law_spec)}, to scale.",
+        f"{window.name} with {design.law_spec.words()}, to scale.",
         f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {1e3 * spread:.2g} mrad over this bundle.",
     ]
 

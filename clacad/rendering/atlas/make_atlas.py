@@ -12,7 +12,6 @@ import numpy as np
 
 from clacad.base.types import Bytes
 from clacad.design import Design
-from clacad.design.law_in_words import law_words
 from clacad.design.sections import AimedAt
 from clacad.rendering.atlas.differing_figures import DIFFERING
 from clacad.rendering.atlas.field_lens_figure import FIELD_LENS, ghosts_marked
@@ -247,7 +246,7 @@ def parameters(scene: Scene, turned: bool = False) -> str:
     turned : bool
         Name the three angles even where all are 0.
     """
-    said = [law_words(scene.design().law_spec, turned), *_of_cells(scene.design())]
+    said = [scene.design().law_spec.words(turned), *_of_cells(scene.design())]
     said += [f"z = {thing.at[2]:.4g}" for thing in scene.objects if thing.id == "knight"]
     return ", ".join(said)
 

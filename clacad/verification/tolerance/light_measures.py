@@ -43,7 +43,7 @@ from clacad.verification.tolerance.misaligned import Errors, telescopelet
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.design.sections import CheckSpec
+    from clacad.design.limits import CheckSpec
 
 
 RAYS = 256

@@ -1,0 +1,234 @@
+"""A key is declared once: its field is read, written, described and explained without a second place that names it."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from clacad.config.keys import KeyPaths, key, keys_of
+from clacad.config.quantities import Quantity
+from clacad.config.value_kinds import Word
+from clacad.design import Design, DesignError, json_schema
+from clacad.design.keys import SECTIONS, SPECS
+from clacad.design.sections import LightSpec
+from clacad.explain.look_up import explain
+from clacad.scene.keys import OBJECT, scene_schema
+from clacad.scene.keys import SECTIONS as SCENE_SECTIONS
+
+PACKAGE = Path(__file__).parents[2] / "clacad"
+TINY = {
+    "format": 1,
+    "name": "tiny",
+    "unit": "mm",
+    "law": {"eta": [-0.5, -1.0]},
+    "pair": {"form": "slab", "separation": 10.0, "index": 1.5},
+    "lattice": {"pitch": 0.5, "count": 4},
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToyLight(LightSpec):
+    """Section [light] with two more keys."""
+
+    glow: float | None = key(
+        Quantity("length", "a length > 0", above=0.0, named=True), "how far the toy glows"
+    )
+    mood: str = key(Word(("calm", "wild")), "mood of the toy", "calm", later=True)
+
+
+@pytest.fixture
+def toy(monkeypatch):
+    monkeypatch.setitem(SPECS, "light", ToyLight)
+    monkeypatch.setitem(SECTIONS, "light", keys_of(ToyLight))
+
+
+def with_light(**light):
+    return Design.from_dict({**TINY, "light": light})
+
+
+@pytest.mark.usefixtures("toy")
+def test_a_new_key_is_read_and_written_from_its_field_alone():
+    made = with_light(glow="1 cm", mood="wild")
+    assert (made.light.glow, made.light.mood, made.light.coherent) == (10.0, "wild", False)
+    assert made.to_dict()["light"] == {"coherent": False, "glow": "10.0 mm", "mood": "wild"}
+    assert made.canonical_toml().endswith('\n[light]\ncoherent = false\nglow = "10.0 mm"\nmood = "wild"\n')
+    assert Design.from_dict(made.to_dict()) == made
+    assert with_light(glow=2).to_dict()["light"] == {
+        "coherent": False,
+        "glow": "2.0 mm",
+    }  # a later key at its default
+
+
+@pytest.mark.usefixtures("toy")
+def test_a_new_key_leaves_the_text_of_designs_without_it_as_it_was():
+    assert "light" not in Design.from_dict(TINY).to_dict()
+    assert with_light(coherent=True).to_dict()["light"] == {"coherent": True}
+
+
+@pytest.mark.usefixtures("toy")
+def test_a_new_key_is_in_the_schema_and_explained():
+    entry = json_schema()["$defs"]["Light"]["properties"]
+    assert entry["glow"]["description"] == "how far the toy glows"
+    assert entry["mood"] == {
+        "default": "calm",
+        "description": "mood of the toy",
+        "enum": ["calm", "wild"],
+        "title": "Mood",
+    }
+    assert explain("light.glow").means == explain("glow").means == "how far the toy glows"
+    assert '"calm" | "wild"' in explain("mood").do
+
+
+@pytest.mark.usefixtures("toy")
+def test_a_new_key_is_suggested_and_refused_as_its_kind_says():
+    with pytest.raises(DesignError) as caught:
+        with_light(glwo=1, mood="wilt")
+    messages = {mistake.key: mistake for mistake in caught.value.mistakes}
+    assert messages["light.glwo"].hint == "light.glow"
+    assert messages["light.glwo"].allowed == "in [light]: coherent, glow, mood"
+    assert messages["light.mood"].allowed == '"calm" | "wild"'
+    assert '"wild"' in messages["light.mood"].hint
+
+
+def test_the_distances_of_a_check_take_the_unit_of_the_design_like_every_length():
+    bare = Design.from_dict({**TINY, "check": {"viewer": 400, "object": 2500.0}})
+    named = Design.from_dict({**TINY, "check": {"viewer": "0.4 m", "object": "2.5 m"}})
+    assert bare == named
+    assert bare.viewing_places == (0.4, 2.5)
+    assert bare.to_dict()["check"]["viewer"] == "400.0 mm"
+    with pytest.raises(DesignError, match="out of range"):
+        Design.from_dict({**TINY, "check": {"viewer": -400}})
+
+
+def test_a_path_is_that_of_a_key():
+    paths = KeyPaths("pair", SECTIONS["pair"])
+    assert [getattr(paths, name) for name in SECTIONS["pair"]] == [
+        f"pair.{name}" for name in SECTIONS["pair"]
+    ]
+    with pytest.raises(AttributeError, match="no key sepration; keys: form, separation"):
+        paths.sepration  # noqa: B018
+
+
+def test_every_key_has_a_meaning_and_a_field():
+    for keys in (*SECTIONS.values(), *SCENE_SECTIONS.values(), OBJECT):
+        for name, one in keys.items():
+            assert one.about, name
+            assert one.attribute, name
+
+
+def test_the_schema_of_scenes_states_meanings_and_defaults_as_that_of_designs():
+    camera = scene_schema()["$defs"]["camera"]["properties"]
+    assert camera["pixels"]["default"] == [660, 660]
+    assert scene_schema()["$defs"]["light"]["properties"]["spectrum"]["default"] == 550.0
+    assert scene_schema()["$defs"]["effects"]["properties"]["angle"]["default"] == "auto"
+
+
+# --- literals -----------------------------------------------------------------------------------------------
+
+
+def literals() -> dict[str, Counter[str]]:
+    """Module → the texts of its syntax tree, docstrings left out, with their number."""
+    found = {}
+    for path in PACKAGE.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        said = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+        texts = (n for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str))
+        found[path.relative_to(PACKAGE).as_posix()] = Counter(n.value for n in texts if id(n) not in said)
+    return found
+
+
+def paths_in_modules() -> dict[str, int]:
+    """Module → number of its texts that are the path of a key."""
+    paths = {f"{section}.{name}" for section, keys in SECTIONS.items() for name in keys}
+    counts = {
+        module: sum(n for text, n in texts.items() if text in paths) for module, texts in literals().items()
+    }
+    return {module: count for module, count in counts.items() if count}
+
+
+def names_in_modules() -> dict[str, int]:
+    """Name of a key of one section, of two words → number of modules that say it."""
+    sections = Counter(name for keys in SECTIONS.values() for name in keys)
+    names = {name for name, count in sections.items() if count == 1 and "_" in name}
+    found: defaultdict[str, int] = defaultdict(int)
+    for texts in literals().values():
+        for name in names & set(texts):
+            found[name] += 1
+    return {name: count for name, count in found.items() if count > 1}
+
+
+LEFT_PATHS = {
+    "advice/fewest_keys.py": 6,
+    "advice/levers.py": 54,
+    "advice/sharper.py": 1,
+    "advice/trade_offs.py": 3,
+    "advice/wish_search.py": 1,
+    "cli/shape_command.py": 1,
+    "explain/glossary.py": 67,
+    "formats/drawing/differing_cells.py": 3,
+    "optimising/aim.py": 1,
+    "optimising/face_search.py": 1,
+    "optimising/optimised_text.py": 1,
+    "optimising/what_stays.py": 1,
+    "prescription/aimed_cells.py": 3,
+    "prescription/assemble.py": 9,
+    "prescription/cell_heights.py": 1,
+    "prescription/field_lens.py": 4,
+    "prescription/given.py": 2,
+    "prescription/plates.py": 8,
+    "prescription/poses.py": 1,
+    "prescription/prescribe.py": 1,
+    "prescription/radii.py": 1,
+    "prescription/sharp_pairs.py": 1,
+    "prescription/traced_vertices.py": 1,
+    "prescription/varying_cells.py": 2,
+    "report/better_faces.py": 1,
+    "verification/design/design_rules.py": 3,
+    "verification/light/viewed_check.py": 4,
+    "verification/tolerance/study.py": 5,
+}
+"""Modules that still spell paths of keys instead of `PAIR.separation`, and how many; each number may only fall."""
+
+LEFT_NAMES = {
+    "law_rms": 24,
+    "image_shift": 5,
+    "part_height": 5,
+    "law_bias": 11,
+    "part_width": 4,
+    "fresnel_number": 6,
+    "field_lens": 3,
+    "moire_period": 2,
+    "residual_power": 4,
+    "pitch_2": 2,
+}
+"""Names of keys that several modules say, most as the id of a check or a field of a report; each number may only fall."""
+
+
+def test_paths_of_keys_are_taken_from_the_keys():
+    for module, count in paths_in_modules().items():
+        assert count <= LEFT_PATHS.get(module, 0), f"{module} spells {count} paths of keys"
+
+
+def test_a_name_of_a_key_is_said_by_one_module():
+    for name, count in names_in_modules().items():
+        assert count <= LEFT_NAMES.get(name, 1), f"{count} modules say {name}"
+
+
+def test_no_room_of_the_keys_is_among_those_left():
+    assert not [module for module in LEFT_PATHS if module.startswith(("config/", "design/", "scene/"))]
+
+
+def test_paths_named_in_the_package_are_keys():
+    """`PAIR.sepration` would fail only where it is reached: here every such name is looked up."""
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                section = node.value.id.lower()
+                if node.value.id.isupper() and section in SECTIONS:
+                    assert node.attr in SECTIONS[section], (
+                        f"{path.name}:{node.lineno}: {node.value.id}.{node.attr}"
+                    )
