@@ -10,7 +10,7 @@ _LIGHT = (
 
 CHECKS: dict[str, Text] = {
     "law_rms": (
-        f"Rms angle between where light leaves and where the asked law sends it. {_LIGHT}",
+        f"Rms angle between the direction of the light and that of the requested law. {_LIGHT}",
         "It is the blur and the distortion a viewer sees, in one number.",
         "√⟨∠(d', A d)²⟩ over ALIVE rays, A = R M Rᵀ",
         "A smaller ratio of pitch to separation (aberration falls as its third power), biconic faces, or confocal = \"best\".",
@@ -21,19 +21,17 @@ CHECKS: dict[str, Text] = {
         "As for law_rms; off the axis it is mostly coma and field curvature, so a smaller field helps too.",
     ),
     "eta": (
-        "η fitted to traced rays near the axis, against the η that was asked; where cells have an η of their own, the light of each taken by it.",
+        "η fitted to traced rays near the axis, against the requested η; light of a cell with its own η is compared with that one.",
         "η is the magnification the sheet was made for.",
         "max_i |η_i,fit/η_i − 1|", "If the pair is thin-lens designed, take confocal = \"exact\".",
     ),
     "delta": (
-        "δ fitted to traced rays, against the δ that was asked.", "An error of δ shifts the whole image.", "max_i |δ_i,fit − δ_i|",
+        "δ fitted to traced rays, against the requested δ.", "An error of δ shifts the whole image.", "max_i |δ_i,fit − δ_i|",
         "Check the sign: δ_i = d_i/f1_i, with a different f1 in x and y.",
     ),
     "tilt": (
-        "By how much the lenses are turned. Where η differs between the meridians light shows a turn of them about the lens axis, "
-        "and that is measured. A lean of the axis (θ) acts on light as δ does, in first order: of it only the angle is told that δ's "
-        "error amounts to. With the same η in both meridians that is all, and the check is δ as an angle.",
-        "Turned meridians lean the horizon, and η and δ hardly show it. Slopes squared would tell θ from δ, but aberration is larger.",
+        "Angle by which the lenses are turned. Where η differs between the meridians, light shows a turn about the lens axis, which is measured. A tilt of the axis (θ) acts on light as δ does, in first order: only the angle equivalent to δ's error is given. With the same η in both meridians the check is δ as an angle.",
+        "Turned meridians lean the horizon, and η and δ hardly show it. Slopes squared would separate θ from δ, but aberration is larger.",
         "turn: ½ atan2(J_xy + J_yx, J_xx − J_yy) of the slopes t' = J t + b in the lens frame; lean: |Δδ_i|/|1 − η_i|, "
         "because δ_eff = δ + (1 − η) τ",
         "Check φ + ψ, euler_axes and the sign of θ: for θ > 0, ψ = 0 the axis leans to −y.",
@@ -41,7 +39,7 @@ CHECKS: dict[str, Text] = {
     "confocality": (
         "How far lens 2 would have to move along the axis to share a focal plane with lens 1.",
         "A pair that is not confocal has power: every telescopelet focuses or spreads light.",
-        "|Δz|/s of the worse meridian, from rays a hair beside the axis ray; Φ = −Δz/(f1 f2); between the meridians 0.002 at most",
+        "|Δz|/s of the worse meridian, from parabasal rays; Φ = −Δz/(f1 f2); between the meridians 0.002 at most",
         "confocal = \"exact\" solves the thick lenses; for tilted plano pairs less tilt.",
     ),
     "spread": (
@@ -58,8 +56,8 @@ CHECKS: dict[str, Text] = {
         "|t − a| < (p/s)(1 + |η|)/2", "Set lattice.aperture so that the field is where the viewer is.",
     ),
     "table": (
-        "Whether the table of cells that lies beside the files is the one whose SHA-256 the design states.",
-        "The lenses stand where the table says: another table is another part.", "",
+        "Whether the table of cells next to the files is the one whose SHA-256 the design states.",
+        "The table defines the places of the lenses: another table is another part.", "",
         "Export again, or take the design and the table that belong together.",
     ),
     "image_point": (
@@ -97,13 +95,13 @@ CHECKS: dict[str, Text] = {
         "A larger pitch or a shorter separation.",
     ),
     "orders": (
-        "In coherent light (`light.coherent`): half the step between the directions that equal cells send light to.",
+        "In coherent light (`light.coherent`): half the step between the directions into which identical cells send light.",
         "A laser's light leaves in spots of a grating, and the direction of the law falls between two of them.",
         "sin θ' = sin θ + mλ/p, so ± λ/(2p) along each lattice vector",
         "A larger pitch; or light that is not coherent over a cell, as sunlight is.",
     ),
     "field_focus": (
-        "How far the faces of a field lens stand from the foci of lens 1, along the axis.",
+        "Distance along the axis between the faces of a field lens and the foci of lens 1.",
         "Only where all light of one direction meets in a point does a lens leave the law alone.",
         "max |z_face − z_focus|/f1 in air, of every face and meridian with power; 0.01 at most",
         "A smaller gap between the plates (pair.field.gap); confocal = \"exact\".",
@@ -121,7 +119,7 @@ CHECKS: dict[str, Text] = {
     ),
     "field_law": (
         "Rms error of the law with the field lens over that without, for the light that both let through.",
-        "A field lens shall widen the field and cost nothing inside it.", "rms_with/rms_without over the cone of test rays; 1.2 at most",
+        "A field lens must widen the field and cost nothing inside it.", "rms_with/rms_without over the cone of test rays; 1.2 at most",
         "A conic of the field faces (pair.field.conic), or no field lens.",
     ),
     "accounting": (
@@ -156,7 +154,7 @@ CHECKS: dict[str, Text] = {
     "workable": (
         "Whether the process can work the material of the part.",
         "Single-point diamond turning cuts plastics, infrared crystals and chalcogenides, not ordinary glass; a printer hardens resins only.",
-        "", "The material or the process that the message names; check.materials says what your workshop works instead of the profile.",
+        "", "The material or the process that the message names; check.materials lists the materials of your workshop in place of the profile.",
     ),
     "part_height": (
         "Height of the tallest body, land and steps included, against the tallest part that the process makes.",
@@ -209,26 +207,25 @@ CHECKS: dict[str, Text] = {
         "The design allows a warning that is not given (or one that cannot be allowed).",
         "An allowance that does nothing hides the next real warning of that code.", "", "Take it out of [check] allow.",
     ),
-    "readable": ("Whether the file could be read, and what is in it.", "Nothing else can be said of a file that cannot be read.", "",
+    "readable": ("Whether the file could be read, and what is in it.", "No other check can run on a file that cannot be read.", "",
                  "Export it again, or in another format."),
     "design": ("Whether the files were made from this very design.", "Files of another design are judged by this one, and may fail for that.",
                "sha256 of the canonical text", "Verify against the design they were made from."),
     "integrity": ("Whether a file's bytes are those that were written.", "A changed file is no longer what was checked.", "sha256",
-                  "Export it again. A file that came back from a workshop: verify it alone, outside its folder."),
+                  "Export it again. A file from a workshop: verify it alone, outside its folder."),
     "closed": ("Whether the surface of a mesh is closed and consistently wound.", "An open mesh has no inside, so nothing can be made from it.",
                "every edge once in each direction", "Export it again. For a scan an open surface is normal, and only a warning."),
     "pieces": ("Number of connected pieces in a file.", "More pieces than designed: something is missing or torn.", "", "Export it again."),
     "volume": ("Volume a file encloses against quadrature of the design.", "It finds what no picture shows: a facet turned over, a wrong unit, a missing body.",
                "|V − ∫(back − front)| ≤ stated chord error", "Export it again; check the unit."),
-    "shape": ("Distance of a file's surfaces from the exact faces; for a part that came back the mean over its cells, noise apart.",
+    "shape": ("Distance of a file's surfaces from the exact faces; for a measured part the mean over its cells, without noise.",
               "A deviation that all cells share is the process; one cell's own is damage.",
               "1.1 × L²/8R for facets; 10⁻⁷ pitch for STEP", "Finer facets, or look at the deviation map."),
     "faithful_rms": (
-        "Direction error of light through the file's own surfaces against the design's exact ones: is the file the design, cut as it "
-        "says it is? It does not say whether light obeys the law through it: file_law_rms does.",
+        "Direction error of light through the file's own surfaces against the design's exact ones: whether the file is the design, with the facets that it states. Whether light through it obeys the law is measured by file_law_rms.",
         "Facets that are as coarse as stated are faithful; dents, noise and wrong corners are not.",
         "≤ 1.25 × forecast from the facets' slope errors, and an absolute limit where no manifest states any; 10⁻⁶ rad for STEP",
-        "Export it again; if it came back from elsewhere, look at the deviation map.",
+        "Export it again; if it is of a measured part, look at the deviation map.",
     ),
     "faithful_eta": (
         "η fitted to light through the file, against the design cut into the same facets.",
@@ -241,9 +238,8 @@ CHECKS: dict[str, Text] = {
         "Check decentre of the arrays, sign of δ, and handedness.",
     ),
     "file_law_rms": (
-        "Rms angle between light through the file's own triangles or faces and the asked law; limit law_rms, or check.mesh_law_rms if "
-        "given; fails a master, warns a preview. The value is that of the worst cell looked at; the sentence adds the rms over all of "
-        "them, and where an array is displaced the rms of the light that leaves nearer to the law than to the direction of a neighbouring lens.",
+        "Rms angle between light through the file's own triangles or faces and the requested law; limit law_rms, or check.mesh_law_rms if "
+        "given; fails a master, warns a preview. The value is that of the worst traced cell; the sentence adds the rms over all traced cells, and where an array is displaced the rms of the light that leaves nearer to the law than to the direction of a neighbouring lens.",
         "Parts are made from the file, not from the design: facets that are too coarse bend light wherever they lie.",
         "√⟨∠(d', A d)²⟩ over ALIVE rays through the file; a facet's slope error falls as its size",
         "Finer facets (--quads, --slope-error, or 3MF, whose one cell repeated is small), or send the STEP; if the file is only looked "
@@ -257,7 +253,7 @@ CHECKS: dict[str, Text] = {
     ),
     "file_law_eta": (
         "η fitted to light through the file less η fitted to the same rays through the exact surfaces; fails a master, warns a preview.",
-        "Four facets across a lens can show another magnification than was asked. The difference is taken because aberration alone "
+        "Four facets across a lens can show another magnification than the requested one. The difference is taken because aberration alone "
         "moves a fit over a degree by 1 to 2 %.",
         "max_i |η_i,file/η_i,exact − 1|; limit check.eta", "Finer facets, or another file: wrong radius, index, separation or scale in z.",
     ),
@@ -269,7 +265,7 @@ CHECKS: dict[str, Text] = {
     "file_confocality": (
         "How far array 2 would have to move along the normal for light through the file to keep to the law as well as through the exact "
         "surfaces; fails a master, warns a preview.",
-        "A file whose arrays stand at the wrong distance focuses or spreads light.",
+        "A file whose arrays lie at the wrong distance focuses or spreads light.",
         "argmin over Δz of the rms to the law, file less exact, same rays, worse axis, over the separation; limit check.confocality",
         "Check the distance of the bodies in the file and its unit; finer facets.",
     ),
@@ -280,7 +276,7 @@ CHECKS: dict[str, Text] = {
         "ALIVE/launched through the file ÷ V; limit check.throughput (0.9)", "Finer facets; if the exact surfaces miss it too (throughput), the design.",
     ),
     "file_normals": (
-        "Normals stored in a file (PLY, GLB) against the normals of the exact surface where they stand; fails in every role.",
+        "Normals stored in a file (PLY, GLB) against the normals of the exact surface at the same points; fails in every role.",
         "A renderer shades and refracts by the stored normals: wrong ones show another part. Right ones never make a master, for "
         "parts are made from the facets.",
         "∠(n_stored, n_surface) ≤ 2 × the facets' slope error", "Export it again; another program may have turned or recomputed the normals.",
@@ -291,21 +287,21 @@ CHECKS: dict[str, Text] = {
         "", "Export all bodies, or send the other file along; verify them together.",
     ),
     "placement": (
-        "Whether every instance of a repeated cell stands where the lattice has that cell: all placements are read, none is sampled.",
+        "Whether every instance of a repeated cell lies at a cell of the lattice: all placements are read.",
         "One row of instances a few per cent of the pitch aside sends its light elsewhere, and no cell by itself is wrong.",
         "|placement − lattice| ≤ 10⁻⁷ of the pitch, each cell exactly once", "Export it again; a program that moved instances must not be trusted with the rest.",
     ),
     "delivery": (
         "Whether a delivery can be judged at all: it fails if no optical file was judged, as when it holds nothing but frames, baffles "
         "or coupons, or when its manifest withholds its optical files.",
-        "Files that were compared byte by byte alone say nothing about light, so they cannot be passed.", "",
+        "A comparison of bytes alone measures no light, so the files cannot be passed.", "",
         "Verify a folder with an optical master in it, with the manifest that was written with it, or the file by itself.",
     ),
-    "file_target": ("Whether a file keeps the error it was asked to be made with.", "An export that names a target has promised it.", "",
+    "file_target": ("Whether a file keeps the error that its export requested.", "An export that names a target has promised it.", "",
                     "Export with a finer setting."),
     "scale": ("Size of a file over the design's.", "Shrinkage moves partners apart by more than a cell in a large sheet.", "fitted scale, or extent over extent",
               "Compensate the shrinkage in the process, or check the unit."),
-    "pose": ("How a part that came back lies in its file: axes turned, rotation, displacement; and how well it then fits.",
+    "pose": ("Pose of a measured part in its file: axes turned, rotation, displacement; and the error of the fit.",
              "A part in the design's own frame that fits only when turned has tilt, offset or arrays of the other sign.",
              "24 turns of the axes, then least squares point to plane; residual ≤ pitch/20",
              "If the part was turned on purpose, mount it turned; if not, it is not the design's part."),
