@@ -11,14 +11,11 @@ from __future__ import annotations
 import json
 import math
 import os
-import platform
-import secrets
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from hashlib import sha256
 from pathlib import Path
 
 from clacad.base.regular_file import read_regular
@@ -234,6 +231,8 @@ def cache_folder() -> Path | None:
 
 def machine() -> dict[str, str]:
     """Facts that rates depend on: version, processor, cores, requested threads."""
+    import platform
+
     from clacad import __version__
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -244,6 +243,8 @@ def machine() -> dict[str, str]:
 
 
 def _processor() -> str:
+    import platform
+
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
             if line.startswith("model name"):
@@ -253,6 +254,8 @@ def _processor() -> str:
 
 def machine_key() -> str:
     """Short name of the machine, for a file name."""
+    from hashlib import sha256
+
     return sha256(json.dumps(machine(), sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -282,6 +285,8 @@ def _read(path: Path) -> dict[str, tuple[Noted, ...]]:
 
 def _write(path: Path, tasks: Mapping[str, tuple[Noted, ...]]) -> None:
     """Replace the file by a complete one, or leave it as it is."""
+    import secrets
+
     text = json.dumps({"format": FORMAT, "machine": machine(), "tasks": tasks}, indent=1, sort_keys=True)
     draft = path.with_name(f"{path.name}.{os.getpid()}-{secrets.token_hex(4)}")
     try:

@@ -1,16 +1,15 @@
-"""`clacad accuracy`: error against seconds over the rungs."""
+"""`clacad accuracy`: error against seconds over the rungs; with --hard the stability table."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from clacad.cli.announce_cost import forecast, tell_compiling
-from clacad.cli.console import Progress, show_json, show_text, size, table
-from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import parse_angle, picture_kind
-from clacad.storage.atomic import require_writable
+from clacad.cli.command import Command, Overridden, flag, option, overwrite_option
+from clacad.cli.console import Console, size, table
+from clacad.cli.option_values import BadOption, load_counted, parse_angle, picture_kind
 
 if TYPE_CHECKING:
     from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable
@@ -18,48 +17,79 @@ if TYPE_CHECKING:
     from clacad.verification.accuracy.file_floors import Floor
 
 
-def measure_accuracy(
-    path: Path, overrides: list[str], rays: int, target: str | None, out: Path | None, *, overwrite: bool, json: bool,
-    quiet: bool,
-) -> int:  # fmt: skip
-    """Print the table (or JSON), write the plot, name the cheapest file within a target."""
-    design = load_counted(path, overrides)
+@dataclass(frozen=True, kw_only=True)
+class Accuracy(Overridden):
+    """Error against seconds over the rungs: table, plot, the cheapest file for a target."""
+
+    design: Path | None = option("DESIGN", "Design file (TOML or JSON); not needed with --hard.")
+    rays: int = option("--rays N", "Rays sent up every rung.", 100_000, least=100, most=100_000_000)
+    target: float | None = option(
+        "--target E",
+        "Name the cheapest file within this rms direction error, e.g. '0.5 mrad'.",
+        read=parse_angle,
+    )
+    out: Path | None = option("-o, --out FILE", "Write the plot here, .svg or .png.")
+    hard: bool = flag(
+        "--hard",
+        "Print the stability table instead: named hard cases, error of textbook formulas and of clacad in"
+        " ulp.",
+    )
+    overwrite: bool = overwrite_option()
+
+
+def run(request: Accuracy, console: Console) -> int:
+    """Print the table, write the plot, name the cheapest file within a target; or the stability table."""
+    if request.hard:
+        return _show_hard(console)
+    if request.design is None:
+        raise BadOption("a DESIGN file is needed, unless --hard is given")
+    design = load_counted(request.design, request.set)
     from clacad.prescription.prescribe import prescribe
+    from clacad.storage.atomic import require_writable
     from clacad.tracing.worst_cell import worst_cell
     from clacad.verification.accuracy.accuracy_table import TASK, accuracy, accuracy_seconds
     from clacad.verification.accuracy.cheapest_file import files_within
     from clacad.verification.kernels_ahead import OF_TABLE, compiling_seconds
     from clacad.verification.kernels_ahead import TASK as COMPILING
 
-    kind = picture_kind(out, "svg")
-    limit = None if target is None else parse_angle("--target", target)
-    if out is not None:
-        require_writable(out, overwrite=overwrite)
-    progress, window = Progress(quiet=quiet), prescribe(design)
-    try:
-        with forecast(TASK, accuracy_seconds(rays, window), quiet=quiet) as span:
-            ahead = compiling_seconds(worst_cell(window, design.check.field).like, OF_TABLE)
-            tell_compiling(COMPILING, ahead, quiet=quiet)
-            progress.expect(span.middle + ahead)
-            measured = accuracy(design, rays=rays, progress=progress)
-    finally:
-        progress.done()
-    if out is not None:
-        _write(out, kind, measured, limit, overwrite)
+    picture_kind(request.out, "svg")
+    if request.out is not None:
+        require_writable(request.out, overwrite=request.overwrite)
+    window = prescribe(design)
+    with (
+        console.progress() as progress,
+        console.forecast(TASK, accuracy_seconds(request.rays, window)) as span,
+    ):
+        ahead = compiling_seconds(worst_cell(window, design.check.field).like, OF_TABLE)
+        console.announce_compiling(COMPILING, ahead)
+        progress.expect(span.middle + ahead)
+        measured = accuracy(design, rays=request.rays, progress=progress)
+    _write_plot(request, measured)
+    limit = request.target
     files = [] if limit is None else files_within(design, window, measured.floors, limit)
-    if json:
-        document = measured.to_dict()
-        if limit is not None:
-            chosen = measured.cheapest(limit, rays)
-            document["target"] = {
-                "radians": limit, "files": [one.to_dict() for one in files], "chosen": chosen.to_dict(),
-            }  # fmt: skip
-        show_json(document)
-        return 0
-    show_text(accuracy_text(measured), quiet=quiet)
-    if limit is not None:
-        show_text(target_text(path, limit, files), quiet=quiet)
+    console.show(lambda: _document(request, measured, files), lambda: accuracy_text(measured))
+    if limit is not None and not console.json:
+        console.print(target_text(request.design, limit, files))
     return 0
+
+
+def _show_hard(console: Console) -> int:
+    """Measure the hard cases with the installed arithmetic; exit 1 where a row exceeds its limit."""
+    from clacad.verification.stability import as_dict, as_text, stability_table
+
+    rows = stability_table()
+    console.show(lambda: as_dict(rows), lambda: as_text(rows))
+    return 0 if all(row.holds for row in rows) else 1
+
+
+def _document(request: Accuracy, measured: AccuracyTable, files: Sequence[FileWithin]) -> dict[str, Any]:
+    document = measured.to_dict()
+    if request.target is not None:
+        chosen = measured.cheapest(request.target, request.rays)
+        document["target"] = {
+            "radians": request.target, "files": [one.to_dict() for one in files], "chosen": chosen.to_dict(),
+        }  # fmt: skip
+    return document
 
 
 def target_text(path: Path, target: float, files: Sequence[FileWithin]) -> str:
@@ -72,28 +102,32 @@ def target_text(path: Path, target: float, files: Sequence[FileWithin]) -> str:
     return "\n".join(lines + [f"also within it: {one}" for one in rest])
 
 
-def _write(out: Path, kind: str, measured: AccuracyTable, target: float | None, overwrite: bool) -> None:
+def _write_plot(request: Accuracy, measured: AccuracyTable) -> None:
+    if request.out is None:
+        return
     from clacad.storage.atomic import write_content
     from clacad.verification.accuracy.accuracy_plot import plot_png, plot_svg
 
-    plot = plot_png if kind == "png" else plot_svg
-    write_content(out, plot(measured, target), overwrite=overwrite)
+    plot = plot_png if picture_kind(request.out, "svg") == "png" else plot_svg
+    write_content(request.out, plot(measured, request.target), overwrite=request.overwrite)
 
 
 def accuracy_text(measured: AccuracyTable) -> str:
-    """The table for a person, errors in mrad."""
+    """Table as text, errors in mrad."""
     front = set(map(id, measured.pareto()))
     lines = [
-        ["", "rung", "setting", "model rms", "95 %", "max", "law rms", "other fate", "seconds", "Mrays/s", "prepare s",
-         "memory", "file"]
+        ["", "rung", "setting", "model rms", "95 %", "max", "law rms", "other fate", "seconds", "Mrays/s",
+         "prepare s", "memory", "file"]
     ]  # fmt: skip
     lines += [_line(row, id(row) in front) for row in measured.rows]
     reference = measured.reference
     notes = [
-        f"errors in mrad; truth: rung surfaces, itself {1e3 * reference['rms']:.2g} rms, {1e3 * reference['max']:.2g} "
-        f"max from a {reference['digits']:.0f}-digit trace of {reference['rays']:.0f} rays",
-        "seconds: processor time of the trace alone, best of 3; prepare s: compiling, tessellating or reading, once before the "
-        "first ray; other fate: share of the rays that end elsewhere than in the truth",
+        f"errors in mrad; truth: rung surfaces, itself {1e3 * reference['rms']:.2g} rms, "
+        f"{1e3 * reference['max']:.2g} max from a {reference['digits']:.0f}-digit trace of "
+        f"{reference['rays']:.0f} rays",
+        "seconds: processor time of the trace alone, best of 3; prepare s: compiling, tessellating or "
+        "reading, once before the first ray; other fate: share of the rays that end elsewhere than in the "
+        "truth",
         "* no other setting is better in both error and seconds",
         *measured.notes,
     ]
@@ -138,3 +172,6 @@ def _line(row: AccuracyRow, on_front: bool) -> list[str]:
         f"{row.rays_per_s / 1e6:.3g}", f"{row.prepare_s:.2g}", size(row.memory),
         "" if row.file_bytes is None else size(row.file_bytes),
     ]  # fmt: skip
+
+
+COMMANDS = (Command("accuracy", "judge", Accuracy, run),)

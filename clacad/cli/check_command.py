@@ -1,44 +1,61 @@
-"""`clacad check`: what would be made, what verify will say of it, and which keys would make it pass; `--fix` changes them."""
+"""`clacad check`: derived numbers, the forecast of verify, and the keys that would make it pass."""
 
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from clacad.cli.console import Progress, say, show_json, show_text, table
-from clacad.cli.design_commands import load_design
+from clacad.cli.command import Command, OfDesign, flag, option, overwrite_option
+from clacad.cli.console import Console, show_text, table
+from clacad.cli.option_values import BadOption, load_design
 
 if TYPE_CHECKING:
     from clacad.advice import Advice, Fixed, Judged
     from clacad.design import Design
 
 
-def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Check(OfDesign):
+    """Derive what would be made, forecast the verdict of verify, find the keys that would make it pass."""
+
+    fix: bool = flag(
+        "--fix", "Find the fewest keys that make it pass; the law, the material and all limits stay."
+    )
+    out: Path | None = option(
+        "-o, --out FILE", "With --fix, write the design that passes here, comments kept."
+    )
+    overwrite: bool = overwrite_option()
+
+
+def run(request: Check, console: Console) -> int:
     """Derive and judge everything, print it; exit 1 when verify will fail, 3 when nothing could be written.
 
-    Keys that would mend what fails or warns are only looked for where they are told.
+    Keys that would change a failure or a warning are searched for only where they are printed.
     """
+    if request.fix:
+        return _fix(request, console)
+    if request.out is not None:
+        raise BadOption("-o is where --fix writes the design that passes: give --fix, too")
     from clacad.advice import judge
     from clacad.exporting.forecast import outlook
     from clacad.storage.errors import LimitRefused
 
-    judged = judge(_listable(load_design(path, overrides)), remedies=True)
-    told = json or not quiet  # grids are chosen by light only where somebody reads of them
-    forecast = outlook(judged.window, judged.design if told else None)
-    if json:
-        show_json(_document(judged, forecast, _advised(judged, quiet=quiet)))
-    elif not quiet:
-        _show(judged, forecast)
+    judged = judge(_listable(load_design(request.design, request.set)), remedies=True)
+    printed = console.json or not console.quiet  # grids are chosen by light only where they are printed
+    forecast = outlook(judged.window, judged.design if printed else None)
+    if console.json:
+        console.show(lambda: _document(judged, forecast, _advised(judged, console)), str)
+    elif not console.quiet:
+        _show(judged, forecast, console)
     if judged.passes and all(row["refused"] for row in forecast):
         raise LimitRefused(str(forecast[0]["refused"]))
     return 0 if judged.passes else 1
 
 
 def _listable(design: Design) -> Design:
-    """The design; with an outline only if its cells, which are then gone through one by one, are not too many.
+    """The design; with an outline only if its cells, which are then visited one by one, are within the limit.
 
     Raises
     ------
@@ -51,23 +68,20 @@ def _listable(design: Design) -> Design:
     return design
 
 
-def _advised(judged: Judged, *, quiet: bool) -> Advice:
+def _advised(judged: Judged, console: Console) -> Advice:
     from clacad.advice import advise
 
-    progress = Progress(quiet=quiet)
-    try:
+    with console.progress() as progress:
         return advise(judged.design, progress, judged)
-    finally:
-        progress.done()
 
 
-def _show(judged: Judged, forecast: list[dict[str, Any]]) -> None:
-    """Print what was derived and judged, then what would mend it, which takes its time, and the verdict."""
+def _show(judged: Judged, forecast: list[dict[str, Any]], console: Console) -> None:
+    """Print the derived numbers and the checks, then the advice, which takes longer, and the verdict."""
     from clacad.cli.tables import advice_text, check_text
     from clacad.sheet.feasibility import describe
 
     show_text(check_text(judged.design.name, describe(judged.window, judged.facts), judged.checks, forecast))
-    advice = advice_text(_advised(judged, quiet=False))
+    advice = advice_text(_advised(judged, console))
     show_text(f"{advice}\n{verdict(judged)}".lstrip("\n"))
 
 
@@ -83,7 +97,7 @@ def _document(judged: Judged, forecast: list[dict[str, Any]], advice: Advice) ->
 
 
 def verdict(judged: Judged) -> str:
-    """Return what verify will say in one line."""
+    """Forecast of the verdict of verify in one line."""
     if not judged.passes:
         return f"verify will fail: {', '.join(dict.fromkeys(c.id for c in judged.failing))}"
     notes = []
@@ -94,53 +108,43 @@ def verdict(judged: Judged) -> str:
     return "verify will pass" + (f", {'; '.join(notes)}" if notes else "")
 
 
-def fix_design(
-    path: Path, overrides: list[str], out: Path | None, *, overwrite: bool, json: bool, quiet: bool
-) -> int:
-    """Find the fewest keys that make a design pass, print them, write the design; exit 1, nothing written, where none do."""
+def _fix(request: Check, console: Console) -> int:
+    """Find the fewest keys that make a design pass, print them, write the design; exit 1 where none do."""
+    from clacad.advice import fix
     from clacad.storage.atomic import Stage, translated
 
+    out = request.out
+    if out is not None and out.suffix.lower() not in (".toml", ".json"):
+        raise BadOption(f"-o {out}: a design file's name ends in .toml or .json")
+    design = load_design(request.design, request.set)
     if out is None:
-        fixed = _searched(load_design(path, overrides), quiet=quiet)
-        return _tell(fixed, None, json=json, quiet=quiet)
-    if out.suffix.lower() not in (".toml", ".json"):
-        raise typer.BadParameter(f"-o {out}: a design file's name ends in .toml or .json")
-    design = load_design(path, overrides)
-    with Stage(
-        out.parent, overwrite=overwrite
-    ) as stage:  # refuses a name that may not be written before the search
+        with console.progress() as progress:
+            return _show_fixed(fix(design, progress), None, console)
+    with Stage(out.parent, overwrite=request.overwrite) as stage:  # refuses a name before the search
         private = stage.path(out.name)
-        fixed = _searched(design, quiet=quiet)
+        with console.progress() as progress:
+            fixed = fix(design, progress)
         if fixed.passes:
-            text, kept = _text(path, overrides, fixed, out)
+            text, kept = _text(request, fixed, out)
             if not kept:
-                say(f"{out}: written anew, without the comments of {path}", quiet=quiet)
+                console.say(f"{out}: written from scratch, without the comments of {request.design}")
             with translated(out):
                 private.write_text(text, encoding="utf-8", newline="")
             stage.publish()
-    return _tell(fixed, out if fixed.passes else None, json=json, quiet=quiet)
+    return _show_fixed(fixed, out if fixed.passes else None, console)
 
 
-def _searched(design: Design, *, quiet: bool) -> Fixed:
-    from clacad.advice import fix
-
-    progress = Progress(quiet=quiet)
-    try:
-        return fix(design, progress)
-    finally:
-        progress.done()
-
-
-def _text(path: Path, overrides: list[str], fixed: Fixed, out: Path) -> tuple[str, bool]:
-    """Text of the file to write, and whether it is the given one with its keys changed, or a new one."""
+def _text(request: Check, fixed: Fixed, out: Path) -> tuple[str, bool]:
+    """Text of the file to write, and whether it is the given one with its keys changed."""
     from clacad.config.edit_text import with_values
     from clacad.config.overrides import parse as parse_override
     from clacad.config.toml_text import parse, read_text
     from clacad.design import Design
 
+    path = request.design
     is_json = path.suffix.lower() == ".json"
     if is_json == (out.suffix.lower() == ".json"):
-        given = dict(pair for text in overrides if isinstance(pair := parse_override(text), tuple))
+        given = dict(pair for text in request.set if isinstance(pair := parse_override(text), tuple))
         with suppress(LookupError):  # a table with lines of its own was overridden as a whole
             text = with_values(read_text(str(path)), {**given, **fixed.changes}, is_json=is_json)
             if Design.from_dict(parse(text, out.name)) == fixed.design:
@@ -152,19 +156,19 @@ def _text(path: Path, overrides: list[str], fixed: Fixed, out: Path) -> tuple[st
     return dumps(fixed.design.to_dict(), indent=1, ensure_ascii=False) + "\n", False
 
 
-def _tell(fixed: Fixed, written: Path | None, *, json: bool, quiet: bool) -> int:
-    """Print the changes, the checks with them, and what binds where nothing passes."""
+def _show_fixed(fixed: Fixed, written: Path | None, console: Console) -> int:
+    """Print the changes, the checks with them, and the limits that bind where nothing passes."""
     from clacad.cli.tables import checks_text
 
     name = fixed.design.name
-    if json:
-        show_json({"design": name, **fixed.to_dict(), "written": None if written is None else str(written)})
-        return 0 if fixed.passes else 1
-    if fixed.judged is not None:
-        show_text(f"{name}\n{checks_text(fixed.judged.checks)}", quiet=quiet)
-    if fixed.changes:
-        show_text(f"changed\n{table(fixed.rows())}", quiet=quiet)
-    show_text(str(fixed), quiet=quiet)
+    blocks = [] if fixed.judged is None else [f"{name}\n{checks_text(fixed.judged.checks)}"]
+    blocks += [f"changed\n{table(fixed.rows())}"] if fixed.changes else []
+    blocks.append(str(fixed))
     if written is not None:
-        show_text(f"wrote {written}\nnext: clacad export {written} -o exports --format step", quiet=quiet)
+        blocks.append(f"wrote {written}\nnext: clacad export {written} -o exports --format step")
+    path = None if written is None else str(written)
+    console.show(lambda: {"design": name, **fixed.to_dict(), "written": path}, lambda: "\n".join(blocks))
     return 0 if fixed.passes else 1
+
+
+COMMANDS = (Command("check", "make", Check, run),)

@@ -1,24 +1,127 @@
-"""What the commands say: data on stdout, talk on stderr, progress only when it takes longer than a second."""
+"""Output of the commands: results on stdout, messages on stderr, progress after a second."""
 
 from __future__ import annotations
 
 import json as json_module
 import math
+import os
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from clacad.base import log
-from clacad.base.machine_rates import processor_seconds_now, span_text
+from clacad.base.machine_rates import Clock, Rates, Span, processor_seconds, processor_seconds_now, span_text
 from clacad.base.text import plain, printable_lines
 from clacad.base.text import table as table
-from clacad.cli.streams import is_unicode
+
+
+@dataclass(frozen=True)
+class Console:
+    """Output of one command.
+
+    Parameters
+    ----------
+    json : bool
+        Whether results are JSON.
+    quiet : bool
+        Whether only errors are printed, and JSON.
+    """
+
+    json: bool = False
+    quiet: bool = False
+
+    def show(self, document: Callable[[], Any], text: Callable[[], str]) -> None:
+        """Print a result: one JSON document, or its text."""
+        if self.json:
+            show_json(document())
+        elif not self.quiet:
+            show_text(text())
+
+    def print(self, text: str) -> None:
+        """Print text on stdout unless quiet."""
+        show_text(text, quiet=self.quiet)
+
+    def say(self, text: str) -> None:
+        """Print a message on stderr unless quiet."""
+        say(text, quiet=self.quiet)
+
+    @contextmanager
+    def progress(self) -> Iterator[Progress]:
+        """Line of progress for the time of the block."""
+        progress = Progress(quiet=self.quiet)
+        try:
+            yield progress
+        finally:
+            progress.done()
+
+    @contextmanager
+    def forecast(
+        self, task: str, modelled: float | Span, *, clock: Clock = processor_seconds
+    ) -> Iterator[Span]:
+        """Print the cost of the block on this machine, then record its actual cost.
+
+        A run in which kernels were compiled is not recorded: the next one will be faster.
+
+        Parameters
+        ----------
+        task : str
+            Name under which it is recorded.
+        modelled : float or Span
+            Seconds by the model of the reference machine; or a range measured on a part of the work, which is
+            corrected by earlier runs of the same task.
+        clock : callable
+            Processor seconds so far.
+        """
+        rates = Rates.here()
+        middle = modelled.middle if isinstance(modelled, Span) else modelled
+        span = rates.span(task, middle)
+        if isinstance(modelled, Span) and span.seen == 0:
+            span = modelled
+        self.announce(span, span.high)
+        kept, began = _kernels(), clock()
+        yield span
+        if _kernels() == kept:
+            rates.note(task, middle, clock() - began)
+
+    def announce(self, span: Span, seconds: float) -> None:
+        """Print a forecast if some of its seconds are worth it."""
+        if seconds >= WORTH_PRINTING:
+            self.say(f"this takes {span} of processor time")
+
+    def announce_compiling(self, task: str, modelled: float) -> None:
+        """Print the cost of compiling on top of a forecast (modelled seconds); nothing for 0."""
+        if modelled > 0.0:
+            takes = Rates.here().span(task, modelled)
+            self.say(f"what traces is compiled on the way, once on this machine: {takes} more")
+
+
+WORTH_PRINTING = 2.0
+"""Processor seconds from which a forecast is printed."""
+
+
+def _kernels() -> frozenset[tuple[Path, int]]:
+    """Compiled kernels of every package in the caches, with their times of modification."""
+    from clacad.doctor import kernel_cache
+
+    own = Path(__file__).parent.parent.glob("**/__pycache__/*.nbc")
+    found = set()
+    for kept in {*kernel_cache()[1], *own}:
+        with suppress(OSError):  # another process replaces it
+            found.add((kept, kept.stat().st_mtime_ns))
+    return frozenset(found)
+
+
+# -- streams -------------------------------------------------------------------------------------------------
 
 
 def show_json(value: Any) -> None:
     """Print one JSON document on stdout."""
-    sys.stdout.write(json_text(value, ascii_only=not is_unicode(getattr(sys.stdout, "encoding", "utf-8"))))
+    sys.stdout.write(json_text(value, ascii_only=not _is_unicode(getattr(sys.stdout, "encoding", "utf-8"))))
 
 
 def json_text(value: Any, *, ascii_only: bool = False) -> str:
@@ -35,13 +138,13 @@ def show_text(text: str, *, quiet: bool = False) -> None:
 
 
 def say(text: str, *, quiet: bool = False) -> None:
-    """Print talk on stderr."""
+    """Print a message on stderr."""
     if not quiet:
         sys.stderr.write(printable_lines(text) + "\n")
 
 
 def size(count: float) -> str:
-    """Bytes as a person reads them."""
+    """Bytes with a unit, in three digits."""
     for unit in ("B", "kB", "MB", "GB"):
         if count < 1000.0:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.3g} {unit}"
@@ -49,20 +152,47 @@ def size(count: float) -> str:
     return f"{count:.3g} TB"
 
 
+def make_writable() -> None:
+    """Redirect closed standard streams to the null device, and escape characters that an encoding lacks.
+
+    A file opened later must not get the number of a closed stream, or printed text would end up in it. A
+    terminal of ASCII only, or a file name that is no text, does not change the exit status.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            with suppress(OSError):
+                os.open(os.devnull, os.O_RDWR)  # gets the lowest free number: the closed one
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _is_unicode(encoding: str | None) -> bool:
+    return (encoding or "").lower().replace("-", "").replace("_", "").startswith("utf")
+
+
+# -- progress ------------------------------------------------------------------------------------------------
+
+
 AGAIN, AGAIN_IN_LOG = 1.0, 30.0
-"""Seconds after which the stage at work is said again: on a terminal, and where each time is a line of its own."""
+"""Seconds after which the current stage is printed again: on a terminal, and elsewhere, on a new line."""
 
 ENOUGH = 0.5
 """Processor seconds of a command from which on its speed is known."""
 
 
 class Progress:
-    """One line on stderr that says which stage is at work and how far it is.
+    """One line on stderr with the current stage and its share of completion.
 
-    Silent for the first second, and when quiet; then it says the stage at work again and again, whether or not that tells of itself.
-    What is left is the forecast's processor seconds as fast as the machine lets this command have them. On a
-    terminal the line is rewritten; elsewhere every stage gets one line. Call it as a function: progress(stage, fraction),
-    fraction None or NaN where unknown.
+    Silent for the first second, and when quiet; then the current stage is printed repeatedly, even if it
+    reports nothing. The remaining time is the forecast's processor seconds at the rate of this run. On
+    a terminal the line is rewritten; elsewhere every stage gets one line. Call it as a function:
+    progress(stage, fraction), fraction None or NaN where unknown.
     """
 
     def __init__(self, *, quiet: bool = False, after: float = 1.0) -> None:
@@ -82,24 +212,24 @@ class Progress:
             self._show_again_in(after)
 
     def expect(self, seconds: float) -> None:
-        """Say what all of it is forecast to take from now on, processor seconds."""
+        """Set the forecast of the whole remaining work, processor seconds."""
         self._expected = seconds
         self._expected_from = time.monotonic(), processor_seconds_now()
 
     def say(self, text: str) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
         with self._lock:
             self._clear()
             say(text, quiet=self._quiet)
 
     def __call__(self, stage: str, fraction: float | None = None) -> None:
-        """Tell how far a stage is, 0 to 1."""
+        """Report the share of a stage that is done, 0 to 1."""
         now = time.monotonic()
         with self._lock:
             fresh = stage != self._stage
             if fresh:
                 self._stage, self._stage_start = stage, now
-            if log.on():  # the log says what the line would
+            if log.on():  # the log has the same facts
                 if fresh:
                     log.note("stage", name=stage)
                 return
@@ -113,7 +243,7 @@ class Progress:
         self._next.start()
 
     def _show_again(self) -> None:
-        """The stage at work, if nothing was said of it for a while."""
+        """Print the current stage if nothing was printed for a while."""
         pause = AGAIN if self._terminal else AGAIN_IN_LOG
         with self._lock:
             now = time.monotonic()
@@ -143,9 +273,7 @@ class Progress:
         return f"{stage}  {100.0 * fraction:.0f} %  {elapsed:.0f} s, {left:.0f} s left{self._left(now)}"
 
     def _left(self, now: float) -> str:
-        """What is left of all by the forecast, or that it takes longer; nothing where no forecast was made, or less than a
-        second is left.
-        """
+        """Remaining time by the forecast, or its excess; "" without a forecast or for less than a second."""
         if not self._expected > 0.0:
             return ""
         began, used_before = self._expected_from
@@ -165,7 +293,7 @@ class Progress:
     def done(self) -> None:
         """Clear the line."""
         with self._lock:
-            self._shown = math.inf  # nothing is said any more
+            self._shown = math.inf  # nothing is printed any more
             if self._next is not None:
                 self._next.cancel()
             self._clear()

@@ -1,4 +1,4 @@
-"""Entry point: parse, call the command, turn what went wrong into one sentence and an exit status.
+"""Entry point: run a command line, turn errors into one sentence and an exit status.
 
 0 done, all checks passed; 1 a check failed or did not run; 2 bad input; 3 refused by a limit;
 4 cannot write, or workers were lost; 70 internal; 130 interrupted.
@@ -16,14 +16,14 @@ from typing import Any
 
 from clacad.base import log
 from clacad.base.text import printable_lines
+from clacad.cli.console import make_writable
 from clacad.cli.interrupts import INTERRUPTED, InterruptHandler, ended_in_time
-from clacad.cli.streams import make_writable
 
 OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL = 0, 1, 2, 3, 4, 70
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status; never raises, never prints a traceback unasked.
+    """Run the command line and return its exit status; prints a traceback only in the log.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = _answered(given, interrupts)
         log.note("end", status=status, seconds=round(log.seconds(), 3), memory=log.memory())
         return status
-    except KeyboardInterrupt:  # just before signals were taken, or just after they were given back
+    except KeyboardInterrupt:  # just before handlers were set, or just after they were restored
         interrupts.tell(sys.stderr.write)
         return INTERRUPTED
     finally:
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _own_warnings_plain() -> Iterator[None]:
-    """Within the block the package's warnings are said as its errors are, without file and line."""
+    """Within the block the package's warnings are printed like its errors, without file and line."""
     before = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
@@ -71,7 +71,7 @@ def _answered(given: list[str], interrupts: InterruptHandler) -> int:
             status = _status(given, interrupts)
         except KeyboardInterrupt:
             status = INTERRUPTED
-        if interrupts.asked and status != OK:  # what a library made of the interruption
+        if interrupts.asked and status != OK:  # a library turned the interruption into another error
             status = INTERRUPTED
         if status == INTERRUPTED:
             interrupts.tell(sys.stderr.write)
@@ -79,16 +79,16 @@ def _answered(given: list[str], interrupts: InterruptHandler) -> int:
 
 
 def _status(given: list[str], interrupts: InterruptHandler) -> int:
-    """Run the command; the exit status of its end, or of what it raised."""
+    """Run the command; the exit status of its end, or of the error it raised."""
+    from clacad.cli.app import run
+
     try:
-        status = _program(given)(given, prog_name="clacad", standalone_mode=False)
+        status = run(given)
         sys.stdout.flush()
-        return int(status or 0)
+        return status
     except BrokenPipeError:
         return _unread()
-    except SystemExit as end:
-        if isinstance(end.__context__, BrokenPipeError):  # the command-line library makes this of it
-            return _unread()
+    except SystemExit:
         if interrupts.asked:
             return INTERRUPTED
         raise
@@ -96,42 +96,21 @@ def _status(given: list[str], interrupts: InterruptHandler) -> int:
         return INTERRUPTED if interrupts.asked else _explained(error)
 
 
-def _program(given: list[str]) -> Any:
-    """The command line, of its commands only the one that is named: reading the options of all takes 0.03 s."""
-    from copy import copy
-
-    from clacad.cli.app import app
-
-    named = [one for one in app.registered_commands if given and _word(one) == given[0]]
-    if not named:
-        return app
-    program = copy(app)
-    program.registered_commands = named
-    return program
-
-
-def _word(command: Any) -> str:
-    """The word that a command is called by."""
-    return str(command.name or command.callback.__name__.replace("_", "-"))
-
-
 def _unread() -> int:
-    """The reader of our output went away: what it did not read is not ours to report."""
+    """The reader of our output closed it: that is no error."""
     sys.stdout = open(os.devnull, "w")
     return OK
 
 
 def _explained(error: Exception) -> int:
-    """Say what went wrong and give its exit status."""
+    """Print an error and return its exit status."""
     status = status_of(error)
-    if type(error).__module__.startswith(("click", "typer")):
-        return _usage(error)
     if log.on():
         log.note("error", **_facts(error), status=INTERNAL if status is None else status)
     if status is None:
         text = f"internal error: {type(error).__name__}: {error}".rstrip(": ")
         if isinstance(error, MemoryError):
-            text = f"out of memory ({error}): ask for fewer rays, quads or cells".replace(" ()", "")
+            text = f"out of memory ({error}): reduce the number of rays, quads or cells".replace(" ()", "")
         _say(
             text
             if log.on() or isinstance(error, MemoryError)
@@ -143,7 +122,7 @@ def _explained(error: Exception) -> int:
 
 
 def _sentence(error: Exception) -> str:
-    """The system's errors by the place and the cause, without their numbers."""
+    """Sentence of an error; of a system error its file and cause, without the number."""
     if isinstance(error, OSError) and error.strerror:
         place = f"{error.filename}: " if isinstance(error.filename, str) else ""
         more = "; ulimit -n raises the limit" if error.errno == EMFILE else ""
@@ -152,7 +131,7 @@ def _sentence(error: Exception) -> str:
 
 
 def _facts(error: Exception) -> dict[str, Any]:
-    """What the log keeps of an error: all that the sentence leaves out."""
+    """Facts of an error for the log: all that the sentence leaves out."""
     import traceback
 
     return {
@@ -163,12 +142,9 @@ def _facts(error: Exception) -> dict[str, Any]:
 
 def status_of(error: Exception) -> int | None:
     """Exit status of an error clacad knows, None for one it does not."""
-    module = type(error).__module__
     known = getattr(error, "exit_status", None)
     if isinstance(known, int):
         return known
-    if module.startswith(("click", "typer")):
-        return BAD_INPUT
     if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError, UnicodeError)):
         return BAD_INPUT
     if isinstance(error, OSError) and error.errno in (ENAMETOOLONG, ELOOP):
@@ -180,31 +156,12 @@ def status_of(error: Exception) -> int | None:
     return None
 
 
-def _usage(error: Exception) -> int:
-    """Click's own errors: exits, aborts and misuse."""
-    name = type(error).__name__
-    if name == "Exit":
-        return int(getattr(error, "exit_code", 0))
-    if name == "Abort":
-        return INTERRUPTED
-    if name == "NoArgsIsHelpError":
-        show = getattr(error, "show", None)
-        if callable(show):
-            show()
-        return BAD_INPUT
-    message = getattr(error, "format_message", None)
-    context = getattr(error, "ctx", None)
-    hint = f"\n  try: {context.command_path} --help" if context is not None else ""
-    _say(f"{message() if callable(message) else error}{hint}")
-    return BAD_INPUT
-
-
 LONGEST_LINE = 500
-"""Characters of a line on the error stream; what was given may be any number of them."""
+"""Most characters of a line on the error stream; texts of users may be longer."""
 
 
 def _shortened(line: str) -> str:
-    """A line with its middle left out where it is too long to be read."""
+    """A line with its middle left out if it is too long to be read."""
     return line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE - 200]} ... {line[-190:]}"
 
 

@@ -1,37 +1,42 @@
-"""`clacad explore`: a page on which the design's numbers are moved."""
+"""`clacad explore`: a page with sliders for the numbers of a design."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import atan, degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.announce_cost import forecast
-from clacad.cli.console import show_json, show_text, size, table
-from clacad.cli.design_commands import load_counted
+from clacad.cli.command import Command, OfDesign, dry_run_option, overwrite_option, required
+from clacad.cli.console import Console, size, table
+from clacad.cli.option_values import load_counted
 
 if TYPE_CHECKING:
     from clacad.explorer import Explored
 
 
-def explore_design(
-    path: Path, overrides: list[str], out: Path, *, dry_run: bool, overwrite: bool, json: bool, quiet: bool
-) -> int:
-    """Write the page, or with --dry-run say what it would be; print what it says first and what it leaves out."""
-    design = load_counted(path, overrides)  # refuses before anything is loaded that makes pages
+@dataclass(frozen=True, kw_only=True)
+class Explore(OfDesign):
+    """One page with sliders: the view through the sheet, live, its verdict, and the design file they make."""
+
+    out: Path = required("-o, --out FILE", "The page: one .html file.")
+    dry_run: bool = dry_run_option("Print what the page would be and cost; write nothing.")
+    overwrite: bool = overwrite_option()
+
+
+def run(request: Explore, console: Console) -> int:
+    """Write the page, or with --dry-run forecast it; print its first verdict and what it leaves out."""
+    design = load_counted(request.design, request.set)  # refuses before a module is loaded that makes pages
     from clacad.explorer.write_page import SECONDS, explore
 
-    with forecast("explore", SECONDS, quiet=quiet):
-        made = explore(design, out, overwrite, dry_run=dry_run)
-    if json:
-        show_json(made.to_dict() | {"processor_s": SECONDS})
-    else:
-        show_text(_told(made, design.unit), quiet=quiet)
+    with console.forecast("explore", SECONDS):
+        made = explore(design, request.out, request.overwrite, dry_run=request.dry_run)
+    console.show(lambda: made.to_dict() | {"processor_s": SECONDS}, lambda: _text(made, design.unit))
     return 0
 
 
-def _told(made: Explored, unit: str) -> str:
-    """What was written, and what the page says before anything is moved."""
+def _text(made: Explored, unit: str) -> str:
+    """What was written, and the verdict of the page before a slider is moved."""
     found = made.verdict
     field, onset = (
         ", ".join(f"{degrees(atan(t)):.3g}" for t in two) for two in (found.half_field, found.ghost_onset)
@@ -47,3 +52,6 @@ def _told(made: Explored, unit: str) -> str:
     seconds = "" if made.written else "; takes less than a second of processor time"
     left_out = "\n".join(f"not shown: {one}" for one in made.not_shown)
     return f"{head}: {size(made.bytes)}{seconds}\n{table(rows)}\n{left_out}"
+
+
+COMMANDS = (Command("explore", "look", Explore, run),)

@@ -1,24 +1,25 @@
-"""`clacad export`: write the part, print the fabrication table."""
+"""`clacad export`: write the part, print the fabrication table; of a scene file the scene for POV-Ray."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.whole_numbers import whole_number
-from clacad.cli.console import Progress, say, show_json, show_text
-from clacad.cli.design_commands import load_design
+from clacad.cli.command import Command, OfDesign, declared, dry_run_option, option, required
+from clacad.cli.console import Console, Progress, say
 from clacad.cli.option_values import (
     BadOption,
-    joined,
+    load_design,
     one_of,
     parse_angle,
+    parse_bevel,
     parse_cells,
-    parse_length,
     parse_slope_error,
     per_format,
+    words_of,
 )
 
 if TYPE_CHECKING:
@@ -26,123 +27,131 @@ if TYPE_CHECKING:
     from clacad.exporting.request import Request
 
 
-@dataclass(frozen=True, slots=True)
-class ExportWords:
-    """What the command line says of an export.
+@dataclass(frozen=True, kw_only=True)
+class Export(OfDesign):
+    """Write the part: files and manifest.json; prints the fabrication table."""
 
-    out : Path
-    options : mapping
-        Those of `clacad.exporting.request.Request` by name, as typed.
-    dry_run : bool
-    target, normals : str
-        Of the coarsest facets that are good enough, and what a file is read by.
-    """
+    out: Path = required("-o, --out DIR", "Folder to write to.")
+    formats: tuple[str, ...] = declared("formats", read=words_of)
+    slope_error: float | Literal["auto"] | None = declared("slope_error", None, read=parse_slope_error)
+    quads: tuple[str, ...] = declared("quads", ())
+    role: tuple[str, ...] = declared("role", ())
+    step: str = declared("step")
+    fused: bool = declared("fused")
+    cells: tuple[int, int] | None = declared("cells", read=parse_cells)
+    overwrite: bool = declared("overwrite")
+    force: bool = declared("force")
+    dry_run: bool = dry_run_option()
+    step_schema: str = declared("step_schema")
+    pcurves: bool = declared("pcurves")
+    saddle_bevel: str | None = declared("saddle_bevel", None)
+    gpu_instancing: bool = declared("gpu_instancing")
+    grey_levels: int = declared("grey_levels")
+    paper: str = declared("paper")
+    target: float | None = option(
+        "--target E",
+        "Coarsest facets whose light is within this rms direction error of the exact surfaces, e.g. '0.5 "
+        "mrad'.",
+        read=parse_angle,
+    )
+    normals: str = option(
+        "--normals WORD", "With --target, what the file is read by: facet or vertex.", "facet"
+    )
 
-    out: Path
-    options: Mapping[str, Any]
-    dry_run: bool = False
-    target: str | None = None
-    normals: str = "facet"
 
-
-def export_design(path: Path, overrides: list[str], words: ExportWords, *, json: bool, quiet: bool) -> int:
+def run(given: Export, console: Console) -> int:
     """Export and print what was made; with --dry-run print the forecast only."""
     from clacad.exporting.formats.pov import WORD as POV
 
-    formats = tuple(word.strip() for word in words.options["formats"].split(",") if word.strip())
-    if formats == (POV,):
-        from clacad.cli.export_scene import export_scene, is_scene
-
-        if is_scene(path):
-            overwrite = words.options["overwrite"]
-            return export_scene(path, overrides, words.out, overwrite=overwrite, json=json, quiet=quiet)
-    design = load_design(path, overrides)
-    asked = _asked(design, formats, words.options)
-    if not asked.force:
-        _refuse_uncountable(design, asked)
-    if words.target is not None:
-        asked = _within_target(design, words, asked, quiet=quiet)
-    if words.dry_run:
-        return _forecast(design, words.out, asked, json=json, quiet=quiet)
-    return _export(path, design, words.out, asked, json=json, quiet=quiet)
+    if given.formats == (POV,) and is_scene(given.design):
+        return _export_scene(given, console)
+    design = load_design(given.design, given.set)
+    request = _request(design, given)
+    if not request.force:
+        _refuse_uncountable(design, request)
+    if given.target is not None:
+        request = _within_target(design, given, given.target, request, console)
+    if given.dry_run:
+        return _forecast(design, given.out, request, console)
+    return _export(given, design, request, console)
 
 
-def _asked(design: Design, formats: tuple[str, ...], typed: Mapping[str, Any]) -> Request:
-    """What the words of the command line ask for.
+def _request(design: Design, given: Export) -> Request:
+    """The request of an export in numbers.
 
     Raises
     ------
     BadOption, BadRequest
     """
     from clacad.exporting.quads_and_roles import asked_quads, asked_roles
-    from clacad.exporting.request import Request
+    from clacad.exporting.request import OPTIONS, Request
 
-    quads, role = (per_format(f"--{name}", joined(typed[name])) for name in ("quads", "role"))
+    quads, role = per_format("--quads", given.quads), per_format("--role", given.role)
+    typed = {one.name: getattr(given, one.name) for one in fields(given) if one.name in OPTIONS}
     read = {
-        "formats": formats, "slope_error": parse_slope_error(typed["slope_error"]),
-        "quads": asked_quads(_numbers(quads), formats), "step": one_of("step", typed["step"]),
-        "cells": parse_cells(typed["cells"]), "step_schema": one_of("step_schema", typed["step_schema"], str.lower),
-        "saddle_bevel": parse_length(typed["saddle_bevel"], design), "role": asked_roles(role, formats), "paper": one_of("paper", typed["paper"], str.lower),
+        "slope_error": given.slope_error or "auto", "quads": asked_quads(_numbers(quads), given.formats),
+        "step": one_of("step", given.step),
+        "step_schema": one_of("step_schema", given.step_schema, str.lower),
+        "saddle_bevel": parse_bevel(given.saddle_bevel, design), "role": asked_roles(role, given.formats),
+        "paper": one_of("paper", given.paper, str.lower),
     }  # fmt: skip
     return Request(**{**typed, **read})
 
 
-def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
-    """Write the files, print what they are and the derived numbers; return the exit status."""
-    from clacad.cli.tables import derived_text, files_text
+def _export(given: Export, design: Design, request: Request, console: Console) -> int:
+    """Write the files, print them and the derived numbers; return the exit status."""
     from clacad.exporting.run import run_export
-    from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.feasibility import describe, feasibility
 
-    progress = Progress(quiet=quiet)
-    _announce(_cut(design, asked), asked, progress, quiet=quiet)
-    try:
-        manifest = run_export(design, str(out), asked, progress)
-    finally:
-        progress.done()
+    with console.progress() as progress:
+        _announce(_cut(design, request), request, progress, console)
+        manifest = run_export(design, str(given.out), request, progress)
     for entry in manifest.files:
         _warn_of(str(entry["name"]), entry, design.check.of_light[0])
-    if json:
-        show_json(dict(manifest.document))
-        return 0
-    window = prescribe(_cut(design, asked))
-    text = derived_text(describe(window, feasibility(window, *design.viewing_places)))
-    files = files_text(manifest.files, design.check.of_light[0])
-    show_text(f"{design.name}\n{text}\nfiles in {manifest.folder}\n{files}", quiet=quiet)
-    if not quiet:
-        say(f"next: clacad verify {path} --files {out}")
+
+    def text() -> str:
+        from clacad.cli.tables import derived_text, files_text
+        from clacad.prescription.prescribe import prescribe
+        from clacad.sheet.feasibility import describe, feasibility
+
+        window = prescribe(_cut(design, request))
+        derived = derived_text(describe(window, feasibility(window, *design.viewing_places)))
+        files = files_text(manifest.files, design.check.of_light[0])
+        return f"{design.name}\n{derived}\nfiles in {manifest.folder}\n{files}"
+
+    console.show(lambda: dict(manifest.document), text)
+    if not console.json:
+        console.say(f"next: clacad verify {given.design} --files {given.out}")
     return 0
 
 
-def _announce(design: Design, asked: Request, progress: Progress, *, quiet: bool) -> None:
-    """Say at once about how long it will take; a closer forecast needs meshes, and takes its time."""
-    from clacad.cli.announce_cost import WORTH_SAYING
+def _announce(design: Design, request: Request, progress: Progress, console: Console) -> None:
+    """Print a rough cost at once; a closer forecast needs meshes, and takes its time."""
     from clacad.exporting.forecast import rough_span
 
-    span = rough_span(design, asked)
+    span = rough_span(design, request)
     progress.expect(span.middle)
-    if span.low >= WORTH_SAYING:  # so wide a range says nothing of short ones
-        say(f"this takes {span} of processor time", quiet=quiet)
+    console.announce(span, span.low)  # its range is too wide to be of use for short ones
 
 
 def _warn_of(name: str, entry: Mapping[str, Any], limit: float) -> None:
-    """Say on stderr, even when quiet, where a file was declared a master and its light is forecast beyond the limits."""
+    """Print, even when quiet, that the light of a declared master is forecast beyond the limits."""
     if entry.get("role_overstated"):
         rms = entry.get("forecast_law_rms")
         light = "too little light gets through it" if rms is None else (
-            f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit {1e3 * limit:.3g})"
+            f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit "
+            f"{1e3 * limit:.3g})"
         )  # fmt: skip
         others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
         light += f", beyond the limit of {', '.join(others)}" if others else ""
-        say(f"warning: {name} was declared a master, and {light}", quiet=False)
+        say(f"warning: {name} was declared a master, and {light}")
 
 
-def _cut(design: Design, asked: Request) -> Design:
-    return design if asked.cells is None else design.with_cells(asked.cells)
+def _cut(design: Design, request: Request) -> Design:
+    return design if request.cells is None else design.with_cells(request.cells)
 
 
-def _refuse_uncountable(design: Design, asked: Request) -> None:
-    """Refuse more lenslets than are ever gone through, before anything is loaded that could.
+def _refuse_uncountable(design: Design, request: Request) -> None:
+    """Refuse more lenslets than are ever counted through, before a module is loaded that could.
 
     Raises
     ------
@@ -150,10 +159,12 @@ def _refuse_uncountable(design: Design, asked: Request) -> None:
     """
     from clacad.exporting.limits import refuse_uncountable
 
-    refuse_uncountable(_cut(design, asked))
+    refuse_uncountable(_cut(design, request))
 
 
-def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet: bool) -> Request:
+def _within_target(
+    design: Design, given: Export, target: float, request: Request, console: Console
+) -> Request:
     """The request with the coarsest facets that meet its target in the files that are no declared previews.
 
     Raises
@@ -166,60 +177,95 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.choose_setting import facets_for
 
-    assert words.target is not None
-    target = parse_angle("--target", words.target)
-    masters = [name for name in known(asked.formats) if asked.role.get(name) is not Role.PREVIEW]
-    if words.options["slope_error"] is not None or any(name in asked.quads for name in masters):
+    masters = [name for name in known(request.formats) if request.role.get(name) is not Role.PREVIEW]
+    if given.slope_error is not None or any(name in request.quads for name in masters):
         raise BadOption(
             "--target chooses the facets of all files but declared previews: leave out --quads for them, and "
             "--slope-error"
         )
-    if words.normals not in ("facet", "vertex"):
-        raise BadOption(f"--normals {words.normals}: it is facet or vertex")
-    refuse_impossible(design, asked)
-    made = _cut(design, asked)
-    chosen = facets_for(
-        made, prescribe(made), target, masters, "facet" if words.normals == "facet" else "vertex"
-    )
+    if given.normals not in ("facet", "vertex"):
+        raise BadOption(f"--normals {given.normals}: it is facet or vertex")
+    refuse_impossible(design, request)
+    made = _cut(design, request)
+    normals: Literal["facet", "vertex"] = "facet" if given.normals == "facet" else "vertex"
+    chosen = facets_for(made, prescribe(made), target, masters, normals)
     if chosen is None:
-        say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose", quiet=quiet)
-        return asked
-    say(f"target {1e3 * target:g} mrad: {chosen}", quiet=quiet)
-    _name_cheapest(made, target, chosen.formats, quiet=quiet)
-    return replace(asked, quads={**asked.quads, **dict.fromkeys(chosen.formats, chosen.quads)})
+        console.say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose")
+        return request
+    console.say(f"target {1e3 * target:g} mrad: {chosen}")
+    _name_cheapest(made, target, chosen.formats, console)
+    return replace(request, quads={**request.quads, **dict.fromkeys(chosen.formats, chosen.quads)})
 
 
-def _name_cheapest(design: Design, target: float, asked: Sequence[str], *, quiet: bool) -> None:
-    """Say which file is within the target for the fewest bytes, where it is another than those asked for."""
+def _name_cheapest(design: Design, target: float, chosen: Sequence[str], console: Console) -> None:
+    """Print which file is within the target for the fewest bytes if it is none of those chosen."""
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.cheapest_file import files_within, whole_meshes
     from clacad.verification.accuracy.choose_setting import mesh_floors
 
     window = prescribe(design)
     best = files_within(design, window, mesh_floors(design, window, whole_meshes()), target)[0]
-    if best.format not in asked:
-        say(f"cheapest file within it: {best}: {best.options}", quiet=quiet)
+    if best.format not in chosen:
+        console.say(f"cheapest file within it: {best}: {best.options}")
 
 
-def _forecast(design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
-    """Print what an export would cost and what its files would be; refused is what an export would be refused."""
+def _forecast(design: Design, out: Path, request: Request, console: Console) -> int:
+    """Print the cost of an export and the roles of its files; refuse what an export would be refused."""
     from clacad.cli.tables import forecast_text
     from clacad.exporting.run import forecast_rows, in_all
 
-    found = forecast_rows(design, asked, out)
+    found = forecast_rows(design, request, out)
     rows: list[dict[str, Any]] = [row.to_dict() for row in found]
     for row in rows:
         _warn_of(row["format"], row, design.check.of_light[0])
-    if json:
-        show_json(rows)
-    else:
-        show_text(f"{forecast_text(rows)}\nin all {in_all(found)} of processor time", quiet=quiet)
+    console.show(lambda: rows, lambda: f"{forecast_text(rows)}\nin all {in_all(found)} of processor time")
     return 0
 
 
 def _numbers(words: str | dict[str, str] | None) -> Any:
-    """Words that are whole numbers as such; the others as they are, for `asked_quads` to judge."""
+    """Words that are whole numbers as numbers; the others unchanged, for `asked_quads` to judge."""
     if isinstance(words, dict):
         return {name: _numbers(word) for name, word in words.items()}
     number = None if words is None else whole_number(words)
     return words if number is None else number
+
+
+# -- scenes --------------------------------------------------------------------------------------------------
+
+
+def is_scene(path: Path) -> bool:
+    """Whether a file is a scene: it has a sheet, which no design has."""
+    from clacad.config.toml_text import top_keys
+
+    return "sheet" in top_keys(str(path))
+
+
+def _export_scene(given: Export, console: Console) -> int:
+    """Write a scene, sheet and all, for POV-Ray; of an animated scene the first frame."""
+    from clacad.formats.pov.pov_scene import write_pov
+    from clacad.prescription.prescribe import prescribe
+    from clacad.rendering.atlas.make_atlas import manifest_of
+    from clacad.scene import load_scene
+    from clacad.storage.atomic import Stage, safe_name
+    from clacad.storage.errors import NotPossible
+
+    scene, out = load_scene(given.design, given.set), given.out
+    if len(scene.sheets) > 1:
+        raise NotPossible(
+            f"{given.design}: POV-Ray scenes hold one sheet, and this one has {len(scene.sheets)}; `clacad "
+            "stack` writes their assembly, `clacad render` their picture"
+        )
+    still = scene.at(0) if scene.animation is not None else scene
+    with Stage(out, overwrite=given.overwrite) as stage:
+        name = f"{safe_name(still.name)}.pov"
+        write_pov(prescribe(still.design()), stage.path(name), still)
+        stage.publish(manifest_of(stage, "scene"))
+    width, height = still.camera.pixels
+    console.show(
+        lambda: {"folder": str(out), "files": [name]},
+        lambda: f"wrote {out / name}: povray +I{name} +W{width} +H{height} -A File_Gamma=1.0",
+    )
+    return 0
+
+
+COMMANDS = (Command("export", "make", Export, run),)

@@ -1,4 +1,4 @@
-"""`clacad image`: where a sheet images a point, as its law says and as rays go."""
+"""`clacad image`: where a sheet images a point, by its law and by rays."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import processor_seconds
-from clacad.cli.announce_cost import forecast
-from clacad.cli.console import say, show_json, show_text, table
-from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import BadOption, picture_kind
+from clacad.cli.command import Command, OfDesign, dry_run_option, option, overwrite_option
+from clacad.cli.console import Console, table
+from clacad.cli.option_values import BadOption, load_counted, picture_kind, words_of
 
 if TYPE_CHECKING:
     from clacad.imaging import Image
@@ -21,19 +20,59 @@ if TYPE_CHECKING:
 TASK = "image"
 
 PICTURE_SECONDS = 1.2
-"""Processor seconds of drawing the light through focus, with loading what draws."""
+"""Processor seconds of drawing the light through focus, including the import of the drawing library."""
 
 
-@dataclass(frozen=True)
-class ImageRequest:
-    """What the command line asked: the object, rungs, rays, where to draw, whether only to forecast."""
+@dataclass(frozen=True, kw_only=True)
+class ImagePoint(OfDesign):
+    """Where the sheet images a point: predicted and by rays, spot and share of the light on each rung."""
 
-    source: str
-    rungs: str
-    rays: int
-    out: Path | None
-    dry_run: bool
-    overwrite: bool
+    source: str = option(
+        "--object X,Y,Z",
+        "Point that light comes from, z < 0 before the sheet; with z = -inf, parallel light of the slopes"
+        " X and Y.",
+        "0,0,-inf",
+    )
+    rungs: Any = option("--rung A,B", "law, thin, surfaces.", ("law", "thin", "surfaces"), read=words_of)
+    rays: int = option("--rays N", "Rays sent on every rung.", 20_000, least=64, most=10_000_000)
+    out: Path | None = option("-o, --out FILE", "Write the through-focus picture here, .png or .svg.")
+    dry_run: bool = dry_run_option()
+    overwrite: bool = overwrite_option()
+
+
+def run(request: ImagePoint, console: Console) -> int:
+    """Print where the point is imaged (or JSON), write the through-focus picture."""
+    kind = picture_kind(request.out)
+    design = load_counted(request.design, request.set)
+    source = parse_place(request.source, design.unit)
+    from clacad.imaging import image
+    from clacad.imaging.image_by_rays import image_seconds
+    from clacad.prescription.prescribe import prescribe
+    from clacad.storage.atomic import require_writable, write_content
+
+    began = processor_seconds()
+    window = prescribe(design)
+    building = processor_seconds() - began
+    known = [word for word in request.rungs if word in ("law", "thin", "surfaces")]
+    seconds = image_seconds(window, known, request.rays)
+    if request.dry_run:
+        return _show_forecast(request, seconds, building, console)
+    if request.out is not None:
+        require_writable(request.out, overwrite=request.overwrite)
+    try:
+        with console.forecast(TASK, seconds):
+            found = image(window, source, request.rungs, request.rays)
+    except ValueError as error:
+        raise BadOption(str(error)) from error
+    if request.out is not None:
+        from clacad.imaging.through_focus import plot_png, plot_svg
+
+        plot = plot_svg if kind == "svg" else plot_png
+        write_content(request.out, plot(found, design.name, design.unit), overwrite=request.overwrite)
+    console.show(lambda: found.to_dict() | {"unit": design.unit}, lambda: image_text(found, design.unit))
+    if request.out is not None:
+        console.say(f"wrote {request.out}")
+    return 0
 
 
 def parse_place(text: str, unit: str) -> tuple[float, float, float]:
@@ -77,66 +116,29 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def image_design(path: Path, overrides: list[str], request: ImageRequest, *, json: bool, quiet: bool) -> int:
-    """Print where the point is imaged (or JSON), write the through-focus picture."""
-    kind = picture_kind(request.out)
-    design = load_counted(path, overrides)
-    source = parse_place(request.source, design.unit)
-    from clacad.imaging import image
-    from clacad.imaging.image_by_rays import image_seconds
-    from clacad.prescription.prescribe import prescribe
-    from clacad.storage.atomic import require_writable, write_content
-
-    began = processor_seconds()
-    window = prescribe(design)
-    building = processor_seconds() - began
-    words: Any = tuple(word.strip() for word in request.rungs.split(",") if word.strip())
-    seconds = image_seconds(window, [w for w in words if w in ("law", "thin", "surfaces")], request.rays)
-    if request.out is not None and request.out.suffix.lower() not in (".png", ".svg"):
-        raise BadOption(f"-o {request.out}: the picture is a .png or an .svg")
-    if request.dry_run:
-        return _show_forecast(request, seconds, building, json=json, quiet=quiet)
-    if request.out is not None:
-        require_writable(request.out, overwrite=request.overwrite)
-    try:
-        with forecast(TASK, seconds, quiet=quiet):
-            found = image(window, source, words, request.rays)
-    except ValueError as error:
-        raise BadOption(str(error)) from error
-    if request.out is not None:
-        from clacad.imaging.through_focus import plot_png, plot_svg
-
-        plot = plot_svg if kind == "svg" else plot_png
-        write_content(request.out, plot(found, design.name, design.unit), overwrite=request.overwrite)
-    if json:
-        show_json(found.to_dict() | {"unit": design.unit})
-    else:
-        show_text(image_text(found, design.unit), quiet=quiet)
-    if request.out is not None:
-        say(f"wrote {request.out}", quiet=quiet)
-    return 0
-
-
-def _show_forecast(request: ImageRequest, seconds: float, building: float, *, json: bool, quiet: bool) -> int:
-    """Print what images would take; the sheet was built to say so, and what that took is told with it."""
+def _show_forecast(request: ImagePoint, seconds: float, building: float, console: Console) -> int:
+    """Print the cost of images, including that of building the sheet, which the forecast needs."""
     seconds += building + (PICTURE_SECONDS if request.out is not None else 0.0)
-    if json:
-        show_json({"forecast": {"rays": request.rays, "seconds": seconds, "building": building}})
-    else:
-        files = "one picture of about 100 kB" if request.out is not None else "no file"
-        show_text(f"{request.rays:,} rays on each rung, about {seconds:.2g} s of processor time, {building:.2g} s of it to build the sheet, {files}; nothing is written",
-                  quiet=quiet)  # fmt: skip
+    files = "one picture of about 100 kB" if request.out is not None else "no file"
+    console.show(
+        lambda: {"forecast": {"rays": request.rays, "seconds": seconds, "building": building}},
+        lambda: (
+            f"{request.rays:,} rays on each rung, about {seconds:.2g} s of processor time, {building:.2g} "
+            f"s of it to build the sheet, {files}; nothing is written"
+        ),
+    )
     return 0
 
 
 def image_text(found: Image, unit: str) -> str:
-    """The image for a person, rung by rung."""
+    """Table of the image, rung by rung."""
     lines = [["rung", "predicted x, y, z", "found x, y, z", "apart", "spot rms x, y", "share", unit]]
     for one in found.rungs:
         lines.append([
             one.rung, _point(one.predicted), _point(one.found),
             "" if one.predicted.missing or one.found.missing else f"{one.off:.3g}",
-            "" if one.found.missing else ", ".join(f"{v:.4g}" for v in one.found.spot), f"{100.0 * one.share:.3g} %", "",
+            "" if one.found.missing else ", ".join(f"{v:.4g}" for v in one.found.spot),
+            f"{100.0 * one.share:.3g} %", "",
         ])  # fmt: skip
     return "\n".join([table(lines), *_notes(found, unit)])
 
@@ -146,9 +148,10 @@ NO_WIDTH = 1e-9
 
 
 def _notes(found: Image, unit: str) -> list[str]:
-    """What the table leaves unsaid."""
+    """Notes below the table."""
     notes = [
-        "share: of the light on the sheet, what goes through lenses of one telescopelet; rung law: a sheet of no thickness at z = 0"
+        "share: of the light on the sheet, what goes through lenses of one telescopelet; rung law: a "
+        "sheet of no thickness at z = 0"
     ]
     if any(best.missing == "parallel" for one in found.rungs for best in (one.predicted, one.found)):
         notes.append("parallel: this light leaves the sheet parallel, and meets in no point")
@@ -165,21 +168,26 @@ def _notes(found: Image, unit: str) -> list[str]:
         notes.append(f"cells do not focus: the image of a point is {width} {unit} wide at least (x, y)")
     if found.sampling is not None:
         spot = ", ".join(f"{v:.3g}" for v in found.sampling.smooth.spot)
-        notes.append(f"sampling: the law of the cell hit turns light {1e3 * found.sampling.slope:.3g} mrad rms from the smooth law, whose spot "
-                     f"at {_place(found.sampling.smooth.point)} would be {spot} {unit}")  # fmt: skip
+        notes.append(
+            f"sampling: the law of the cell hit turns light {1e3 * found.sampling.slope:.3g} mrad rms from "
+            f"the smooth law, whose spot at {_place(found.sampling.smooth.point)} would be {spot} {unit}"
+        )
     if found.zone is not None:
         zone, number, moire = (
             ", ".join(f"{v:.4g}" for v in pair)
             for pair in (found.zone.width, found.zone.f_number, found.zone.moire)
         )
-        notes.append(f"array 2 has a pitch of its own or is turned: light along the normal stays with its partner over {zone} {unit} (x, y), "
-                     f"one lens of F-number {number} of a lattice of them, and no field of a cell survives beyond the moire period {moire} "
-                     f"{unit}; one large lens: [law.varying] f_image")  # fmt: skip
+        notes.append(
+            "array 2 has a pitch of its own or is turned: light along the normal stays with its partner "
+            f"over {zone} {unit} (x, y), one lens of F-number {number} of a lattice of them, and no field "
+            f"of a cell survives beyond the moire period {moire} {unit}; one large lens: [law.varying] "
+            "f_image"
+        )
     return notes
 
 
 def _instead(found: Image, instead: Middle, unit: str) -> str:
-    """Where the light went, and which goes through."""
+    """Fates of the light, and the light that gets through."""
     one = next(one for one in found.rungs if one.rung == instead.rung)
     went = ", ".join(f"{100.0 * part:.3g} % {name}" for name, part in sorted(one.fates.items()))
     if one.astray is not None:
@@ -192,7 +200,8 @@ def _instead(found: Image, instead: Middle, unit: str) -> str:
         else f"light from {_place(instead.source)} {unit}"
     )
     return (
-        f"rung {one.rung}: {went}; {what}, through the middles of both lenses, has a share of {100.0 * instead.share:.3g} %: "
+        f"rung {one.rung}: {went}; {what}, through the middles of both lenses, has a share of "
+        f"{100.0 * instead.share:.3g} %: "
         f'--object="{place}"'
     )
 
@@ -203,3 +212,6 @@ def _point(best: BestPoint) -> str:
 
 def _place(point: Any) -> str:
     return ", ".join(f"{v + 0.0:.6g}" for v in point.round(9))
+
+
+COMMANDS = (Command("image", "look", ImagePoint, run),)

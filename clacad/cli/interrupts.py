@@ -1,8 +1,8 @@
-"""Ctrl-C ends a command within a second, whatever it is in the middle of.
+"""Ctrl-C ends a command within a second, regardless of its current work.
 
-Python hears a signal when its main thread comes back to it. Compilers and kernels may keep that thread for
-seconds, and some swallow the exception. So another thread is woken by the signal itself; it gives the ordinary
-way, in which everything cleans up after itself, half a second, and then ends the process.
+Python handles a signal only in its main thread. Compilers and kernels may occupy that thread for seconds, and
+some swallow the exception. The signal therefore wakes a second thread. It allows half a second for the
+ordinary end, in which every block cleans up, and then ends the process.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import Any
 SENTENCE = "clacad: interrupted\n"
 
 INTERRUPTED = 130
-"""Exit status of a command that was told to end."""
+"""Exit status of an interrupted command."""
 
 PATIENCE = 0.5
-"""Seconds that the ordinary way has."""
+"""Seconds allowed for the ordinary end."""
 
 SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
@@ -30,7 +30,7 @@ SIGNALS = tuple(
 
 
 class InterruptHandler:
-    """Whether the command was told to end; who says so first says it alone.
+    """Whether the command was interrupted; the message is printed once.
 
     Plain attributes: a lock taken in a signal handler could be one that the main thread holds.
     """
@@ -44,8 +44,8 @@ class InterruptHandler:
     def handle(self, _: int, frame: FrameType | None) -> None:
         """Handle a signal: the first is raised, later ones would only break off the cleaning up after it.
 
-        Not through the compiler of kernels, nor through the loading of a module: an exception that unwinds compiled
-        code which does not expect one has been seen to end in a segmentation fault.
+        Within the compiler of kernels, or while a module is loaded, the process ends instead: an exception
+        through compiled code that expects none has ended in a segmentation fault.
         """
         self.asked = True
         if not self._heard:
@@ -55,7 +55,7 @@ class InterruptHandler:
             raise KeyboardInterrupt
 
     def tell(self, write: Callable[[str], object]) -> None:
-        """Say that the command was interrupted, unless that was said."""
+        """Print that the command was interrupted, unless that was printed."""
         if self._untold.acquire(blocking=False):
             with suppress(OSError, ValueError):
                 write(SENTENCE)
@@ -70,7 +70,7 @@ class InterruptHandler:
                         self._leave()
 
     def _over_soon(self, number: int) -> bool:
-        """Wait for the ordinary way; call the main thread again if it began to wait just before it could hear."""
+        """Wait for the ordinary end; signal the main thread again if it missed the first signal."""
         for _ in range(5):
             if self.finished.wait(PATIENCE / 5):
                 return True
@@ -101,17 +101,17 @@ def _loading(frame: FrameType | None) -> bool:
 
 @contextmanager
 def ended_in_time(interrupts: InterruptHandler) -> Iterator[None]:
-    """Within the block a signal raises KeyboardInterrupt, and ends the process with `INTERRUPTED` should that not do it.
+    """Within the block a signal raises KeyboardInterrupt, and soon ends the process with `INTERRUPTED`.
 
-    Only in the main thread, where signals can be heard; elsewhere nothing is watched. A signal that is ignored
-    (as by nohup), or that somebody else handles, is left alone.
+    Only in the main thread, where signals are handled; elsewhere nothing is watched. A signal that is ignored
+    (as by nohup), or that has another handler, is left alone.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     try:
         wake, tell = os.pipe()
-    except OSError:  # no file may be opened any more: what needs one will say so
+    except OSError:  # no file may be opened any more: an error follows where one is needed
         yield
         return
     os.set_blocking(tell, False)
@@ -135,5 +135,5 @@ def ended_in_time(interrupts: InterruptHandler) -> Iterator[None]:
 
 
 def _swallowed(lost: Any, interrupts: InterruptHandler) -> bool:
-    """Tell the interruption that a library could not pass on, which the watcher will carry out."""
+    """Recognise an interruption that a library could not pass on; the watcher ends the process."""
     return interrupts.asked and issubclass(lost.exc_type, KeyboardInterrupt)

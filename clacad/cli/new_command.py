@@ -1,4 +1,4 @@
-"""`clacad new`: a design file from a template, or from a wish; and the schema that editors read beside it."""
+"""`clacad new`: a design file from a template, for a wish, or from answers at a terminal; its schema."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from clacad.cli.console import Progress, say, show_json, show_text, table
+from clacad.cli.command import Command, Overridden, dry_run_option, flag, option, overwrite_option
+from clacad.cli.console import Console, say, table
+from clacad.cli.option_values import BadOption
 
 if TYPE_CHECKING:
     from clacad.advice.proposal import Proposal
@@ -20,32 +20,60 @@ SCHEMA = "clacad.schema.json"
 """File that the first line of every template names; editors look for it in the design's own folder."""
 
 
-@dataclass(frozen=True, slots=True)
-class NewRequest:
-    """What to write: NAME.toml from a template, or for a wish."""
+@dataclass(frozen=True, kw_only=True)
+class New(Overridden):
+    """Write a commented design file: from a template, or for a wish, tried until it passes."""
 
-    name: str | None
-    template: str | None
-    wishes: tuple[str, ...]
-    overrides: tuple[str, ...]
-    dry_run: bool
-    overwrite: bool
+    name: str | None = option(
+        "NAME", "Name of the design; writes NAME.toml. Without it, a terminal prints questions."
+    )
+    template: str | None = option(
+        "--template T",
+        "paper, biconvex, galilean, slab, plano, hexagonal, tilted, window; or a design of the paper: "
+        "fig3, fig6-theta-1, paper-b …; default paper.",
+    )
+    wishes: tuple[str, ...] = option(
+        "--for KEY=VALUE,...",
+        "Find a design that does this and passes verify: eta, width or circle, viewing, object, process, "
+        "material, index, wavelength, pitch, flange, holes, form, kind, delta, euler, field; e.g. "
+        "'eta=-1, circle=60 mm, process=moulding'. Repeatable.",
+        (),
+    )
+    list: bool = flag("--list", "Print the templates with a line about each.")
+    dry_run: bool = dry_run_option("Print the file, write nothing.")
+    overwrite: bool = overwrite_option()
 
 
-def list_templates(*, json: bool, quiet: bool) -> int:
-    """Print the templates with one line about each."""
-    from clacad.design import templates
+def run(request: New, console: Console) -> int:
+    """Write the design and print the next step; without a name, print questions at a terminal.
 
-    found = templates()
-    if json:
-        show_json(found)
-    else:
-        show_text("\n".join(_grouped(found)), quiet=quiet)
-    return 0
+    Raises
+    ------
+    DesignError, NoSuchSheet, CannotWrite, ExportRefused
+    """
+    if request.list:
+        from clacad.design import templates
+
+        found = templates()
+        console.show(lambda: found, lambda: "\n".join(_grouped(found)))
+        return 0
+    name, words = request.name, _words(request)
+    if name is None:
+        if request.wishes or request.template is not None or not (sys.stdin.isatty() and sys.stdout.isatty()):
+            raise BadOption("a NAME is needed; only a terminal prints the question for it")
+        from clacad.cli.questions import ask
+
+        name, words = ask()
+    target = Path(f"{name.removesuffix('.toml')}.toml")
+    if words is not None:
+        return _from_wish(request, target, words, console)
+    if request.set:
+        raise BadOption("--set belongs to --for")
+    return _from_template(request, target, console)
 
 
 def _grouped(found: Mapping[str, str]) -> Iterator[str]:
-    """Templates under headings: those to start from, then the paper's designs, the variants of one figure under its name."""
+    """Templates under headings: those to start from, then the paper's designs by figure."""
     from clacad.design.starter_designs import differences, figure_of
 
     figures = {name: figure_of(name) for name in found}
@@ -57,79 +85,54 @@ def _grouped(found: Mapping[str, str]) -> Iterator[str]:
         yield table(((f"  {name}", differences(name)) for name in names), "")
 
 
-def new_design(request: NewRequest, *, json: bool, quiet: bool) -> int:
-    """Write the design and say what to do next; without a name, ask at a terminal.
-
-    Raises
-    ------
-    DesignError, NoSuchSheet, CannotWrite, ExportRefused
-    """
-    from clacad.cli.questions import ask
-
-    name, words = request.name, _words(request)
-    if name is None:
-        if request.wishes or request.template is not None or not (sys.stdin.isatty() and sys.stdout.isatty()):
-            raise typer.BadParameter(
-                "a NAME is needed; it is asked for only at a terminal", param_hint="NAME"
-            )
-        name, words = ask()
-    target = Path(f"{name.removesuffix('.toml')}.toml")
-    stem = target.name.removesuffix(".toml")
-    if words is not None:
-        return _from_wish(request, target, stem, words, json=json, quiet=quiet)
-    if request.overrides:
-        raise typer.BadParameter("--set belongs to --for", param_hint="--set")
-    return _from_template(request, target, stem, json=json, quiet=quiet)
-
-
-def _words(request: NewRequest) -> dict[str, Any] | None:
+def _words(request: New) -> dict[str, Any] | None:
     """The words of the wish, None where there is none."""
+    if request.wishes and request.template is not None:
+        raise BadOption("--template and --for exclude each other")
+    if not request.wishes:
+        return None
     from clacad.advice.wish import parse_wish
 
-    if request.wishes and request.template is not None:
-        raise typer.BadParameter("--template and --for exclude each other", param_hint="--for")
-    return parse_wish(request.wishes) if request.wishes else None
+    return parse_wish(request.wishes)
 
 
-def _from_template(request: NewRequest, target: Path, stem: str, *, json: bool, quiet: bool) -> int:
+def _stem(target: Path) -> str:
+    return target.name.removesuffix(".toml")
+
+
+def _from_template(request: New, target: Path, console: Console) -> int:
     from clacad.design import template as text_of
 
     template = request.template or "paper"
-    text = text_of(stem, template)
+    text = text_of(_stem(target), template)
     if not request.dry_run:
         with _place(target, overwrite=request.overwrite) as write:
             write(text)
-    if json:
-        show_json({"path": str(target), "template": template, "text": text, "written": not request.dry_run})
-    elif request.dry_run:
-        show_text(text.rstrip("\n"), quiet=quiet)
-    else:
-        out = target.with_suffix("")
-        show_text(
-            f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format step",
-            quiet=quiet,
-        )
+    out = target.with_suffix("")
+    console.show(
+        lambda: {"path": str(target), "template": template, "text": text, "written": not request.dry_run},
+        lambda: text.rstrip("\n") if request.dry_run else (
+            f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format "
+            "step"
+        ),
+    )  # fmt: skip
     return 0
 
 
-def _from_wish(
-    request: NewRequest, target: Path, stem: str, words: dict[str, Any], *, json: bool, quiet: bool
-) -> int:
+def _from_wish(request: New, target: Path, words: dict[str, Any], console: Console) -> int:
     from clacad.design import template
 
-    template(stem)  # a name that no design can have is refused before the search
+    template(_stem(target))  # a name that no design can have is refused before the search
     if request.dry_run:
-        found = _searched(words, request, stem, quiet=quiet)
+        found = _searched(words, request, target, console)
     else:
-        with _place(target, overwrite=request.overwrite) as write:  # so is one that may not be written
-            found = _searched(words, request, stem, quiet=quiet)
+        with _place(target, overwrite=request.overwrite) as write:  # and so is one that may not be written
+            found = _searched(words, request, target, console)
             write(found.text)
-    if json:
-        show_json(_document(found, target, written=not request.dry_run))
-    elif request.dry_run:
-        show_text(found.text.rstrip("\n"), quiet=quiet)
-    else:
-        show_text(_told(found, target), quiet=quiet)
+    console.show(
+        lambda: _document(found, target, written=not request.dry_run),
+        lambda: found.text.rstrip("\n") if request.dry_run else _text(found, target),
+    )
     return 0
 
 
@@ -142,8 +145,8 @@ def _document(found: Proposal, target: Path, *, written: bool) -> dict[str, Any]
     }  # fmt: skip
 
 
-def _told(found: Proposal, target: Path) -> str:
-    """The reasons, the neighbours, and what comes next."""
+def _text(found: Proposal, target: Path) -> str:
+    """Reasons, neighbouring sizes, and the next step."""
     from clacad.advice.trade_offs import rows_of
 
     out = target.with_suffix("")
@@ -154,19 +157,16 @@ def _told(found: Proposal, target: Path) -> str:
     ])  # fmt: skip
 
 
-def _searched(words: dict[str, Any], request: NewRequest, stem: str, *, quiet: bool) -> Proposal:
+def _searched(words: dict[str, Any], request: New, target: Path, console: Console) -> Proposal:
     from clacad.advice.proposal import design_for
 
-    progress = Progress(quiet=quiet)
-    try:
-        return design_for(words, request.overrides, name=stem, progress=progress)
-    finally:
-        progress.done()
+    with console.progress() as progress:
+        return design_for(words, request.set, name=_stem(target), progress=progress)
 
 
 @contextmanager
 def _place(target: Path, *, overwrite: bool) -> Iterator[Callable[[str], None]]:
-    """A place for the design and, beside it, the schema; both appear at once, when the design's text was given.
+    """Place of the design and its schema; both are published together, once the design's text is given.
 
     A schema of another program is left alone.
     """
@@ -176,27 +176,30 @@ def _place(target: Path, *, overwrite: bool) -> Iterator[Callable[[str], None]]:
     if target.is_file() and not target.is_symlink() and not overwrite:
         raise ExportRefused(f"{target} exists; --overwrite replaces it, another NAME keeps it")
     with Stage(target.parent, overwrite=overwrite) as stage:
-        private, beside = stage.path(target.name), target.parent / SCHEMA
+        private, schema = stage.path(target.name), target.parent / SCHEMA
 
         def write(text: str) -> None:
             with translated(target):
                 private.write_text(text, encoding="utf-8", newline="")
-                if not beside.exists():
+                if not schema.exists():
                     stage.path(SCHEMA).write_text(_schema_text(), encoding="utf-8", newline="")
             stage.publish()
 
         yield write
-    there = beside.read_bytes() if beside.is_file() else b""
-    if there and there != _schema_text().encode():
-        if b'"title": "clacad design"' in there:
-            write_content(beside, _schema_text(), overwrite=True)
+    found = schema.read_bytes() if schema.is_file() else b""
+    if found and found != _schema_text().encode():
+        if b'"title": "clacad design"' in found:
+            write_content(schema, _schema_text(), overwrite=True)
         else:
-            say(f"{beside} is not clacad's and was left as it is: editors will not complete keys")
+            say(f"{schema} is not clacad's and was left as it is: editors will not complete keys")
 
 
 def _schema_text() -> str:
-    """What `clacad schema` prints."""
+    """The JSON Schema of design files as text."""
     from clacad.cli.console import json_text
     from clacad.design import json_schema
 
     return json_text(json_schema())
+
+
+COMMANDS = (Command("new", "make", New, run),)

@@ -1,4 +1,4 @@
-"""`clacad optimise`: a design in, a better design of the same law out."""
+"""`clacad optimise`: faces that keep closer to the law of a design, written as a new design."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from math import degrees, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.announce_cost import forecast
-from clacad.cli.console import Progress, say, show_json, show_text
-from clacad.cli.design_commands import load_counted
+from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option
+from clacad.cli.console import Console
 from clacad.cli.interrupts import INTERRUPTED
-from clacad.cli.option_values import BadOption, design_file, parse_angle
+from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_design_file, words_of
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -23,32 +22,7 @@ if TYPE_CHECKING:
 TASK = "optimise"
 
 
-@dataclass(frozen=True)
-class OptimiseRequest:
-    """What the command line asked.
-
-    out, compare : path or None
-        The better design, and the page with before and after.
-    free : tuple of str
-    field : float or None, radians
-        None: the design's.
-    weights : tuple of (part of the field, weight)
-    tolerances : bool
-    seconds : float or None
-    """
-
-    out: Path | None
-    compare: Path | None
-    free: tuple[str, ...]
-    field: float | None
-    weights: tuple[tuple[float, float], ...]
-    tolerances: bool
-    seconds: float | None
-    dry_run: bool
-    overwrite: bool
-
-
-def words_of(text: str) -> tuple[str, ...]:
+def _free(option: str, text: str) -> tuple[str, ...]:
     """Read "radii,conic" as words, each once.
 
     Raises
@@ -56,96 +30,116 @@ def words_of(text: str) -> tuple[str, ...]:
     BadOption
         A word twice.
     """
-    words = tuple(word.strip() for word in text.split(",") if word.strip())
+    words = words_of(option, text)
     twice = next((word for n, word in enumerate(words) if word in words[:n]), None)
     if twice is not None:
-        raise BadOption(f"--free {text}: {twice} is named twice")
+        raise BadOption(f"{option} {text}: {twice} is named twice")
     return words
 
 
-def field_of(text: str | None) -> float | None:
-    """Read the half angle of --field as radians."""
-    return None if text is None else parse_angle("--field", text)
-
-
-def weights_of(text: str | None) -> tuple[tuple[float, float], ...]:
+def _weights(option: str, text: str) -> tuple[tuple[float, float], ...]:
     """Read ".5:1,1:1" as parts of the field and their weights.
 
     Raises
     ------
     BadOption
     """
-    if text is None:
-        return ((1.0, 1.0),)
     found = []
     for one in text.split(","):
         part, colon, weight = one.partition(":")
         try:
             found.append((float(part), float(weight) if colon else 1.0))
         except ValueError:
-            raise BadOption(f"--weights {text}: it is part:weight of the field, such as .5:1,1:1") from None
+            raise BadOption(f"{option} {text}: it is part:weight of the field, such as .5:1,1:1") from None
     return tuple(found)
 
 
-def seconds_of(value: float | None) -> float | None:
-    """Read --seconds.
+@dataclass(frozen=True, kw_only=True)
+class Optimise(OfDesign):
+    """Search for faces that keep closer to the law; write them as a design with given faces."""
 
-    Raises
-    ------
-    BadOption
-    """
-    if value is not None and not (0.0 < value < inf):
-        raise BadOption(f"--seconds {value:g}: it is a number of seconds above 0, such as 60")
-    return value
+    out: Path | None = option("-o, --out FILE", "Better design file to write.", read=parse_design_file)
+    free: tuple[str, ...] = option(
+        "--free A,B",
+        "What may change: radii, conic, bending (own radii a face), a4, a6, a8, offset, field (the field "
+        "lens).",
+        ("radii", "conic"),
+        read=_free,
+    )
+    field: float | None = option(
+        "--field E",
+        "Half angle of the cone of rays, e.g. '1 deg'; default the design's check.field.",
+        read=parse_angle,
+    )
+    weights: tuple[tuple[float, float], ...] | None = option(
+        "--weights P:W,P:W",
+        "Parts of the field and the weight of each, e.g. .5:1,1:1; default the whole field.",
+        read=_weights,
+    )
+    tolerances: bool = flag(
+        "--tolerances",
+        "Seek the least expected error of parts made with the design's [tolerances], not of the perfect "
+        "part.",
+    )
+    seconds: float | None = option(
+        "--seconds S",
+        "End the search after this time with the best so far; a search that ends earlier gives the same "
+        "result with any number.",
+    )
+    compare: Path | None = option(
+        "--compare PAGE",
+        "Write a page with before and after: spots, error maps, sections, thicknesses, and whether the "
+        "gain survives 1 µm and 0.1 mrad.",
+    )
+    dry_run: bool = dry_run_option()
+    overwrite: bool = overwrite_option()
 
 
-def optimise_design(
-    path: Path, overrides: list[str], request: OptimiseRequest, *, json: bool, quiet: bool
-) -> int:
-    """Search, write the better design, say what was gained; exit 1 where verify will fail, 130 when stopped."""
-    design_file(request.out)
-    design = load_counted(path, overrides)
+def run(request: Optimise, console: Console) -> int:
+    """Search, write the better design, print the gain; exit 1 where verify will fail, 130 when stopped."""
+    if request.seconds is not None and not 0.0 < request.seconds < inf:
+        raise BadOption(f"--seconds {request.seconds:g}: it is a number of seconds above 0, such as 60")
+    design = load_counted(request.design, request.set)
     from clacad.optimising import optimise, outlook
     from clacad.optimising.optimised_text import design_text
     from clacad.storage.atomic import write_file
 
-    page = _page(request)
+    page, weights = _page(request), request.weights or ((1.0, 1.0),)
     with _named_as_typed():
-        ahead = outlook(design, request.free, request.weights, tolerances=request.tolerances)
+        ahead = outlook(design, request.free, weights, tolerances=request.tolerances)
     if page is not None:
-        ahead["seconds"] += page_seconds()
+        from clacad.report.better_faces import SECONDS
+
+        ahead["seconds"] += SECONDS
     if request.dry_run:
-        return _show_forecast(ahead, page, json=json, quiet=quiet)
+        console.show(lambda: {"forecast": ahead}, lambda: _forecast_text(ahead, page))
+        return 0
     if request.out is None:
         raise BadOption("the better design needs a file: give it with -o better.toml")
-    progress, ended = Progress(quiet=quiet), []
+    ended: list[Optimised] = []
 
     def best_so_far(evaluations: int, rms: float) -> None:
         progress(f"best so far {1e3 * rms:.3g} mrad", min(0.99, evaluations / ahead["evaluations"]))
 
     def search(private: Path) -> None:
-        with forecast(TASK, ahead["seconds"], quiet=quiet) as span:
+        with console.forecast(TASK, ahead["seconds"]) as span:
             progress.expect(span.middle)
             found = optimise(
-                design, request.free, request.field, best_so_far, weights=request.weights, tolerances=request.tolerances,
-                seconds=request.seconds,
+                design, request.free, request.field, best_so_far, weights=weights,
+                tolerances=request.tolerances, seconds=request.seconds,
             )  # fmt: skip
         ended.append(found)
         private.write_text(design_text(found), encoding="utf-8", newline="\n")
 
-    try:
-        write_file(
-            request.out, search, overwrite=request.overwrite
-        )  # a name that is taken is refused before the search
+    with console.progress() as progress:
+        write_file(request.out, search, overwrite=request.overwrite)  # refuses a taken name before the search
         made = _compared(ended[0], page, overwrite=request.overwrite)
-    finally:
-        progress.done()
-    return _finished(ended[0], made, request, json=json, quiet=quiet)
+    return _finished(ended[0], made, request, console)
 
 
 @contextmanager
 def _named_as_typed() -> Iterator[None]:
-    """Let mistakes in what shall be free name the option that they were typed behind.
+    """Report mistakes in the words of --free under the name of the option.
 
     Raises
     ------
@@ -160,15 +154,8 @@ def _named_as_typed() -> Iterator[None]:
         raise DesignError(found) from None
 
 
-def page_seconds() -> float:
-    """Processor seconds of a page."""
-    from clacad.report.better_faces import SECONDS
-
-    return SECONDS
-
-
-def _page(request: OptimiseRequest) -> Path | None:
-    """Where the page goes, if one is asked for; a name that is none, or is taken, is refused before the search."""
+def _page(request: Optimise) -> Path | None:
+    """Path of the requested page; an invalid or taken name is refused before the search."""
     if request.compare is None:
         return None
     from clacad.report.better_faces import html_file
@@ -189,45 +176,39 @@ def _compared(found: Optimised, page: Path | None, *, overwrite: bool) -> GainAs
     return write_before_and_after(found, page, overwrite)
 
 
-def _show_forecast(ahead: dict[str, float], page: Path | None, *, json: bool, quiet: bool) -> int:
-    """What a search would cost."""
-    if json:
-        show_json({"forecast": ahead})
-    else:
-        files = "one file of about 4 kB" + ("" if page is None else " and a page of about 1.4 MB")
-        show_text(
-            f"{ahead['unknowns']:.0f} unknowns, about {ahead['evaluations']:.0f} evaluations, about {ahead['seconds']:.2g} s "
-            f"of processor time on one core, {files}; nothing is written",
-            quiet=quiet,
-        )
-    return 0
-
-
-def _finished(
-    found: Optimised, made: GainAsMade | None, request: OptimiseRequest, *, json: bool, quiet: bool
-) -> int:
-    """Say what was found and written; the exit status."""
-    out, failed = request.out, failing(found.design) if found.stopped != "interrupted" else []
-    if json:
-        more = {} if made is None else {"page": str(request.compare), "as_made": made.to_dict()}
-        show_json(found.to_dict() | {"path": str(out), "failed": failed} | more)
-    elif found.after:
-        show_text("\n".join(_told(found, made)), quiet=quiet)
-    for sentence in failed:
-        say(f"verify will fail: {sentence}", quiet=quiet)
-    pages = "" if made is None else f" and {request.compare}"
-    next_step = (
-        f"\nnext: clacad {'check' if failed else 'verify'} {out}" if found.stopped != "interrupted" else ""
+def _forecast_text(ahead: dict[str, float], page: Path | None) -> str:
+    files = "one file of about 4 kB" + ("" if page is None else " and a page of about 1.4 MB")
+    return (
+        f"{ahead['unknowns']:.0f} unknowns, about {ahead['evaluations']:.0f} evaluations, about "
+        f"{ahead['seconds']:.2g} s of processor time on one core, {files}; nothing is written"
     )
-    say(f"wrote {out}{pages}{', the best so far' if found.stopped else ''}{next_step}", quiet=quiet)
-    return INTERRUPTED if found.stopped == "interrupted" else 1 if failed else 0
 
 
-def _told(found: Optimised, made: GainAsMade | None) -> list[str]:
-    """What was found, for a person."""
+def _finished(found: Optimised, made: GainAsMade | None, request: Optimise, console: Console) -> int:
+    """Print what was found and written; the exit status."""
+    out, interrupted = request.out, found.stopped == "interrupted"
+    failed = [] if interrupted else _failing(found.design)
+    more = {} if made is None else {"page": str(request.compare), "as_made": made.to_dict()}
+    if console.json or found.after:
+        console.show(
+            lambda: found.to_dict() | {"path": str(out), "failed": failed} | more,
+            lambda: "\n".join(_lines(found, made)),
+        )
+    for sentence in failed:
+        console.say(f"verify will fail: {sentence}")
+    pages = "" if made is None else f" and {request.compare}"
+    following = f"clacad check {out}" if failed else f"clacad verify {out}"
+    next_step = "" if interrupted else f"\nnext: {following}"
+    console.say(f"wrote {out}{pages}{', the best so far' if found.stopped else ''}{next_step}")
+    return INTERRUPTED if interrupted else 1 if failed else 0
+
+
+def _lines(found: Optimised, made: GainAsMade | None) -> list[str]:
+    """The gain as text."""
     from clacad.optimising.optimised_text import expected, gains, left_out
 
-    about = f"{found.design.name}: {found.unknowns} unknowns ({', '.join(found.free)}), {found.evaluations} evaluations"
+    free = ", ".join(found.free)
+    about = f"{found.design.name}: {found.unknowns} unknowns ({free}), {found.evaluations} evaluations"
     lines = [f"{about}, field {degrees(found.field):.4g} deg", *(f"  {text}" for text in gains(found))]
     lines += [expected(found)] if found.expected is not None else []
     lines += [left_out(found)] if found.left_out and not found.stopped else []
@@ -235,8 +216,11 @@ def _told(found: Optimised, made: GainAsMade | None) -> list[str]:
     return lines + ([] if made is None else [made.sentence()])
 
 
-def failing(design: Design) -> list[str]:
+def _failing(design: Design) -> list[str]:
     """Sentences of the checks that verify will fail: design rules, and light through one cell."""
     from clacad.advice import judge
 
     return [f"{check.id}: {check.sentence}" for check in judge(design).failing]
+
+
+COMMANDS = (Command("optimise", "make", Optimise, run),)

@@ -1,8 +1,8 @@
-"""What the words of options mean: cells, angles, lengths, a value for each format."""
+"""Values given to commands: designs, cells, angles, lengths, words, one value for each format."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from math import hypot, isfinite, pi, tan
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Literal
 from clacad.base.whole_numbers import whole_number
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from clacad.design import Design
 
 
@@ -17,7 +19,7 @@ STEEPEST = 80.0 * pi / 180.0
 """Largest angle of light to the middle of the field, radians."""
 
 SHORTEST, LONGEST = 1e-8, 1e-3
-"""Wavelengths that may be asked for, metres."""
+"""Range of wavelengths, metres."""
 
 
 class BadOption(ValueError):
@@ -26,20 +28,44 @@ class BadOption(ValueError):
     exit_status = 2
 
 
-def joined(given: Sequence[str] | None) -> str | None:
-    """What an option that may be given several times says in all: as if its values stood in one, with commas between."""
-    return ",".join(given) if given else None
+def load_design(path: Path, overrides: tuple[str, ...]) -> Design:
+    """Read a design with --set overrides applied."""
+    from clacad.design import load
+
+    return load(path, overrides)
 
 
-def per_format(option: str, text: str | None) -> str | dict[str, str] | None:
-    """Read VALUE, or FORMAT=VALUE,… as a mapping.
+def load_counted(path: Path, overrides: tuple[str, ...]) -> Design:
+    """Read a design with at most as many lenslets as are ever counted through.
+
+    Raises
+    ------
+    DesignError, LimitRefused
+    """
+    from clacad.exporting.limits import refuse_uncountable
+
+    design = load_design(path, overrides)
+    refuse_uncountable(design)
+    return design
+
+
+def words_of(option: str, text: str) -> tuple[str, ...]:
+    """Read "A,B" as words."""
+    return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def per_format(option: str, texts: tuple[str, ...]) -> str | dict[str, str] | None:
+    """Read VALUE, or FORMAT=VALUE,… as a mapping; texts of repeated options are joined by commas.
 
     Raises
     ------
     BadOption
         Both kinds at once, a part without a value, or a format named twice.
     """
-    if text is None or ("=" not in text and "," not in text):
+    if not texts:
+        return None
+    text = ",".join(texts)
+    if "=" not in text and "," not in text:
         return text
     from clacad.exporting.request import assignments
 
@@ -52,27 +78,33 @@ def per_format(option: str, text: str | None) -> str | dict[str, str] | None:
     return dict(named)
 
 
-def parse_cells(text: str | None) -> tuple[int, int] | None:
-    """Read "10x10" (or "10" for 10 by 10) as a pair; None stays None."""
-    if text is None:
-        return None
+def parse_cells(option: str, text: str) -> tuple[int, int]:
+    """Read "10x10" (or "10" for 10 by 10) as a pair."""
     numbers = [whole_number(part.strip()) or 0 for part in text.lower().replace("×", "x").split("x")]
     if len(numbers) not in (1, 2) or min(numbers) <= 0:
-        raise BadOption(f"--cells {text}: it is two whole numbers above 0, such as 10x10")
+        raise BadOption(f"{option} {text}: it is two whole numbers above 0, such as 10x10")
     return numbers[0], numbers[-1]
 
 
-def parse_slope_error(text: str | None) -> float | Literal["auto"]:
+def parse_slope_error(option: str, text: str) -> float | Literal["auto"]:
     """Read "auto", or an angle such as "5 mrad" as radians."""
-    return "auto" if text is None or text == "auto" else parse_angle("--slope-error", text)
+    return "auto" if text == "auto" else parse_angle(option, text)
+
+
+def _quantity(text: str, family: str) -> tuple[Fraction, str] | None:
+    """Number and unit ("" for a bare number) of a quantity of one family; None of any other text."""
+    from clacad.base.units import family_of, split
+
+    parts = split(text)
+    return None if parts is None or (parts[1] and family_of(parts[1]) != family) else parts
 
 
 def parse_angle(option: str, text: str) -> float:
     """Read an angle above 0 such as "5 mrad" as radians; a bare number is degrees, as in a design file."""
-    from clacad.base.units import family_of, in_radians, split
+    from clacad.base.units import in_radians
 
-    parts = split(text)
-    if parts is None or (parts[1] and family_of(parts[1]) != "angle"):
+    parts = _quantity(text, "angle")
+    if parts is None:
         raise BadOption(f"{option} {text}: it is an angle such as '5 mrad' or '0.3 deg'")
     value = in_radians(parts[0], parts[1] or "deg")
     if not (value > 0.0 and isfinite(value)):
@@ -80,27 +112,24 @@ def parse_angle(option: str, text: str) -> float:
     return value
 
 
-def parse_two_angles(option: str, text: str | None) -> tuple[float, float]:
-    """Read "A" or "A,B", angles of either sign such as "0.5 deg,-2 mrad", as radians; None, and a missing B, are 0."""
-    from clacad.base.units import family_of, in_radians, split
+def parse_two_angles(option: str, text: str) -> tuple[float, float]:
+    """Read "A" or "A,B", angles of either sign such as "0.5 deg,-2 mrad", as radians; a missing B is 0."""
+    from clacad.base.units import in_radians
 
-    words = [] if text is None else text.split(",")
-    parts = [split(word.strip()) for word in words]
+    words = text.split(",")
     found = []
-    for part in parts:
-        if part is None or len(parts) > 2 or (part[1] and family_of(part[1]) != "angle"):
+    for parts in (_quantity(word.strip(), "angle") for word in words):
+        if parts is None or len(words) > 2:
             raise BadOption(f"{option} {text}: it is one angle or two, such as '0.5 deg' or '0,-8 mrad'")
-        found.append(in_radians(part[0], part[1] or "deg"))
+        found.append(in_radians(parts[0], parts[1] or "deg"))
     if any(abs(angle) > STEEPEST for angle in found):
         raise BadOption(f"{option} {text}: angles lie between -80 deg and 80 deg")
-    x, y = (*found, 0.0, 0.0)[:2]
+    x, y = (*found, 0.0)[:2]
     return x, y
 
 
-def parse_slopes(option: str, text: str | None) -> tuple[float, float] | None:
-    """Read "SX,SY", slopes of a direction along the sheet's x and y; None stays None."""
-    if text is None:
-        return None
+def parse_slopes(option: str, text: str) -> tuple[float, float]:
+    """Read "SX,SY", slopes of a direction along the sheet's x and y."""
     try:
         x, y = (float(word) for word in text.split(","))
     except ValueError:
@@ -109,28 +138,27 @@ def parse_slopes(option: str, text: str | None) -> tuple[float, float] | None:
         ) from None
     if not hypot(x, y) <= tan(STEEPEST):
         raise BadOption(
-            f"{option} {text}: the direction lies within 80 deg of the normal, a slope of at most {tan(STEEPEST):.4g}"
+            f"{option} {text}: the direction lies within 80 deg of the normal, a slope of at most "
+            f"{tan(STEEPEST):.4g}"
         )
     return x, y
 
 
-def parse_wavelength(text: str | None) -> float | None:
-    """Read a wavelength such as "633 nm" as metres; a bare number is nanometres, as in a design file; None stays None."""
-    from clacad.base.units import family_of, in_metres, split
+def parse_wavelength(option: str, text: str) -> float:
+    """Read a wavelength such as "633 nm" as metres; a bare number is nanometres, as in a design file."""
+    from clacad.base.units import in_metres
 
-    if text is None:
-        return None
-    parts = split(text)
-    if parts is None or (parts[1] and family_of(parts[1]) != "length"):
-        raise BadOption(f"--wavelength {text}: it is a wavelength such as '633 nm'")
+    parts = _quantity(text, "length")
+    if parts is None:
+        raise BadOption(f"{option} {text}: it is a wavelength such as '633 nm'")
     value = in_metres(parts[0], parts[1] or "nm")
     if not SHORTEST <= value <= LONGEST:
-        raise BadOption(f"--wavelength {text}: a wavelength lies between 10 nm and 1 mm")
+        raise BadOption(f"{option} {text}: a wavelength lies between 10 nm and 1 mm")
     return value
 
 
 def picture_kind(out: Path | None, default: Literal["png", "svg"] = "png") -> Literal["png", "svg"]:
-    """Kind of picture that the name of a file after -o asks for; the default where there is no file.
+    """Kind of picture by the name of its file; the default without a file.
 
     Raises
     ------
@@ -144,21 +172,20 @@ def picture_kind(out: Path | None, default: Literal["png", "svg"] = "png") -> Li
     return "png"
 
 
-def design_file(out: Path | None) -> Path | None:
-    """The file after -o, which a design is written to as TOML.
+def parse_design_file(option: str, text: str) -> Path:
+    """Read the name of a design file to write, which is TOML.
 
     Raises
     ------
     BadOption
-        It would not be read back as TOML.
     """
-    if out is not None and out.suffix.lower() != ".toml":
-        raise BadOption(f"-o {out}: the design's name ends in .toml")
-    return out
+    if Path(text).suffix.lower() != ".toml":
+        raise BadOption(f"-o {text}: the design's name ends in .toml")
+    return Path(text)
 
 
 def one_of(name: str, typed: str, spelt: Callable[[str], str] = str) -> str:
-    """A word that the declaration of an export's options allows, as it spells it."""
+    """A word that the declaration of an export's options allows, in its spelling."""
     from clacad.exporting.request import OPTIONS
 
     option = OPTIONS[name]
@@ -167,14 +194,14 @@ def one_of(name: str, typed: str, spelt: Callable[[str], str] = str) -> str:
     return spelt(typed)
 
 
-def parse_length(text: str | None, design: Design) -> float:
+def parse_bevel(text: str | None, design: Design) -> float:
     """Read a length such as "5 um" in the design's unit; a bare number is in that unit, None is 0."""
-    from clacad.base.units import family_of, in_metres, split
+    from clacad.base.units import in_metres
 
     if text is None:
         return 0.0
-    parts = split(text)
-    if parts is None or (parts[1] and family_of(parts[1]) != "length"):
+    parts = _quantity(text, "length")
+    if parts is None:
         raise BadOption(f"--saddle-bevel {text}: it is a length such as '5 um'")
     value = in_metres(parts[0], parts[1]) / design.unit_m if parts[1] else in_metres(parts[0], "m")
     if not (value > 0.0 and isfinite(value)):
@@ -183,7 +210,7 @@ def parse_length(text: str | None, design: Design) -> float:
 
 
 def parse_distance(option: str, text: str, unit: str, *, zero: bool = False) -> float:
-    """Read a length above 0, or from 0 on, bare or with a unit, in the unit of a design that has been read."""
+    """Read a length above 0, or from 0 on, bare or with a unit, in the unit of a design."""
     from clacad.base.units import design_unit
     from clacad.config.quantities import Quantity
     from clacad.config.value_kinds import Refusal

@@ -1,12 +1,10 @@
-"""`clacad new` without arguments at a terminal: one question after the other, each with its default."""
+"""Questions of `clacad new` without arguments at a terminal, each with its default."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 from typing import Any
-
-import typer
 
 from clacad.advice.wish import KEYS, UNIT, read_wish, read_word, written
 from clacad.config.design_error import DesignError
@@ -27,7 +25,7 @@ QUESTIONS = (
 
 
 def ask() -> tuple[str, dict[str, Any]]:
-    """Name and words of a wish, from a person; a wrong answer is explained and asked again."""
+    """Name and words of a wish, from answers at a terminal; a question is repeated after a wrong answer."""
     name = _answer("name of the design", "window", _name)
     words: dict[str, Any] = {}
     for word, question, default in QUESTIONS:
@@ -40,7 +38,7 @@ def _answer(question: str, default: str, read: Callable[[str], Any]) -> Any:
         try:
             typed = input(f"{question} [{default}]: ").strip() or default
         except EOFError:  # Ctrl-D: no more answers
-            raise typer.Abort from None
+            raise KeyboardInterrupt from None
         try:
             return read(typed)
         except DesignError as problem:
@@ -53,7 +51,7 @@ def _name(text: str) -> str:
 
 
 def _word(word: str, before: dict[str, Any], text: str) -> dict[str, Any]:
-    """The answer as words of a wish, checked by itself and with those before."""
+    """The answer as words of a wish, checked alone and with the earlier ones."""
     if word == "size":
         word, text = (
             ("circle", text.removeprefix("circle").strip()) if text.startswith("circle") else ("width", text)

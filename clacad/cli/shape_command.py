@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.cli.announce_cost import forecast
-from clacad.cli.console import say, show_json, show_text
-from clacad.cli.option_values import BadOption, design_file, parse_angle, parse_cells, parse_distance
+from clacad.cli.command import (
+    Command,
+    Overridden,
+    declared,
+    dry_run_option,
+    option,
+    overwrite_option,
+    required,
+)
+from clacad.cli.console import Console
+from clacad.cli.option_values import BadOption, parse_angle, parse_cells, parse_design_file, parse_distance
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -19,74 +26,92 @@ if TYPE_CHECKING:
 TASK = "shape"
 
 
-@dataclass(frozen=True)
-class ShapeRequest:
-    """What the command line asked; distances as written, lengths of the design."""
+def _source(option: str, text: str) -> float:
+    """Read a half angle of light as radians.
 
-    target: Path
-    distance: str
-    out: Path | None
-    base: Path | None
-    cells: str | None
-    width: str | None
-    source: str | None
-    rays: int
-    dry_run: bool
-    overwrite: bool
+    Raises
+    ------
+    BadOption
+    """
+    angle = parse_angle(option, text)
+    if not angle < 1.5:
+        raise BadOption(f"{option} {text}: {angle:.6g} rad is no half angle of light; allowed: 0 to 1.5 rad")
+    return angle
 
 
-def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quiet: bool) -> int:
-    """Write the design, its table and the picture of what it does; print the forecast and what rays found."""
-    design_file(request.out)
-    design = _base(request, overrides)
+@dataclass(frozen=True, kw_only=True)
+class Shape(Overridden):
+    """Write a sheet whose cells send parallel light into a picture or pattern on a screen."""
+
+    target: Path = required(
+        "TARGET", "Picture (PNG, JPEG, ...), or points as CSV with the header x,y or x,y,weight."
+    )
+    distance: str = required("--distance Z", "From array 2 to the screen.")
+    out: Path | None = option(
+        "-o, --out FILE",
+        "Design file to write; FILE.cells.csv and FILE.png are written next to it.",
+        read=parse_design_file,
+    )
+    base: Path | None = option(
+        "--design DESIGN", "Sheet to shape; default a PMMA slab of 100 x 100 cells of 0.5 mm."
+    )
+    cells: tuple[int, int] | None = declared("cells", read=parse_cells)
+    width: str | None = option("--width W", "Of the picture on the screen; default that of the sheet.")
+    source: float = option(
+        "--source E", "Half angle of the source, e.g. '0.25 deg'; default 0.", 0.0, read=_source
+    )
+    rays: int = option("--rays N", "Rays that judge it.", 100_000, least=64, most=10_000_000)
+    dry_run: bool = dry_run_option()
+    overwrite: bool = overwrite_option()
+
+
+def run(request: Shape, console: Console) -> int:
+    """Write the design, its table and the picture of its light; print the result of the rays."""
+    design = _base(request)
     distance = parse_distance("--distance", request.distance, design.unit)
-    source = 0.0 if request.source is None else parse_angle("--source", request.source)
-    if not 0.0 <= source < 1.5:
-        raise BadOption(
-            f"--source {request.source}: {source:.6g} rad is no half angle of light; allowed: 0 to 1.5 rad"
-        )
     from clacad.design.asked_cells import lattice_of
+    from clacad.exporting.limits import refuse_uncountable
     from clacad.imaging.shape import shaped
     from clacad.imaging.target import NoTarget
+    from clacad.storage.atomic import require_writable
 
     lattice = lattice_of(design)
-    _refuse_many(design)
+    refuse_uncountable(design)
     x0, x1, _, _ = lattice.extent()
     width = x1 - x0 if request.width is None else parse_distance("--width", request.width, design.unit)
     target = _target(request.target, width)
     seconds = 2.0 + 2e-5 * request.rays + 1e-3 * lattice.cell_count
     if request.dry_run:
-        return _show_forecast(design, lattice.cell_count, (distance, source, seconds), json=json, quiet=quiet)
+        return _show_forecast(design, lattice.cell_count, (distance, request.source, seconds), console)
     if request.out is None:
         raise BadOption("the design needs a file: give it with -o design.toml")
-    table, picture = _beside(request, request.out)
-    from clacad.storage.atomic import require_writable
-
-    for path in (request.out, table, picture):
+    paths = _written(request, request.out)
+    for path in paths:
         require_writable(path, overwrite=request.overwrite)
-    with forecast(TASK, seconds, quiet=quiet):
+    with console.forecast(TASK, seconds):
         try:
-            found = shaped(design, lattice, target, distance, source)
+            found = shaped(design, lattice, target, distance, request.source)
         except NoTarget as error:
             raise BadOption(
                 f"{request.target}: {error}; more cells (lattice.count), or fewer points"
             ) from error
-        seen = _published(design, found, (request.out, table, picture), distance, request)
-    if json:
-        show_json(_document(design, found, seen) | {"files": [str(p) for p in (request.out, table, picture)]})
-    else:
-        show_text(_text(design, found, seen, distance), quiet=quiet)
-    say(f"wrote {request.out}, {table} and {picture}\nnext: clacad image {request.out}", quiet=quiet)
+        seen = _published(design, found, paths, distance, request)
+    console.show(
+        lambda: _document(design, found, seen) | {"files": [str(path) for path in paths]},
+        lambda: _text(design, found, seen, distance),
+    )
+    out, cells, picture = paths
+    console.say(f"wrote {out}, {cells} and {picture}\nnext: clacad image {out}")
     return 0
 
 
-def _base(request: ShapeRequest, overrides: list[str]) -> Design:
-    """The design that is shaped: as given, or the slab of the templates, its law and cells as --set has them."""
+def _base(request: Shape) -> Design:
+    """The design to shape: as given, or the slab of the templates, its law and cells as --set has them."""
     from clacad.design import Design, load, template
 
-    cells = parse_cells(request.cells)
+    cells, overrides = request.cells, request.set
     if request.base is not None:
-        design = load(request.base, tuple(overrides))
+        design = load(request.base, overrides)
     else:
         import tomllib
 
@@ -97,7 +122,8 @@ def _base(request: ShapeRequest, overrides: list[str]) -> Design:
     changes: dict[str, Any] = {} if cells is None else {"lattice.count": list(cells)}
     if design.law_spec.varying is not None:
         raise BadOption(
-            f"{request.base or '--set'}: its law varies already; leave law.varying out, this command writes it"
+            f"{request.base or '--set'}: its law varies already; leave law.varying out, this command "
+            "writes it"
         )
     if request.base is not None:
         load(request.base, (*overrides, PROBE))
@@ -107,31 +133,23 @@ def _base(request: ShapeRequest, overrides: list[str]) -> Design:
 
 
 PROBE = "law.varying={f_image=1e9}"
-"""A law that varies and has a plane as a shaped sheet has, to ask of what cannot stand beside it, by the name of its own file."""
+"""Varying law with a plane, as a shaped sheet has: it is refused where features cannot be combined."""
 
 
-def _beside(request: ShapeRequest, out: Path) -> tuple[Path, Path]:
-    """Where the table and the picture go; none of the files is one that is read."""
-    if out.suffix.lower() != ".toml":
-        raise BadOption(f"-o {out}: a design file is written, whose name ends in .toml")
-    table, picture = out.with_suffix(".cells.csv"), out.with_suffix(".png")
+def _written(request: Shape, out: Path) -> tuple[Path, Path, Path]:
+    """Paths of the design, its table and the picture; none of them is a file that is read."""
+    paths = (out, out.with_suffix(".cells.csv"), out.with_suffix(".png"))
     given = {path.resolve() for path in (request.target, request.base) if path is not None}
-    for path in (out, table, picture):
+    for path in paths:
         if path.resolve() in given:
             raise BadOption(f"-o {out}: {path} would be written, and is read; take another name")
-    return table, picture
+    return paths
 
 
 def _name(stem: str) -> str:
     """A name that a design can have."""
     plain = "".join(c if c.isalnum() or c in " -_.,+()=" else "-" for c in stem)[:80]
     return plain if plain[:1].isalnum() else f"shaped{plain}"[:80]
-
-
-def _refuse_many(design: Design) -> None:
-    from clacad.exporting.limits import refuse_uncountable
-
-    refuse_uncountable(design)
 
 
 def _target(path: Path, width: float) -> Target:
@@ -157,9 +175,11 @@ def _target(path: Path, width: float) -> Target:
 
 
 def _published(
-    design: Design, found: Shaped, paths: tuple[Path, Path, Path], distance: float, request: ShapeRequest
+    design: Design, found: Shaped, paths: tuple[Path, Path, Path], distance: float, request: Shape
 ) -> Rendered:
     """Write design, table and picture; nothing where the sheet cannot be built."""
+    from hashlib import sha256
+
     from clacad.config.design_error import DesignError
     from clacad.config.edit_text import to_toml
     from clacad.design import load
@@ -173,7 +193,8 @@ def _published(
     cells = table_text(found).encode("ascii")
     named = {"file": table.name, "sha256": sha256(cells).hexdigest()}
     data["law"] = {k: v for k, v in data["law"].items() if k != "delta"} | {"varying": {"table": named}}
-    head = f"# Parallel light along the normal goes into {_name(request.target.name)}, {distance:g} {design.unit} behind array 2.\n"
+    goal = f"{_name(request.target.name)}, {distance:g} {design.unit} behind array 2"
+    head = f"# Parallel light along the normal goes into {goal}.\n"
     text = head + to_toml(data)
     with scratch_folder() as folder:  # a sheet that cannot be built leaves no file
         (folder / table.name).write_bytes(cells)
@@ -183,8 +204,10 @@ def _published(
             window = prescribe(made)
         except DesignError as error:
             message = error.mistakes[0]
-            raise BadOption(f"{message.message}; {message.hint}. A larger --distance than {distance:g} {design.unit}, or a smaller "
-                            "--width, bends the light less") from error  # fmt: skip
+            raise BadOption(
+                f"{message.message}; {message.hint}. A larger --distance than {distance:g} {design.unit}, "
+                "or a smaller --width, bends the light less"
+            ) from error
         seen = rendered(window, found, distance, request.rays)
     drawing = plot_png(seen, design.name, design.unit)
     write_set(
@@ -193,18 +216,18 @@ def _published(
     return seen
 
 
-def _show_forecast(
-    design: Design, cells: int, numbers: tuple[float, float, float], *, json: bool, quiet: bool
-) -> int:
+def _show_forecast(design: Design, cells: int, numbers: tuple[float, float, float], console: Console) -> int:
     from clacad.imaging.shape import blur_of
 
     distance, source, seconds = numbers
     blur = blur_of(design, distance, source)
-    if json:
-        show_json({"forecast": {"cells": cells, "blur": list(blur.all), "seconds": seconds}})
-    else:
-        show_text(f"{cells:,} cells, each a spot {_pair(blur.all)} {design.unit} wide; about {seconds:.2g} s of processor time, "
-                  f"about {40 * cells / 1000:.3g} kB in three files; nothing is written", quiet=quiet)  # fmt: skip
+    console.show(
+        lambda: {"forecast": {"cells": cells, "blur": list(blur.all), "seconds": seconds}},
+        lambda: (
+            f"{cells:,} cells, each a spot {_pair(blur.all)} {design.unit} wide; about {seconds:.2g} s of "
+            f"processor time, about {40 * cells / 1000:.3g} kB in three files; nothing is written"
+        ),
+    )
     return 0
 
 
@@ -221,15 +244,20 @@ def _document(design: Design, found: Shaped, seen: Rendered) -> dict[str, Any]:
 def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str:
     blur, unit = found.blur, design.unit
     return "\n".join([
-        f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array 2, {found.way:.4g} {unit} aside (rms)",
-        f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source {_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
+        f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array 2, "
+        f"{found.way:.4g} {unit} aside (rms)",
+        f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
+        f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
         f"  through           {100 * seen.through:.4g} % of the light, through lenses of one telescopelet",
         f"  within one blur   {100 * seen.within:.4g} % of all light",
-        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as wide as a cell: light comes in "
-        f"{len(found.cells):,} spots; by the lenses {100 * seen.by_lenses:.3g} %",
+        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as wide as "
+        f"a cell: light comes in {len(found.cells):,} spots; by the lenses {100 * seen.by_lenses:.3g} %",
     ])  # fmt: skip
 
 
 def _pair(two: tuple[float, float]) -> str:
     x, y = two
     return f"{x:.3g}" if x == y else f"{x:.3g} x {y:.3g}"
+
+
+COMMANDS = (Command("shape", "make", Shape, run),)

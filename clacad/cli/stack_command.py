@@ -1,4 +1,4 @@
-"""`clacad stack`: sheets behind one another, the light through all of them, one assembly."""
+"""`clacad stack`: several sheets in a row, the light through all of them, one assembly."""
 
 from __future__ import annotations
 
@@ -9,9 +9,17 @@ from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
-from clacad.cli.announce_cost import WORTH_SAYING, forecast
-from clacad.cli.console import Progress, say, show_json, show_text, size, table
-from clacad.cli.option_values import BadOption, one_of, parse_angle, parse_cells, parse_distance
+from clacad.cli.command import Command, declared, dry_run_option, flag, option, required
+from clacad.cli.console import Console, size, table
+from clacad.cli.option_values import (
+    BadOption,
+    load_counted,
+    one_of,
+    parse_angle,
+    parse_cells,
+    parse_distance,
+    words_of,
+)
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -21,51 +29,80 @@ if TYPE_CHECKING:
     from clacad.verification.checks import Check
 
 
-@dataclass(frozen=True, slots=True)
-class StackWords:
-    """What the command line says: where to write or what to judge, and lengths and angles as typed."""
+@dataclass(frozen=True, kw_only=True)
+class StackSheets:
+    """Several sheets in a row: the share of light through all, how space behaves, one assembly."""
 
-    out: Path | None
-    files: Path | None
-    gap: str
-    formats: str
-    field: str | None
-    object_distance: str | None
-    zone: str | None
-    rays: int
-    cells: str | None
-    quads: int
-    step: str
-    mesh: bool
-    dry_run: bool
-    overwrite: bool
-    force: bool
+    designs: tuple[Path, ...] = required(
+        "DESIGN...",
+        "Design files, in the order light meets them; the same one may be given twice. Sheets are called "
+        "a, b, c ... Or one scene file with [[sheet]]s.",
+    )
+    gap: str = option(
+        "--gap L,M", "Clear distance between neighbours, e.g. '100 mm'; one for all, or one for each gap.", ""
+    )
+    out: Path | None = option(
+        "-o, --out DIR",
+        "Write stack.step, stack.glb, stack.json and manifest.json here; without it, only measure.",
+    )
+    files: Path | None = option(
+        "--files DIR|FILE",
+        "Judge what was written of this stack: each sheet as its own master, and light through all.",
+    )
+    formats: tuple[str, ...] = option("--format F,G", "step, glb.", ("step", "glb"), read=words_of)
+    field: float | None = option(
+        "--field E",
+        "Slopes of the light, either way in x and y, e.g. '20 mrad'; default check.field of the first "
+        "design.",
+        read=parse_angle,
+    )
+    object_distance: str | None = option(
+        "--object L",
+        "Distance before the stack of the point that is imaged; default check.object of the first design,"
+        " or ten separations.",
+    )
+    zone: str | None = option(
+        "--zone W,H",
+        "Part of the first sheet that is lit, about its middle, e.g. '20 mm'; default all of it.",
+    )
+    rays: int = option("--rays N", "Rays through the stack on each rung.", 65536, least=64, most=100_000_000)
+    cells: tuple[int, int] | None = declared("cells", read=parse_cells)
+    quads: int = option("--quads N", "Facets along a cell side of GLB, and of --mesh.", 8, least=1, most=1024)
+    step: str = declared("step")
+    mesh: bool = flag("--mesh", "Trace rung mesh, too.")
+    dry_run: bool = dry_run_option()
+    overwrite: bool = declared("overwrite")
+    force: bool = declared("force")
+    set: tuple[str, ...] = option(
+        "--set [ID.]KEY=VALUE",
+        'Override one value of a sheet, e.g. --set "b.law.eta=[5, 5]", or of all. Repeatable.',
+        (),
+    )
 
 
-def stack_designs(
-    paths: Sequence[Path], overrides: Sequence[str], words: StackWords, *, json: bool, quiet: bool
-) -> int:
-    """Measure a stack and write it, or judge the files of one; with --dry-run say what that would cost."""
-    if words.files is not None and (words.out is not None or words.dry_run):
+def run(request: StackSheets, console: Console) -> int:
+    """Measure a stack and write it, or judge the files of one; with --dry-run forecast the cost."""
+    if request.files is not None and (request.out is not None or request.dry_run):
         raise BadOption("--files judges what was written: give it without -o and --dry-run")
-    designs, gaps, ids = _sheets_and_places(paths, overrides, words.gap)
-    asked = _asked(designs[0], gaps, ids, words)
+    designs, gaps, ids = _sheets_and_places(request)
+    typed = _stack_request(designs[0], gaps, ids, request)
     from clacad.stacking.make_stack import prepared
 
-    made, standing = prepared(designs, asked)
-    if words.dry_run:
-        return _dry(standing, asked, words, json=json, quiet=quiet)
-    if words.files is not None:
-        return _judge(made, standing, asked, words.files, json=json, quiet=quiet)
-    return _make(designs, standing, asked, words.out, json=json, quiet=quiet)
+    made, stack = prepared(designs, typed)
+    if request.dry_run:
+        return _forecast(stack, typed, request.out, console)
+    if request.files is not None:
+        return _judge(made, stack, typed, request.files, console)
+    return _make(designs, stack, typed, request.out, console)
 
 
 def _sheets_and_places(
-    paths: Sequence[Path], overrides: Sequence[str], gap: str
+    request: StackSheets,
 ) -> tuple[list[Design], tuple[float, ...], tuple[str, ...] | None]:
-    """Designs, gaps in the first one's unit, and names: of design files, or of the sheets of one scene file."""
-    from clacad.cli.export_scene import is_scene
+    """Designs, gaps in the first one's unit, names: of design files, or of the sheets of one scene file."""
+    from clacad.cli.export_command import is_scene
 
+    paths, overrides, gap = request.designs, request.set, request.gap
     if not any(is_scene(path) for path in paths):
         if len(paths) == 1:
             raise BadOption(
@@ -73,42 +110,32 @@ def _sheets_and_places(
             )
         designs = load_sheets(paths, overrides)
         texts = [text for text in gap.split(",") if text.strip()]
-        return (
-            designs,
-            tuple(parse_distance("--gap", text, designs[0].unit, zero=True) for text in texts),
-            None,
-        )
+        gaps = tuple(parse_distance("--gap", text, designs[0].unit, zero=True) for text in texts)
+        return designs, gaps, None
     if len(paths) > 1 or gap:
-        raise BadOption(
-            "a scene file says which sheets there are and where they stand: give it alone, without --gap"
-        )
+        raise BadOption("a scene file lists its sheets and their places: give it alone, without --gap")
     from clacad.exporting.limits import refuse_uncountable
     from clacad.rendering.sheet_passage import stack_of
     from clacad.scene import load_scene
 
-    scene = load_scene(paths[0], tuple(overrides))
+    scene = load_scene(paths[0], overrides)
     still = scene if scene.animation is None else scene.at(0)
     designs = list(still.designs())
     for design in designs:
         refuse_uncountable(design)
-    standing = stack_of(still)
-    return (
-        designs,
-        tuple(max(0.0, one) for one in standing.gaps),
-        tuple(one.id or "a" for one in standing.sheets),
-    )
+    stack = stack_of(still)
+    gaps = tuple(max(0.0, one) for one in stack.gaps)
+    return designs, gaps, tuple(one.id or "a" for one in stack.sheets)
 
 
 def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]:
-    """Read the designs of a stack; an override that begins with a sheet's letter is that sheet's, others are of all.
+    """Read the designs of a stack; an override with a sheet's letter is for that sheet, others for all.
 
     Raises
     ------
     DesignError, BadOption
     """
-    from clacad.cli.design_commands import load_counted
-
-    if len(paths) > len(ascii_lowercase):  # each goes by a letter
+    if len(paths) > len(ascii_lowercase):  # a letter names each
         raise BadOption(f"{len(paths)} sheets: a stack has at most {len(ascii_lowercase)}")
     own: list[list[str]] = [[] for _ in paths]
     for text in overrides:
@@ -119,17 +146,18 @@ def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]
             if not 0 <= number < len(paths):
                 last = chr(ord("a") + len(paths) - 1)
                 raise BadOption(
-                    f"--set {text}: there is no sheet {letter}; sheets are a to {last}, in the order they are given"
+                    f"--set {text}: there is no sheet {letter}; sheets are a to {last}, in the order they "
+                    "are given"
                 )
             own[number].append(text.strip()[2:])
         else:
             for one in own:
                 one.append(text)
-    return [load_counted(path, changes) for path, changes in zip(paths, own, strict=True)]
+    return [load_counted(path, tuple(changes)) for path, changes in zip(paths, own, strict=True)]
 
 
-def _asked(
-    first: Design, gaps: tuple[float, ...], ids: tuple[str, ...] | None, words: StackWords
+def _stack_request(
+    first: Design, gaps: tuple[float, ...], ids: tuple[str, ...] | None, given: StackSheets
 ) -> StackRequest:
     """The request in numbers; lengths in the first design's unit.
 
@@ -140,14 +168,14 @@ def _asked(
     from clacad.stacking import StackRequest
 
     distance = None
-    if words.object_distance is not None:
-        distance = parse_distance("--object", words.object_distance, first.unit, zero=True)
-    step: Any = one_of("step", words.step)
+    if given.object_distance is not None:
+        distance = parse_distance("--object", given.object_distance, first.unit, zero=True)
+    step: Any = one_of("step", given.step)
     return StackRequest(
-        gaps=gaps, ids=ids, formats=tuple(dict.fromkeys(f.strip() for f in words.formats.split(",") if f.strip())),
-        field=None if words.field is None else parse_angle("--field", words.field), object_distance=distance,
-        rays=words.rays, cells=parse_cells(words.cells), quads=words.quads, step=step, overwrite=words.overwrite,
-        force=words.force, mesh_light=words.mesh, zone=_zone(words.zone, first.unit),
+        gaps=gaps, ids=ids, formats=tuple(dict.fromkeys(given.formats)), field=given.field,
+        object_distance=distance, rays=given.rays, cells=given.cells, quads=given.quads, step=step,
+        overwrite=given.overwrite, force=given.force, mesh_light=given.mesh,
+        zone=_zone(given.zone, first.unit),
     )  # fmt: skip
 
 
@@ -161,37 +189,37 @@ def _zone(text: str | None, unit: str) -> tuple[float, float] | None:
     return sides[0], sides[-1]
 
 
-def _dry(standing: Stack, asked: StackRequest, words: StackWords, *, json: bool, quiet: bool) -> int:
-    """What a stack would cost and where its sheets would stand; what would be refused is."""
+def _forecast(stack: Stack, request: StackRequest, out: Path | None, console: Console) -> int:
+    """Print the cost of a stack and the places of its sheets; refuse what an export would be refused."""
     from clacad.base.units import millimetres
     from clacad.cli.tables import forecast_text
     from clacad.stacking.assembly import sheet_facts
     from clacad.stacking.stack_cost import in_all, refuse, rows, rows_by_sheet
     from clacad.storage.atomic import require_folder
 
-    if words.out is not None:
-        require_folder(words.out)
-        refuse(standing, asked, words.out)
-    found = [row.to_dict() for row in rows(standing, asked)]
-    span = in_all(standing, asked)
-    mm = millimetres(standing.unit)
-    own = rows_by_sheet(standing, asked)
+    if out is not None:
+        require_folder(out)
+        refuse(stack, request, out)
+    found = [row.to_dict() for row in rows(stack, request)]
+    span = in_all(stack, request)
+    mm = millimetres(stack.unit)
+    own = rows_by_sheet(stack, request)
     sheets = [
         sheet_facts(one, mm) | {"bytes": {row.format: row.bytes for row in own[one.id]}}
-        for one in standing.sheets
+        for one in stack.sheets
     ]
-    if json:
-        show_json({"files": found, "sheets": sheets, "seconds": [span.low, span.high]})
-    else:
-        show_text(
-            f"{_sheets_text(sheets)}\n{forecast_text(found)}\nin all {span} of processor time; nothing is written",
-            quiet=quiet,
-        )
+    console.show(
+        lambda: {"files": found, "sheets": sheets, "seconds": [span.low, span.high]},
+        lambda: (
+            f"{_sheets_text(sheets)}\n{forecast_text(found)}\nin all {span} of processor time; nothing is "
+            "written"
+        ),
+    )
     return 0
 
 
 def _judge(
-    designs: Sequence[Design], standing: Stack, asked: StackRequest, files: Path, *, json: bool, quiet: bool
+    designs: Sequence[Design], stack: Stack, request: StackRequest, files: Path, console: Console
 ) -> int:
     """Judge the files of a stack; exit status 1 where a check failed or did not run."""
     from clacad.cli.tables import checks_text
@@ -199,16 +227,13 @@ def _judge(
     from clacad.stacking.make_stack import field_of
     from clacad.verification.checks import passed
 
-    progress = Progress(quiet=quiet)
-    try:
-        checks = judge_stack(standing, designs, files, field_of(designs, asked), progress)
-    finally:
-        progress.done()
+    with console.progress() as progress:
+        checks = judge_stack(stack, designs, files, field_of(designs, request), progress)
     good = passed(checks)
-    if json:
-        show_json({"passed": good, "checks": [check.to_dict() for check in checks]})
-    else:
-        show_text(f"{checks_text(checks)}\n{_verdict(good, checks)}", quiet=quiet)
+    console.show(
+        lambda: {"passed": good, "checks": [check.to_dict() for check in checks]},
+        lambda: f"{checks_text(checks)}\n{_verdict(good, checks)}",
+    )
     return 0 if good else 1
 
 
@@ -221,55 +246,44 @@ def _verdict(good: bool, checks: Sequence[Check]) -> str:
 
 
 def _make(
-    designs: Sequence[Design],
-    standing: Stack,
-    asked: StackRequest,
-    out: Path | None,
-    *,
-    json: bool,
-    quiet: bool,
+    designs: Sequence[Design], stack: Stack, request: StackRequest, out: Path | None, console: Console
 ) -> int:
     """Measure, write, print: the share of light first."""
     from clacad.stacking.make_stack import run_stack
     from clacad.stacking.stack_cost import TASK, in_all, light_seconds
 
-    progress = Progress(quiet=quiet)
-    try:
+    with console.progress() as progress:
         if out is None:
-            with forecast(TASK, light_seconds(len(designs), asked), quiet=quiet):
-                made = run_stack(designs, asked, None, progress)
+            with console.forecast(TASK, light_seconds(len(designs), request)):
+                made = run_stack(designs, request, None, progress)
         else:
-            span = in_all(standing, asked)
+            span = in_all(stack, request)
             progress.expect(span.middle)
-            if span.low >= WORTH_SAYING:
-                say(f"this takes {span} of processor time", quiet=quiet)
-            made = run_stack(designs, asked, out, progress)
-    finally:
-        progress.done()
-    if json:
-        files = [] if made.manifest is None else list(made.manifest.files)
-        show_json(made.to_dict() | {"files": files, "folder": None if out is None else str(out)})
-        return 0
-    show_text(told(made), quiet=quiet)
-    if made.manifest is None:
-        say("nothing is written: -o DIR writes the assembly", quiet=quiet)
-    else:
-        names = ", ".join(str(entry["name"]) for entry in made.manifest.files)
-        show_text(f"wrote {names} in {made.manifest.folder}", quiet=quiet)
+            console.announce(span, span.low)
+            made = run_stack(designs, request, out, progress)
+    manifest = made.manifest
+    files = [] if manifest is None else list(manifest.files)
+    written = "" if manifest is None else ", ".join(str(entry["name"]) for entry in files)
+    console.show(
+        lambda: made.to_dict() | {"files": files, "folder": None if out is None else str(out)},
+        lambda: stack_text(made) + ("" if manifest is None else f"\nwrote {written} in {manifest.folder}"),
+    )
+    if manifest is None and not console.json:
+        console.say("nothing is written: -o DIR writes the assembly")
     return 0
 
 
-def told(made: Stacked) -> str:
-    """A stack as a person reads it, the share of light first."""
+def stack_text(made: Stacked) -> str:
+    """A stack as text, the share of light first."""
     from clacad.base.units import millimetres
     from clacad.stacking.assembly import sheet_facts
 
     exact, unit = made.exact, made.unit
     x, y = exact.meridians
     parts = [
-        f"share of the light that obeys all {len(made.designs)} laws: {100.0 * exact.share:.3g} %"
-        f"{_of_meridians(x.share, y.share)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} deg "
-        f"({_thin(made)}); the rest are ghosts, or lost",
+        f"share of the light that obeys all {len(made.designs)} laws: {100.0 * exact.share:.3g} "
+        f"%{_of_meridians(x.share, y.share)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} "
+        f"deg ({_thin(made)}); the rest are ghosts, or lost",
         *_spaces(made),
         _sheets_text(
             sheet_facts(one, millimetres(made.stack.unit)) | {"share": share}
@@ -296,7 +310,7 @@ def _lit(made: Stacked) -> str:
     """Part of the first sheet that light fills."""
     cells, whole = made.exact.cells, made.stack.sheets[0].window.lattice.cell_count
     if cells == 1:
-        return "one cell, for all do alike"
+        return "one cell, which represents all"
     return (
         f"all {cells} cells of sheet {made.stack.sheets[0].id}"
         if cells == whole
@@ -315,7 +329,7 @@ def _by_rays(one: StackMeridian) -> str:
 
 
 def _spaces(made: Stacked) -> Iterable[str]:
-    """What the stack does to space, one line a meridian, one line if both are alike."""
+    """Effect of the stack on space, one line a meridian."""
     lines = []
     for name, one in zip(("x", "y"), made.exact.meridians, strict=True):
         if one.matrix is None:
@@ -324,7 +338,10 @@ def _spaces(made: Stacked) -> Iterable[str]:
         (a, b), (c, d) = (
             [0.0 if abs(v) < 1e-14 else v for v in row] for row in one.matrix
         )  # rounding of 1 - L/f at L = f
-        matrix = f"chief rays (x, t) -> ({a:.6g} x {b:+.6g} t, {c:.6g} x {d:+.6g} t), determinant {one.determinant:.6g}"
+        matrix = (
+            f"chief rays (x, t) -> ({a:.6g} x {b:+.6g} t, {c:.6g} x {d:+.6g} t), "
+            f"determinant {one.determinant:.6g}"
+        )
         if one.acts_as_space is None:
             lines.append(f"{name}: {matrix}{_by_rays(one)}")
             continue
@@ -334,8 +351,8 @@ def _spaces(made: Stacked) -> Iterable[str]:
         if one.beams is not None and abs(one.beams - one.acts_as_space) > 1e-9 * abs(one.acts_as_space):
             by_rays = f", {one.beams:.6g} for the middle of the light that gets through{by_rays}"
         lines.append(
-            f"{name}: acts as {one.acts_as_space:.6g} {made.unit} of space{by_rays}, over {one.length:.6g} {made.unit}: "
-            f"what is seen stands {abs(one.moves_image):.6g} {made.unit} {nearer}; {matrix}"
+            f"{name}: acts as {one.acts_as_space:.6g} {made.unit} of space{by_rays}, over {one.length:.6g} "
+            f"{made.unit}: what is seen appears {abs(one.moves_image):.6g} {made.unit} {nearer}; {matrix}"
         )
     return lines
 
@@ -343,18 +360,18 @@ def _spaces(made: Stacked) -> Iterable[str]:
 def _sheets_text(sheets: Iterable[dict[str, Any]]) -> str:
     rows = [["sheet", "design", "from / mm", "to / mm", ""]]
     for one in sheets:
-        said = f"passes {100.0 * one['share']:.3g} % of what came so far" if "share" in one else ""
+        note = f"passes {100.0 * one['share']:.3g} % of what came so far" if "share" in one else ""
         if "bytes" in one:
             parts = [f"{name} about {size(count)}" for name, count in one["bytes"].items()]
-            said = ", ".join(parts) or "written already"
-        rows.append([one["id"], one["design"], *(f"{z:.6g}" for z in one["span"]), said])
+            note = ", ".join(parts) or "written already"
+        rows.append([one["id"], one["design"], *(f"{z:.6g}" for z in one["span"]), note])
     return table(rows)
 
 
 def _rungs_text(made: Stacked) -> str:
-    """The same rays on every rung: what each says, how far it is from the exact surfaces, what it takes."""
-    rows = [["rung", "share", "x", "y", f"space x / {made.unit}", "y", "scatter x / pitch", "y", "error / mrad", "other fate",
-             "seconds"]]  # fmt: skip
+    """Table of one bundle of rays on every rung: result, distance from the exact surfaces, cost."""
+    rows = [["rung", "share", "x", "y", f"space x / {made.unit}", "y", "scatter x / pitch", "y",
+             "error / mrad", "other fate", "seconds"]]  # fmt: skip
     for one in made.light:
         x, y = one.meridians
         cells = [one.rung, f"{one.share:.4f}"]
@@ -368,8 +385,14 @@ def _rungs_text(made: Stacked) -> str:
 def _image_text(made: Stacked, unit: str) -> str:
     image = made.image
     predicted = ", ".join("at infinity or mixed" if v is None else f"{v:.6g}" for v in image.predicted)
-    text = f"image of a point {image.object_distance:.6g} {unit} before the stack: {predicted} {unit} behind it (x, y, chief rays)"
+    text = (
+        f"image of a point {image.object_distance:.6g} {unit} before the stack: {predicted} {unit} behind it "
+        "(x, y, chief rays)"
+    )
     if image.point is None:
-        return f"{text}; too few rays meet to tell it by rays"
+        return f"{text}; too few rays meet to measure it by rays"
     x, y, z = image.point
     return f"{text}; by {image.rays} rays {z:.6g} {unit}, spread {image.spread:.3g} {unit} rms"
+
+
+COMMANDS = (Command("stack", "make", StackSheets, run),)

@@ -31,7 +31,7 @@ def checks_text(checks: Iterable[Any]) -> str:
 
 
 def verdicts_text(verdicts: Iterable[Any]) -> str:
-    """One line a file: what it is for, what is said of it, and light through it against the limit."""
+    """One line a file: role, verdict, and the error of light through it with its limit."""
     lines = []
     for one in verdicts:
         light = (
@@ -53,7 +53,7 @@ def against(check: Any) -> tuple[str, str]:
 
 
 def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
-    """What the files would cost: facets, bytes, seconds, memory, role; or why an export would be refused."""
+    """Forecast of the files: facets, bytes, seconds, memory, role; or the reason of a refusal."""
     lines = [["format", "facets", "bytes", "processor", "memory", ""]]
     told = []
     for row in rows:
@@ -79,7 +79,7 @@ def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
 
 
 def files_text(files: Iterable[Any], limit: float | None = None) -> str:
-    """The files of a manifest: name, bytes, hash, what was compared with the design, what each is for."""
+    """The files of a manifest: name, bytes, hash, comparisons with the design, role."""
     files = list(files)
     lines = [
         [entry["name"], size(entry["bytes"]), entry["sha256"][:16], "agrees: " + ", ".join(entry["checks"])]
@@ -98,7 +98,7 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
 
 
 def holds_text(entry: Mapping[str, Any]) -> str:
-    """Solids or objects that a program finds in a file of a manifest, and what would make one of many; "" where none is."""
+    """Solids or objects in a file of a manifest, and the option that changes their number; "" for none."""
     from clacad.exporting.formats import step
     from clacad.formats.step.step_mode import FUSED_CELLS
     from clacad.verification.files.delivery import fixture_names
@@ -108,12 +108,18 @@ def holds_text(entry: Mapping[str, Any]) -> str:
         solids, faces = int(entry["solids"]), int(entry["faces"])
         words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
         if instanced:
-            return f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells (--fused: one a connected piece)"
+            return (
+                f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells "
+                "(--fused: one a connected piece)"
+            )
         if entry.get("own_cells"):
             return f"{words}, one a connected piece; every cell differs, so that none can be repeated"
         if all(name in fixture_names() or name.endswith(".marked") for name in entry["bodies"]):
             return f"{words}, one a connected piece"
-        return f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells (--step instanced repeats one cell)"
+        return (
+            f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells "
+            "(--step instanced repeats one cell)"
+        )
     if "objects" not in entry:
         return ""
     objects, bodies = int(entry["objects"]), " and ".join(map(str, entry["bodies"]))
@@ -124,14 +130,14 @@ def holds_text(entry: Mapping[str, Any]) -> str:
 
 
 def role_text(entry: Mapping[str, Any], limit: float | None, facets: int | None, stored: int | None) -> str:
-    """A file's role, the light forecast through it, what a master would need, and what a slicer makes of it."""
+    """A file's role, the forecast of its light, the grid of a master, and the facets in a slicer."""
     role = str(entry["role"]).replace("-", " ")
     parts = [f"{role} (declared)" if entry.get("role_declared") else role]
     if "forecast_law_rms" in entry:
         rms = entry["forecast_law_rms"]
         bound = "" if limit is None else f" (limit {1e3 * limit:.3g})"
         parts.append(
-            "too little light gets through to say" if rms is None
+            "too little light gets through to measure the law" if rms is None
             else f"light through it misses the law by {1e3 * rms:.3g} mrad rms{bound}"
         )  # fmt: skip
     others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
@@ -155,7 +161,7 @@ def _master_text(entry: Mapping[str, Any]) -> str:
 def check_text(
     title: str, derived: Iterable[Sequence[str]], checks: Iterable[Any], forecast: Iterable[dict[str, Any]]
 ) -> str:
-    """All that `clacad check` derives and judges; what verify will say stands below it."""
+    """Derived numbers, checks and forecasts of `clacad check`; the verdict is printed below."""
     from clacad.verification.check_kinds.light import RESIDUAL
     from clacad.verification.light.viewed_check import headline
 
@@ -163,15 +169,15 @@ def check_text(
     light = [check for check in checks if check.where.startswith("surfaces") and check.kind is not RESIDUAL]
     rules = [check for check in checks if check not in light]
     blocks = (
-        derived_text(derived), "design rules", checks_text(rules), "light through one cell", checks_text(light),
-        "what an export would cost", forecast_text(forecast),
+        derived_text(derived), "design rules", checks_text(rules), "light through one cell",
+        checks_text(light),         "what an export would cost", forecast_text(forecast),
     )  # fmt: skip
     first = headline(checks)
     return "\n".join((title, *([f"  {first}"] if first else []), *blocks))
 
 
 def advice_text(advice: Any) -> str:
-    """What would mend each check that failed or warned, the best first, and what costs nothing; "" where there is neither."""
+    """Changes that mend each failed or warned check, the best first, and changes without cost."""
     lines: list[str] = []
     for check, hints in advice.hints:
         name = f"{check.id} ({check.subject})" if check.subject else check.id
@@ -182,7 +188,7 @@ def advice_text(advice: Any) -> str:
         said = next((k for k, line in enumerate(lines) if line.endswith(f"\n{told}")), None)
         if said is None:
             lines.append(f"  {name}\n{told}")
-        else:  # the same keys mend several checks: said once
+        else:  # keys that mend several checks are printed once
             names, _, _ = lines[said].partition("\n")
             lines[said] = f"{names}, {name}\n{told}"
     told_first = ["what would mend it, each tried", *lines] if lines else []

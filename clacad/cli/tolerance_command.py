@@ -7,10 +7,9 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.digits import bound, plainly
-from clacad.cli.console import Progress, say, show_json, show_text, table
-from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import parse_slopes
+from clacad.cli.command import Command, OfDesign, option, overwrite_option, required
+from clacad.cli.console import Console, table
+from clacad.cli.option_values import load_counted, parse_slopes, words_of
 
 if TYPE_CHECKING:
     from clacad.verification.tolerance import Study, Sweep
@@ -19,90 +18,121 @@ LEAST = 1e-3
 """Share from which a contributor is printed with its change; the others are named."""
 
 
-@dataclass(frozen=True, slots=True)
-class Where:
-    """Where the work is done and where its results go."""
-
-    out: Path | None
-    workers: int | None
-    scheduler: str | None
-    overwrite: bool
+def _rays() -> Any:
+    return option("--rays N", "Rays of each bundle.", 256, least=64, most=1_000_000)
 
 
-def run_tolerance(
-    path: Path, overrides: list[str], samples: int | None, seed: int | None, rays: int, where: Where, *, json: bool,
-    quiet: bool,
-) -> int:  # fmt: skip
+def _workers() -> Any:
+    return option("--workers N", "Processes on this machine; default one a core.", None, least=1)
+
+
+def _scheduler() -> Any:
+    return option("--scheduler ADDRESS", "Dask scheduler to work on instead, e.g. tcp://host:8786.", None)
+
+
+def _overwrite() -> Any:
+    return overwrite_option("Begin again; replace files of another origin.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance(OfDesign):
+    """What fabrication errors do to light: ranked contributors, Monte Carlo, yield."""
+
+    out: Path | None = option(
+        "-o, --out DIR",
+        "Write tolerances.json, .csv and .png here; a run that was stopped goes on from here.",
+    )
+    samples: int | None = option(
+        "--samples N", "Sheets drawn; default the design's tolerances.samples.", least=0, most=10_000_000
+    )
+    seed: int | None = option("--seed N", "Default the design's.", least=0, most=1_000_000_000)
+    rays: int = _rays()
+    workers: int | None = _workers()
+    scheduler: str | None = _scheduler()
+    overwrite: bool = _overwrite()
+
+
+def run_tolerance(request: Tolerance, console: Console) -> int:
     """Make many sheets with the design's tolerances, print contributors and yield, write the tables."""
-    design = load_counted(path, overrides)
+    design = load_counted(request.design, request.set)
     from clacad.formats.study_file import TOLERANCES
     from clacad.verification.tolerance import Farm, tolerance, write_study
     from clacad.verification.tolerance.study_files import study_document
 
-    kept = _kept(where, TOLERANCES)
-    again = kept is not None and kept.exists()
-    progress = Progress(quiet=quiet)
-    try:
-        study = tolerance(design, samples, seed, rays, Farm(where.workers, where.scheduler), kept, progress)
-    finally:
-        progress.done()
-    written = [] if where.out is None else write_study(study, where.out, overwrite=where.overwrite or again)
-    if json:
-        show_json(study_document(study))
-    else:
-        show_text(tolerance_text(study), quiet=quiet)
+    kept = _checkpoint(request, TOLERANCES)
+    overwrite = request.overwrite or (kept is not None and kept.exists())
+    farm = Farm(request.workers, request.scheduler)
+    with console.progress() as progress:
+        study = tolerance(design, request.samples, request.seed, request.rays, farm, kept, progress)
+    written = [] if request.out is None else write_study(study, request.out, overwrite=overwrite)
+    console.show(lambda: study_document(study), lambda: tolerance_text(study))
     if written:
-        say("wrote " + ", ".join(str(p) for p in written), quiet=quiet)
+        console.say("wrote " + ", ".join(str(p) for p in written))
     return 0
 
 
-def run_sweep(
-    path: Path, overrides: list[str], vary: list[str], rays: int, incident: str | None, formats: str, where: Where,
-    *, json: bool, quiet: bool,
-) -> int:  # fmt: skip
+@dataclass(frozen=True, kw_only=True)
+class SweepDesign(OfDesign):
+    """Build, judge and trace a design at every point of a grid of values: table and plots."""
+
+    vary: tuple[str, ...] = required(
+        "--vary KEY=FROM:TO:COUNT",
+        "Values of one key, or KEY=A,B,C; FROM:TO:COUNT:log for equal ratios. Several: every combination.",
+    )
+    out: Path | None = option(
+        "-o, --out DIR", "Write sweep.csv and sweep.png here; a run that was stopped goes on from here."
+    )
+    formats: tuple[str, ...] = option("--format F,G", "csv, parquet.", ("csv",), read=words_of)
+    rays: int = _rays()
+    incident: tuple[float, float] | None = option(
+        "--incident SX,SY",
+        "Judge light about these slopes along the sheet's x and y; default: about the middle of the field"
+        " of each point.",
+        read=parse_slopes,
+    )
+    workers: int | None = _workers()
+    scheduler: str | None = _scheduler()
+    overwrite: bool = _overwrite()
+
+
+def run_sweep(request: SweepDesign, console: Console) -> int:
     """Build, judge and trace every point of a grid, print the table, write it."""
-    slopes = parse_slopes("--incident", incident)
-    design = load_counted(path, overrides)
+    design = load_counted(request.design, request.set)
     from clacad.verification.tolerance import Farm, parse_vary, sweep, write_sweep
     from clacad.verification.tolerance.study_files import SWEEP, require_writable
 
-    names = tuple(name.strip() for name in formats.split(",") if name.strip())
-    require_writable(names)
-    axes = [parse_vary(text) for text in vary]
-    kept = _kept(where, SWEEP)
-    again = kept is not None and kept.exists()
-    progress = Progress(quiet=quiet)
-    try:
-        found = sweep(design, axes, rays, Farm(where.workers, where.scheduler), kept, progress, slopes)
-    finally:
-        progress.done()
+    require_writable(request.formats)
+    axes = [parse_vary(text) for text in request.vary]
+    kept = _checkpoint(request, SWEEP)
+    overwrite = request.overwrite or (kept is not None and kept.exists())
+    farm = Farm(request.workers, request.scheduler)
+    with console.progress() as progress:
+        found = sweep(design, axes, request.rays, farm, kept, progress, request.incident)
     written = (
-        [] if where.out is None else write_sweep(found, where.out, names, overwrite=where.overwrite or again)
+        [] if request.out is None else write_sweep(found, request.out, request.formats, overwrite=overwrite)
     )
-    if json:
-        head = {"design": found.name, "sha256": found.sha256, "incident": found.incident}
-        show_json({**head, "columns": found.columns(), "rows": found.rows})
-    else:
-        show_text(sweep_text(found), quiet=quiet)
+    head = {"design": found.name, "sha256": found.sha256, "incident": found.incident}
+    console.show(lambda: {**head, "columns": found.columns(), "rows": found.rows}, lambda: sweep_text(found))
     if written:
-        say("wrote " + ", ".join(str(p) for p in written), quiet=quiet)
+        console.say("wrote " + ", ".join(str(p) for p in written))
     return 0
 
 
-def _kept(where: Where, kind: str) -> Path | None:
+def _checkpoint(request: Tolerance | SweepDesign, kind: str) -> Path | None:
     """The checkpoint in the output folder; with --overwrite a new one."""
     from clacad.verification.tolerance.study_files import checkpoint_path
 
-    if where.out is None:
+    if request.out is None:
         return None
-    kept = checkpoint_path(where.out, kind)
-    if where.overwrite:
+    kept = checkpoint_path(request.out, kind)
+    if request.overwrite:
         kept.unlink(missing_ok=True)
     return kept
 
 
 def tolerance_text(study: Study) -> str:
     """Contributors of each measure, limits and yield."""
+    from clacad.base.digits import plainly
     from clacad.verification.tolerance.study import RANKED
     from clacad.verification.tolerance.study_plots import WORDS
 
@@ -114,15 +144,15 @@ def tolerance_text(study: Study) -> str:
     blocks = [study.name, table(lines)]
     if study.cell is not None:
         blocks.append(
-            f"every cell of this sheet differs: the study is of a sheet of equal cells like cell ({study.cell[0]}, "
+            f"the sheet is non-uniform: the study is of the uniform sheet of cell ({study.cell[0]}, "
             f"{study.cell[1]}), the worst of {study.tried} tried"
         )
     for measure in RANKED:
         title, factor = WORDS[measure]
         low, middle, high = (f"{factor * v:.4g}" for v in study.percentiles(measure))
         blocks.append(
-            f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, half below "
-            f"{middle}, 95 % below {high}"
+            f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, "
+            f"half below {middle}, 95 % below {high}"
         )
         if measure == "law_rms":
             blocks.append("    of the worst of the middle cell and the cells in the corners, by its centre:")
@@ -140,7 +170,7 @@ def tolerance_text(study: Study) -> str:
 
 
 def _cell(study: Study, parameter: str) -> str:
-    """Where the cell stands whose law error this parameter makes the worst."""
+    """Location of the cell whose law error this parameter makes the worst."""
     x, y = (metres / study.unit_m for metres in study.place(parameter))
     return "in the middle" if x == y == 0.0 else f"at ({x:.4g}, {y:.4g})"
 
@@ -150,6 +180,7 @@ def _change(value: float) -> str:
 
 
 def _yield_text(study: Study) -> str:
+    from clacad.base.digits import bound, plainly
     from clacad.verification.tolerance.light_measures import MEASURES
 
     share, low, high = study.yields()
@@ -163,7 +194,8 @@ def _yield_text(study: Study) -> str:
     if nominal:
         text += f"\nthe sheet as designed already misses: {', '.join(nominal)}"
     if len(study.measures):
-        text += f"\nyield {100 * share:.1f} % of {len(study.measures)} sheets (95 %: {100 * low:.1f} to {100 * high:.1f})"
+        text += f"\nyield {100 * share:.1f} % of {len(study.measures)} sheets "
+        text += f"(95 %: {100 * low:.1f} to {100 * high:.1f})"
     return text
 
 
@@ -195,13 +227,17 @@ def sweep_text(found: Sweep) -> str:
 def _light(found: Sweep) -> str:
     """The light of a sweep, in words."""
     field = (
-        "light: over the field about its middle, check.field and check.field_centre of each point (aimed cells: the field "
-        "follows them); a beam along the normal is judged with --incident 0,0"
+        "light: over the field about its middle, check.field and check.field_centre of each point (aimed "
+        "cells: the field follows them); a beam along the normal is judged with --incident 0,0"
     )
     if found.incident is not None:
         x, y = found.incident
-        field = f"light: over check.field about the slopes ({x:g}, {y:g}) of --incident along the sheet's x and y, at every point"
-    return f"{field}\nexit (mean slopes), partner and ghosts (shares of thin lenses): of the parallel beam in the middle of that light"
+        field = (
+            f"light: over check.field about the slopes ({x:g}, {y:g}) of --incident along the sheet's x "
+            "and y, at every point"
+        )
+    beam = "of the parallel beam in the middle of that light"
+    return f"{field}\nexit (mean slopes), partner and ghosts (shares of thin lenses): {beam}"
 
 
 def _optics(row: dict[str, Any]) -> list[str]:
@@ -215,3 +251,9 @@ def _beam(row: dict[str, Any]) -> list[str]:
     strongest = f" ({ghosts[0][0]}: {ghosts[0][1]:.3f})" if ghosts else ""
     exit_slopes = f"{row['beam_exit_x']:.4g}, {row['beam_exit_y']:.4g}"
     return [exit_slopes, f"{row['partner_share']:.3f}", f"{row['ghost_share']:.3f}{strongest}"]
+
+
+COMMANDS = (
+    Command("tolerance", "judge", Tolerance, run_tolerance),
+    Command("sweep", "judge", SweepDesign, run_sweep),
+)

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.announce_cost import forecast
-from clacad.cli.console import Progress, say, show_json, show_text
-from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import parse_angle, parse_cells, per_format
-from clacad.storage.atomic import require_folder
+from clacad.cli.command import Command, OfDesign, declared, flag, option
+from clacad.cli.console import Console, Progress
+from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_cells, per_format
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -20,97 +18,97 @@ if TYPE_CHECKING:
     from clacad.verification.files.find_files import Delivery
 
 
-@dataclass(frozen=True, slots=True)
-class VerifyRequest:
-    """What to judge, by how many rays, and what to write of it."""
+@dataclass(frozen=True, kw_only=True)
+class Verify(OfDesign):
+    """Trace what was written, write the report, print the verdict."""
 
-    files: Path | None
-    out: Path | None
-    cells: str | None
-    rays: int
-    overwrite: bool
-    pdf: bool = False
-    timings: bool = False
-    target: str | None = None
-    role: str | None = None
+    files: Path | None = option("--files DIR|FILE", "What was written, or a file of a measured part.")
+    out: Path | None = option("-o, --out DIR", "Write report.html, report.json here.")
+    cells: tuple[int, int] | None = declared("cells", read=parse_cells)
+    pdf: bool = flag("--pdf", "Write report.pdf, too (extra: clacad[pdf]).")
+    timings: bool = flag(
+        "--timings", "Show seconds of this run in the report; its bytes then change from run to run."
+    )
+    rays: int = option("--rays N", "Rays of the main bundle.", 65536, least=64, most=100_000_000)
+    target: float | None = option(
+        "--target E",
+        "Fewest rays that resolve errors of this size, and files must be within it, e.g. '0.5 mrad'.",
+        read=parse_angle,
+    )
+    role: tuple[str, ...] = option(
+        "--role WORD|FORMAT=WORD,...",
+        "What files are for: master (parts are made from it), preview, or scan.",
+        (),
+    )
+    overwrite: bool = declared("overwrite")
 
 
-def verify_design(
-    path: Path, overrides: list[str], request: VerifyRequest, *, json: bool, quiet: bool
-) -> int:
-    """Judge a design and its files; the exit status comes from the same object as the page.
+def run(request: Verify, console: Console) -> int:
+    """Judge a design and its files; the exit status is that of the report.
 
     With a target its error chooses the number of rays, and every file is judged by it.
     """
-    design = load_counted(path, overrides)
-    progress = Progress(quiet=quiet)
+    if request.out is None and (request.pdf or request.timings):
+        raise BadOption("--pdf and --timings are about the report: give its folder with -o")
+    design = load_counted(request.design, request.set)
+    from clacad.storage.atomic import require_folder
+
     written: list[Path] = []
-    try:
-        delivery, rays = _asked(design, request)
+    with console.progress() as progress:
+        delivery, rays = _subjects(design, request)
         if request.out is not None:
             require_folder(request.out)
-        with _announced(rays, delivery, request, progress, quiet=quiet):
-            report = _judged(design, delivery, rays, request, progress, quiet=quiet)
+        with _announced(rays, delivery, request, progress, console):
+            report = _judged(design, delivery, rays, request, progress)
             if request.out is not None:
                 report = report.with_evidence(progress)
                 written = _write(report, request.out, request, progress)
-    finally:
-        progress.done()
-    _tell(report, design.name, json=json, quiet=quiet)
-    if written and not quiet:
-        say("report: " + ", ".join(str(p) for p in written))
+    console.show(report.to_dict, lambda: _text(report, design.name))
+    if written:
+        console.say("report: " + ", ".join(str(p) for p in written))
     return report.exit_status
 
 
-def _asked(design: Design, request: VerifyRequest) -> tuple[Delivery | None, int]:
-    """What there is to judge, and by how many rays."""
+def _subjects(design: Design, request: Verify) -> tuple[Delivery | None, int]:
+    """The files to judge, and the number of rays."""
     from clacad.verification.files.find_files import declared_roles, list_files
 
     roles = declared_roles(per_format("--role", request.role))
     delivery = None if request.files is None else list_files(request.files, roles)
-    if request.target is None:
-        return delivery, request.rays
-    target = parse_angle("--target", request.target)
-    return delivery, _rays(design, request.files, target, parse_cells(request.cells))
+    return delivery, request.rays if request.target is None else _rays(design, request, request.target)
 
 
 @contextmanager
 def _announced(
-    rays: int, delivery: Delivery | None, request: VerifyRequest, progress: Progress, *, quiet: bool
+    rays: int, delivery: Delivery | None, request: Verify, progress: Progress, console: Console
 ) -> Iterator[None]:
-    """Say before the block what it will take, and note afterwards what it took."""
+    """Print the cost of the block before it, and record its actual cost."""
     from clacad.verification.verification_cost import seconds, task
 
     subjects, page = () if delivery is None else delivery.subjects, request.out is not None
-    with forecast(task(subjects, page), seconds(rays, subjects, page), quiet=quiet) as span:
+    with console.forecast(task(subjects, page), seconds(rays, subjects, page)) as span:
         progress.expect(span.middle)
         yield
 
 
 def _judged(
-    design: Design,
-    delivery: Delivery | None,
-    rays: int,
-    request: VerifyRequest,
-    progress: Progress,
-    *,
-    quiet: bool,
+    design: Design, delivery: Delivery | None, rays: int, request: Verify, progress: Progress
 ) -> Report:
-    """The report: checks and verdicts, by the target where one is given; of the design alone it is said at once."""
+    """The report, by the target if one is given; the verdict of the design alone is printed at once."""
     from clacad.verification.error_target import judged_by
     from clacad.verification.run import verified
 
-    steps = verified(design, delivery, parse_cells(request.cells), rays, progress)
+    steps = verified(design, delivery, request.cells, rays, progress)
     report = next(steps)
     if delivery is not None:
         progress.say(f"the design itself {report.verdict()}; now its files")
     for whole in steps:
         report = whole
-    return report if request.target is None else judged_by(report, parse_angle("--target", request.target))
+    return report if request.target is None else judged_by(report, request.target)
 
 
-def _write(report: Report, out: Path, request: VerifyRequest, progress: Progress) -> list[Path]:
-    """Write page, numbers and maps of returned parts; their paths."""
+def _write(report: Report, out: Path, request: Verify, progress: Progress) -> list[Path]:
+    """Write page, numbers and maps of measured parts; their paths."""
     from clacad.report import write_report
 
     written = write_report(
@@ -119,25 +117,19 @@ def _write(report: Report, out: Path, request: VerifyRequest, progress: Progress
     return [*written, *_deviations(report, out, request.overwrite)]
 
 
-def _tell(report: Report, name: str, *, json: bool, quiet: bool) -> None:
-    """Print checks, verdicts and the last word."""
+def _text(report: Report, name: str) -> str:
+    """Checks, verdicts and the final verdict."""
     from clacad.cli.tables import checks_text, verdicts_text
     from clacad.verification.light.viewed_check import headline
 
-    if json:
-        show_json(report.to_dict())
-    else:
-        first = headline(report.checks)
-        show_text(
-            "\n".join([name, *([f"  {first}"] if first else []), checks_text(report.checks)]), quiet=quiet
-        )
-        if report.verdicts:
-            show_text(verdicts_text(report.verdicts), quiet=quiet)
-        show_text(report.verdict(), quiet=quiet)
+    first = headline(report.checks)
+    lines = [name, *([f"  {first}"] if first else []), checks_text(report.checks)]
+    lines += [verdicts_text(report.verdicts)] if report.verdicts else []
+    return "\n".join([*lines, report.verdict()])
 
 
 def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:
-    """Maps of how far each returned part is off, beside the report."""
+    """Maps of the deviations of each measured part, next to the report."""
     from clacad.verification.returned.deviation_map import write_deviation
 
     found: list[Path] = []
@@ -148,7 +140,7 @@ def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:
     return found
 
 
-def _rays(design: Design, files: Path | None, target: float, cells: tuple[int, int] | None) -> int:
+def _rays(design: Design, request: Verify, target: float) -> int:
     """Rays for a target; refused at once where a file's format cannot hold it.
 
     Raises
@@ -160,6 +152,7 @@ def _rays(design: Design, files: Path | None, target: float, cells: tuple[int, i
     from clacad.verification.accuracy.choose_setting import floor_of, out_of_reach
     from clacad.verification.error_target import rays_for
 
+    files, cells = request.files, request.cells
     window = prescribe(design if cells is None else design.with_cells(cells))
     if files is not None and files.is_file():
         kind = kind_ending(files.suffix)
@@ -169,3 +162,6 @@ def _rays(design: Design, files: Path | None, target: float, cells: tuple[int, i
             if not floor.floor < target:
                 raise out_of_reach(design, window, target, format, floor)
     return rays_for(target, design.check.law_rms)
+
+
+COMMANDS = (Command("verify", "judge", Verify, run),)

@@ -1,4 +1,4 @@
-"""`clacad wave`: one telescopelet's light as a wave, beside its rays."""
+"""`clacad wave`: one telescopelet's light as a wave, compared with its rays."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.announce_cost import forecast
-from clacad.cli.console import Progress, show_json, show_text, size, table
-from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import parse_two_angles, parse_wavelength, picture_kind
+from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option
+from clacad.cli.console import Console, size, table
+from clacad.cli.option_values import load_counted, parse_two_angles, parse_wavelength, picture_kind
 
 if TYPE_CHECKING:
     from clacad.waves import WaveReport
@@ -17,67 +16,66 @@ if TYPE_CHECKING:
 TASK = "wave"
 
 
-@dataclass(frozen=True)
-class WaveRequest:
-    """What the command line asked; `field` and `wavelength` as typed."""
+@dataclass(frozen=True, kw_only=True)
+class Wave(OfDesign):
+    """Light as a wave through one telescopelet: far field, Strehl ratio, share to the partner, its rays."""
 
-    out: Path | None
-    field: str | None
-    wavelength: str | None
-    field_lens: bool
-    dry_run: bool
-    overwrite: bool
+    out: Path | None = option("-o, --out FILE", "Write the picture here, .png or .svg.")
+    field: tuple[float, float] | None = option(
+        "--field A[,B]",
+        "Angles of the light off the middle of the field along x and y, e.g. '0.5 deg,0'; default the "
+        "middle.",
+        read=parse_two_angles,
+    )
+    wavelength: float | None = option(
+        "--wavelength L", "Default the design's, e.g. '633 nm'.", read=parse_wavelength
+    )
+    field_lens: bool = flag(
+        "--field-lens", "As if a lens at the common focus imaged lens 1 onto lens 2: ideal lenses only."
+    )
+    dry_run: bool = dry_run_option("Print grid and cost; write nothing.")
+    overwrite: bool = overwrite_option()
 
 
-def wave_design(path: Path, overrides: list[str], request: WaveRequest, *, json: bool, quiet: bool) -> int:
-    """Print far field, Strehl ratio and share beside the rays', draw them with -o; --dry-run says what it would take."""
-    field, wavelength = parse_two_angles("--field", request.field), parse_wavelength(request.wavelength)
+def run(request: Wave, console: Console) -> int:
+    """Print far field, Strehl ratio and share of waves and rays, draw them with -o."""
     kind = picture_kind(request.out)
-    design = load_counted(path, overrides)
+    design = load_counted(request.design, request.set)
     from clacad.storage.atomic import require_writable, write_content
     from clacad.waves.lit_cell import situation
     from clacad.waves.through_sheet import look, outlook
 
     if request.out is not None:
         require_writable(request.out, overwrite=request.overwrite)
-    lit = situation(design, field, wavelength, field_lens=request.field_lens)
+    lit = situation(design, request.field or (0.0, 0.0), request.wavelength, field_lens=request.field_lens)
     ahead = outlook(lit)
     if request.dry_run:
-        return _show_forecast(ahead, json=json, quiet=quiet)
-    progress = Progress(quiet=quiet)
-    try:
-        with forecast(TASK, ahead["seconds"], quiet=quiet) as span:
-            progress.expect(span.middle)
-            progress("sending waves through a telescopelet", None)
-            found = look(lit, design.name)
-    finally:
-        progress.done()
+        console.show(lambda: {"forecast": ahead}, lambda: _forecast_text(ahead))
+        return 0
+    with console.progress() as progress, console.forecast(TASK, ahead["seconds"]) as span:
+        progress.expect(span.middle)
+        progress("sending waves through a telescopelet", None)
+        found = look(lit, design.name)
+    written = None if request.out is None else str(request.out)
     if request.out is not None:
         write_content(request.out, found.picture(kind), overwrite=request.overwrite)
-    if json:
-        show_json(
-            found.to_dict() | {"forecast": ahead, "file": None if request.out is None else str(request.out)}
-        )
-    else:
-        show_text(wave_text(found) + ("" if request.out is None else f"\nwrote {request.out}"), quiet=quiet)
-    return 0
-
-
-def _show_forecast(ahead: dict[str, float], *, json: bool, quiet: bool) -> int:
-    """What it would take."""
-    if json:
-        show_json({"forecast": ahead})
-        return 0
-    show_text(
-        f"{ahead['rays']:.0f} x {ahead['rays']:.0f} rays, a grid of {ahead['points']:.0f} points a side, about "
-        f"{ahead['seconds']:.2g} s of processor time, {size(ahead['bytes'])} of memory; nothing is written",
-        quiet=quiet,
+    console.show(
+        lambda: found.to_dict() | {"forecast": ahead, "file": written},
+        lambda: wave_text(found) + ("" if written is None else f"\nwrote {written}"),
     )
     return 0
 
 
+def _forecast_text(ahead: dict[str, float]) -> str:
+    return (
+        f"{ahead['rays']:.0f} x {ahead['rays']:.0f} rays, a grid of {ahead['points']:.0f} points a side, "
+        f"about {ahead['seconds']:.2g} s of processor time, {size(ahead['bytes'])} of memory; nothing is "
+        "written"
+    )
+
+
 def wave_text(found: WaveReport) -> str:
-    """The numbers as a table: waves beside rays, angles in mrad along lens x and y."""
+    """Table of the numbers of waves and rays, angles in mrad along lens x and y."""
     from clacad.waves.as_rows import HEAD, head, rows, sentences
 
     return "\n".join(
@@ -88,3 +86,6 @@ def wave_text(found: WaveReport) -> str:
             *sentences(found),
         ]
     )
+
+
+COMMANDS = (Command("wave", "look", Wave, run),)

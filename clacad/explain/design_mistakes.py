@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from clacad.explain.entry import Text
 
-_NOTHING_MADE = (
-    "Nothing is computed from a file that is not understood: a guess would be a part nobody asked for."
-)
+_NOTHING_MADE = "Nothing is computed from a file that is not understood: a guess would be another part than the intended one."
 
 MISTAKES: dict[str, Text] = {
     "CL100": (
@@ -24,7 +22,7 @@ MISTAKES: dict[str, Text] = {
     ),
     "CL103": (
         "A key or section without a default is not there.", "There is no harmless default for it: the part depends on it.",
-        "", "Add it; the message says what may stand there.",
+        "", "Add it; the message lists the allowed values.",
     ),
     "CL104": (
         "A value is of another kind than the key takes: text for a number, a number for a list.",
@@ -60,11 +58,11 @@ MISTAKES: dict[str, Text] = {
         "d_i = δ_i f1_i with f1_i → ∞", "Set this component of delta to 0, or eta to something else.",
     ),
     "CL112": (
-        "Two keys that say the same thing are both given, or both lacking.", "They could contradict each other.", "",
+        "Two keys with the same meaning are both given, or both missing.", "They could contradict each other.", "",
         "Keep exactly one of them.",
     ),
     "CL113": (
-        "A key stands without the key it depends on.", "By itself it would have no effect, which its writer would not expect.",
+        "A key is given without the key on which it depends.", "By itself it would have no effect, which its writer would not expect.",
         "", "Add the other key, or leave this one out.",
     ),
     "CL114": (
@@ -93,15 +91,15 @@ MISTAKES: dict[str, Text] = {
         "n(λ) by Sellmeier, Schott or Cauchy, within the range of its source", "Take the name that is suggested, a wavelength in range, or give pair.index.",
     ),
     "CL126": (
-        "A field lens is asked for where the common focus is virtual (eta > 0) or where there is none (eta = 1).",
-        "A field lens stands at the focus that lens 1 and lens 2 share; with η > 0 it lies outside the pair.",
+        "A field lens is requested where the common focus is virtual (eta > 0) or where there is none (eta = 1).",
+        "A field lens lies at the common focus of lens 1 and lens 2; with η > 0 it lies outside the pair.",
         "1/f_F = 1/f1 + 1/f2,  f_F = −η s/(1 − η)²", "Take eta < 0 in both meridians, or leave pair.field_lens out.",
     ),
     "CL127": (
         "A field lens in a form, tilt or lattice that it is not made for: tilted slabs and plano pairs; where eta_x and eta_y differ, "
         "hexagonal cells, lenses turned against the cells, tilts, baffles; plates with holes, corners, pins or a polygon.",
         "Where eta_x and eta_y differ the field lens is two arrays of cylinders, which run along the cells or are cut to pieces.",
-        "", "Change one of the two as the message says; a biconvex pair with eta_x = eta_y takes any tilt.",
+        "", "Change one of the two as the message suggests; a biconvex pair with eta_x = eta_y takes any tilt.",
     ),
     "CL128": (
         "The field lens is so strong that its surface would end inside its cell.", "Light at the rim of the field would meet no lens.",
@@ -113,15 +111,15 @@ MISTAKES: dict[str, Text] = {
         "t = n |f1x − f1y| between the two foci", "What the message names: a smaller gap, a larger separation, or eta_x = eta_y.",
     ),
     "CL120": (
-        "No lens pair has what is asked: the radii cannot be solved, a lens would be thicker than its focal length allows, the "
+        "No lens pair has the requested numbers: the radii cannot be solved, a lens would be thicker than its focal length allows, the "
         "surface would end inside its cell, the planes of pair.focus lie too near to the foci of the lenses, or one lens is a cylinder in x and the other in y.",
         "The thick-lens equation has no root there; the message names lens and meridian.",
         "R_k = (n − 1) f_k (1 + √(1 − T_k/(n f_k))),  T_k < n f_k,  R_k > half the diagonal of a cell (of a cylinder: half its width)",
-        "Take a smaller pitch, a larger separation, a thinner lens or a higher index; the message says which and how much.",
+        "Take a smaller pitch, a larger separation, a thinner lens or a higher index; the message names which and by how much.",
     ),
     "CL121": (
         "A sheet aimed at a point (lattice.aperture = {point = ...}) with traced vertices has more than a million cells.",
-        "The vertex of every cell is found by rays and kept; `clacad explain combinations` says what else can stand beside aimed cells.",
+        "Rays find the vertex of every cell, which is kept; `clacad explain combinations` lists the features that aimed cells combine with.",
         "", "Take pair.offset = \"paraxial\", whose vertices follow a formula, or fewer cells.",
     ),
     "CL122": (
@@ -131,7 +129,7 @@ MISTAKES: dict[str, Text] = {
     "CL123": (
         "A sheet cannot be aimed there: lens 2 would be used too far from its vertex, no vertex sends its light right, or light would land "
         "away from the middle of its cell.",
-        "Array 2's cells stand where the viewer's light arrives while its vertices stay over those of array 1; at the border of a wide "
+        "The cells of array 2 lie where the viewer's light arrives, while its vertices remain over those of array 1; at the border of a wide "
         "sheet seen from near by a lens is then used at its steep rim.",
         "(|vertex offset| + p/2)/R2 ≤ 0.65;  |landing − middle| ≤ p/100;  |move of the vertex| ≤ 0.3 p",
         "The message names the cell and a distance of the viewer from which it works; a smaller sheet or p/s helps too.",
@@ -145,7 +143,7 @@ MISTAKES: dict[str, Text] = {
         "Correct the row and column that the message names.",
     ),
     "CL125": (
-        "The sheet's cells differ, and something stands beside it that is built of equal cells only; or biconvex neighbours differ in eta "
+        "The sheet is non-uniform and has a feature that only uniform sheets have; or biconvex neighbours differ in eta "
         "by more than 0.05.",
         "The message has the reason; `clacad explain combinations` prints what goes with what.", "",
         "Leave out one of the two; let eta change more slowly, or take a slab or plano lenses.",
@@ -155,7 +153,7 @@ MISTAKES: dict[str, Text] = {
         "The outline is not one closed line that keeps off itself, a corner is larger than half a side, or a hole cuts the edge, another "
         "hole, or a cell that lattice.count or lattice.outline states (body.border and body.outline move the edge, not the cells).",
         "distance of a hole's middle from every edge > diameter/2, from another hole's > half the sum of the diameters; cells keep pitch/1000",
-        "Move or shrink the hole as the message says, or widen body.border or body.outline. With neither, lattice.outline is the edge of "
+        "Move or shrink the hole as the message suggests, or widen body.border or body.outline. With neither, lattice.outline is the edge of "
         "the plate, and cells that it or a hole cuts are left out. A drawing: one closed polyline, or LINEs and ARCs that close, alone on a layer OUTLINE, with $INSUNITS.",
     ),
     "CL130": (
@@ -186,22 +184,22 @@ MISTAKES: dict[str, Text] = {
         "Give a web (biconvex) or a seam (plano, slab), a thicker plano lens, or leave out border and outline.",
     ),
     "CL135": (
-        "The bevel asked for at corners where cells only touch does not fit.", "It would eat more than the lenses have.", "",
+        "The requested bevel at corners where cells only touch does not fit.", "It would eat more than the lenses have.", "",
         "A narrower bevel.",
     ),
     "CL136": (
         "A cell lies beyond the outline.", "The outline must hold every whole cell.", "", "A larger outline, or fewer cells.",
     ),
     "CL137": (
-        "A body is so thin that float32 heights cannot tell front from back.", "Mesh files hold float32; the faces would touch.",
+        "A body is so thin that float32 heights cannot separate front and back.", "Mesh files hold float32; the faces would touch.",
         "thickness ≥ some 10⁻⁶ of the distance from the origin", "A thicker body, or STEP.",
     ),
     "CL139": (
-        "Something was asked of a sheet whose cells differ that works on equal cells only.",
-        "Sheets of equal cells are one cell, repeated; what repeats, merges or averages that cell has no meaning where each differs. "
+        "A non-uniform sheet was requested for an operation that needs a uniform sheet.",
+        "A uniform sheet is one cell, repeated; an operation that repeats, merges or averages that cell has no meaning for a non-uniform sheet. "
         "Solids, meshes, height maps, points, tables, masks, GDSII, POV-Ray scenes, frames and engraved parts hold each cell; a drawing shows "
-        "three. The grid of sag and the prescriptions hold one cell, a coupon a few that stand for all.",
-        "", "What the message says works instead; or aim by a slope, lattice.aperture = [x, y].",
+        "three. The grid of sag and the prescriptions hold one cell, a coupon a few representative cells.",
+        "", "Use the alternative that the message names; or aim by a slope, lattice.aperture = [x, y].",
     ),
     "CL138": (
         "A lenslet is so small in its cell that the grid of facets has no point on it.", "The mesh would be land without lens.",

@@ -1,4 +1,4 @@
-"""What is told about one code, check or word."""
+"""Explanation of one code, check or word."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""`explain`: what a code, a check, a word, a process, an effect or a material is, why it matters, what to do."""
+"""Look up what a code, check, word, process, effect or material means, why it matters, and what to do."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from clacad.base.text import did_you_mean, near
@@ -21,7 +22,7 @@ __all__ = ["Entry", "Unexplained", "entries", "explain"]
 
 
 class Unexplained(KeyError):
-    """Nothing of that name is known; the message names what is nearest."""
+    """Nothing has that name; the message suggests the nearest ones."""
 
     exit_status = 2
 
@@ -30,10 +31,15 @@ class Unexplained(KeyError):
         return str(self.args[0])
 
 
-def entries() -> dict[str, Entry]:
-    """Every explanation: codes first, in order, then words, processes, effects and materials.
+def entries(more: Sequence[Entry] = ()) -> dict[str, Entry]:
+    """Every explanation: codes first, in order, then words, processes, effects, materials, and more entries.
 
-    What has the name of a word or a check (diffraction) is an entry of its own: "effect diffraction".
+    An entry with the name of a word or a check (diffraction) is listed with its kind: "effect diffraction".
+
+    Parameters
+    ----------
+    more : sequence of Entry
+        Entries of the caller, such as those of commands.
     """
     found = {}
     for code, title in sorted({**IN_DESIGNS, **BODIES}.items()):
@@ -46,30 +52,36 @@ def entries() -> dict[str, Entry]:
     for word, (means, key) in WORDS.items():
         found[word] = Entry("", word, word, means, "", "", _see(key))
     taken = {entry.name for entry in found.values()}
-    for entry in named_things():
+    for entry in (*named_things(), *more):
         name = entry.name if entry.name not in taken else f"{entry.title.split()[0]} {entry.name}"
         found[name] = replace(entry, name=name)
     return found
 
 
 def _see(key: str) -> str:
-    """Where to set what a word means."""
+    """Key or command that a word refers to."""
     if not key:
         return ""
     return f"see clacad {key}" if " " in key else f"see {key} of the design file"
 
 
-def explain(asked: str) -> Entry:
+def explain(text: str, more: Sequence[Entry] = ()) -> Entry:
     """Look up a code ("CL337", "337"), a check ("wall"), a word ("moire"), a process, effect or material, a key ("pair.web").
 
-    The former name of a check gives the check, and says what it is called now.
+    The former name of a check finds the check; its title then states the present name.
+
+    Parameters
+    ----------
+    text : str
+    more : sequence of Entry
+        Entries of the caller, as in `entries`.
 
     Raises
     ------
     Unexplained
     """
-    known = entries()
-    word = asked.strip()
+    known = entries(more)
+    word = text.strip()
     code = word.upper() if whole_number(word) is None else f"CL{word}"
     if code in known:
         return known[code]
@@ -93,7 +105,7 @@ def explain(asked: str) -> Entry:
         return by_name[find(word).name]  # another name of a material
     except (KeyError, ValueError):
         pass
-    raise Unexplained(f"nothing is called {asked!r}; {_nearest(word, known, list(by_name))}")
+    raise Unexplained(f"nothing is called {text!r}; {_nearest(word, known, list(by_name))}")
 
 
 def _key(name: str) -> Entry | None:
@@ -120,7 +132,7 @@ def _bare(name: str) -> str:
 
 
 def _nearest(word: str, known: dict[str, Entry], names: list[str]) -> str:
-    """What was probably meant."""
+    """Suggestion of the nearest names."""
     number = whole_number(word[2:] if word[:2].upper() == "CL" else word)
     if number is not None:
         codes = [code for code in known if known[code].code]

@@ -36,7 +36,7 @@ def named_things() -> Iterator[Entry]:
 
 
 def _combinations() -> Entry:
-    """What sheets whose cells differ are built with: a matrix, from the table that refuses the rest."""
+    """Features that combine with non-uniform sheets: a matrix, from the table by which the reader refuses the others."""
     (_, *sheets), *rows = matrix()
     codes: dict[str, str] = {}
     lines = [["", *(sheet.rpartition(".")[2] for sheet in sheets)]]
@@ -83,7 +83,7 @@ _LIMITS = (
     ("pitch", "pitch at least {}"), ("sag", "structures up to {} high"), ("part_height", "parts up to {} high"), ("part_width", "parts up to {} wide"), ("wall", "walls up to {} high"),
     ("clearance", "gap between bodies at least {}"), ("tool", "tool nose {}"), ("voxel", "voxels of {}"), ("layer", "layers of {}"),
 )  # fmt: skip
-"""Limits in metres, and how they are told; 0 and infinity set none."""
+"""Limits in metres, and their sentences; 0 and infinity set none."""
 
 
 def _process(one: ProcessProfile) -> Entry:
@@ -132,7 +132,7 @@ def _effect(name: str) -> Entry:
     }
     return Entry(
         "", name, f"effect {name}: {title.rstrip('.')}", found["Model"], f"Its law: {found['Law']}", "",
-        f"It is simulated {found['On']} A scene asks for it or leaves it out by effects.force and effects.without; `clacad effects "
+        f"It is simulated {found['On']} A scene switches it on or leaves it out by effects.force and effects.without; `clacad effects "
         "SCENE` shows the plan.",
     )  # fmt: skip
 

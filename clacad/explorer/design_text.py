@@ -20,8 +20,8 @@ def lines(design: Design) -> list[str | dict[str, Any]]:
     """Lines of the canonical text, those that sliders move as dictionaries.
 
     A moved line has `key` (what moves it), `start` (the line as long as nothing is moved; None: there is none), `as` (what
-    stands before its value), `single` (one number, not a list) and `metres` (the value is a text in metres).
-    So nothing moved gives the canonical text. A slab given by its thickness gets the separation it is moved to instead.
+    precedes its value), `single` (one number, not a list) and `metres` (the value is a text in metres).
+    With no slider moved, the result is the canonical text. A slab given by its thickness gets the separation it is moved to instead.
     """
     found: list[str | dict[str, Any]] = []
     section, missing = "", list(METRES)

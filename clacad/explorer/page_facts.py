@@ -1,4 +1,4 @@
-"""What the page is told of a design: the facts that stay, its sliders, its presets, and what it does not show."""
+"""Facts of a design that the page receives: constants, sliders, presets, and features that it does not show."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
     """All that the page's script needs, as plain JSON; lengths in the design's unit, wavelength and `unitM` in metres."""
     need_equal_cells(window, "the page of sliders", "`clacad verify -o` writes a page that shows it")
     lattice, aperture = window.lattice, design.lattice.aperture
-    assert not isinstance(aperture, AimedAt)  # its cells differ
+    assert not isinstance(aperture, AimedAt)  # a non-uniform sheet
     return {
         "kind": lattice.kind, "form": window.form, "pitch": list(lattice.pitch), "count": list(lattice.count),
         "outline": _outline(design), "seam": window.land.seam, "border": window.land.border, "opaque": window.land.opaque,

@@ -60,7 +60,7 @@ class Slider:
 
 
 def sheet_width(window: Window) -> Range:
-    """Width and height (lengths) of the cells, whatever an outline cuts off."""
+    """Width and height (lengths) of all cells, including those that an outline cuts off."""
     x0, x1, y0, y1 = window.lattice.with_count(window.lattice.count).extent()
     return x1 - x0, y1 - y0
 

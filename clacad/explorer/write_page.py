@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 
 LARGEST = 400_000
-"""Bytes a page may have; the test that holds them says so before a visitor's line does."""
+"""Most bytes of a page; a test checks them."""
 
 SECONDS = 0.3
 """Processor seconds a page takes on the reference machine, nearly all of them for templates."""
@@ -33,7 +33,7 @@ class Explored:
     written : bool
         False after a dry run.
     verdict : FirstVerdict
-        What the page says of the design before anything is moved.
+        Verdict of the page before a slider is moved.
     not_shown : tuple of str
         What of the design its view leaves out.
     """
@@ -65,7 +65,7 @@ def explore(
     overwrite : bool
         Replace a file that is there.
     dry_run : bool
-        Make the page, and say how large it is, but write nothing.
+        Make the page and report its size, but write nothing.
 
     Returns
     -------
@@ -133,4 +133,4 @@ def page(design: Design) -> str:
 
 
 FINE = 12
-"""Rays a pixel of a picture that stands, as explorer.js has it."""
+"""Rays a pixel of a still picture, as in explorer.js."""

@@ -123,7 +123,7 @@ def _shape(report: Report) -> Iterator[tuple[str, str, str]]:
 
 
 def check_words(report: Report) -> str:
-    """What verify will say of a design, in a few words."""
+    """Forecast of the verdict of verify, in a few words."""
     failing = list(dict.fromkeys(check.id for check in report.checks if check.state == "fail"))
     return f"verify will fail: {', '.join(failing)}" if failing else "verify will pass"
 

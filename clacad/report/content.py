@@ -1,4 +1,4 @@
-"""What a report says, as rows of text: one source for the page and for the paper version."""
+"""Content of a report as rows of text: one source for the page and for the paper version."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ class Content:
     timings : bool
         Whether seconds of this run may be shown; without them the same input gives the same bytes.
     whole : Window or None
-        The sheet, where `report.window` is one of equal cells that stands for it; None: `report.window`.
+        The non-uniform sheet, where `report.window` is its uniform equivalent; None: `report.window`.
     of_one_cell : str
-        Says so; "" where all cells are alike.
+        Sentence about it; "" for a uniform sheet.
     of_viewer : bytes or None
         The view of the viewer of the check `viewed` as PNG; None for a viewer behind the sheet.
     """
@@ -75,7 +75,7 @@ class Content:
 
     @property
     def evidence(self) -> Evidence:
-        """What was measured beside the checks."""
+        """Measurements in addition to the checks."""
         assert self.report.evidence is not None, "made from a report with evidence"
         return self.report.evidence
 
@@ -105,7 +105,7 @@ class Content:
 
     @property
     def verdicts(self) -> list[dict[str, str]]:
-        """What is said of each file, and what a workshop finds in it: the first screen holds one line a file."""
+        """Verdict of each file, and its content for a workshop: the first screen has one line a file."""
         holds = {file["name"]: file["size"] for file in self.files}
         return [
             {
@@ -140,7 +140,7 @@ class Content:
 
     @property
     def process(self) -> str:
-        """What the limits of the process profile are founded on; "" where none was asked."""
+        """Source of the limits of the process profile; "" without a profile."""
         found = {c.source for c in self.report.checks if c.limit_source.origin is Origin.PROFILE}
         return "; ".join(sorted(text[0].upper() + text[1:] for text in found))
 
@@ -193,7 +193,7 @@ class Content:
 
     @property
     def asked(self) -> list[tuple[str, str, str]]:
-        """What was asked, and what was built or measured."""
+        """Requested numbers, and those built or measured."""
         from clacad.verification.verification_report import asked_and_built
 
         return asked_and_built(self.report, self.sheet)
@@ -217,7 +217,7 @@ class Content:
 
 
 def numbers(content: Content) -> dict[str, Any]:
-    """Everything the page says as numbers: what goes into report.json."""
+    """All numbers of the page: the content of report.json."""
     from clacad.report.fabrication import fabrication_dict
     from clacad.report.figures import budget_rows
 

@@ -64,7 +64,7 @@ def fabrication(report: Report, sheet: Window | None = None) -> tuple[Fabricatio
     ----------
     report : Report
     sheet : Window or None
-        The whole sheet, where `report.window` is the uniform equivalent of one of its cells: its count and sizes are told.
+        The whole sheet, where `report.window` is the uniform equivalent of one of its cells: its count and sizes are reported.
     """
     window, facts = report.window if sheet is None else sheet, report.facts
     mm = millimetres(window.unit)

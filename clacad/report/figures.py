@@ -35,7 +35,7 @@ SPOT_RAYS = 300
 
 
 def svg(width: float, height: float, label: str, draw: Callable[[Figure], None]) -> str:
-    """Draw a figure of the given size (inches) and return it as one <svg> element that says what it shows."""
+    """Draw a figure of the given size (inches) and return it as one <svg> element with a description."""
     text = drawn("svg", (width, height), draw, STYLE, creator=None, placed=True).decode()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
@@ -106,7 +106,7 @@ def _shade_field(report: Report, axes: Sequence[Axes], curve: Any) -> None:
 
 
 def transmission(report: Report) -> str:
-    """Share of light through the partner lenslet, and into ghosts, against angle, beside the closed form."""
+    """Share of light through the partner lenslet, and into ghosts, against angle, with the closed form."""
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 1, 2, Margins(bottom=0.72, across=0.3), sharey=True)
@@ -208,7 +208,7 @@ def convergence(report: Report) -> str:
 
 
 def convergence_caption(report: Report) -> str:
-    """What the plot of `convergence` shows, in its own numbers, beside what theory says."""
+    """Numbers of the plot of `convergence`, compared with theory."""
     found = report.convergence
     if found is None:
         return ""

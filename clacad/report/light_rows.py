@@ -1,4 +1,4 @@
-"""What a report says of light, as rows of text: budget, errors told apart, foci, rungs, effects."""
+"""Rows of text about light: budget, separate errors, foci, rungs, effects."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def number(value: float | str | None, unit: str = "") -> str:
 
 @dataclass(frozen=True, eq=False)
 class LightRows:
-    """Rows of tables, made from a report and what was measured beside its checks.
+    """Rows of tables, made from a report and the measurements in addition to its checks.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class LightRows:
 
     @property
     def image(self) -> str:
-        """Where the asked point is imaged and how wide, in a sentence; "" of a sheet that is made to image none."""
+        """Sentence on the place and width of the image of the design's object point; "" for a sheet without one."""
         found = [check.sentence for check in self.report.checks if check.kind in (IMAGE_POINT, SPOT)]
         return "; ".join(found)
 
@@ -59,7 +59,7 @@ class LightRows:
 
     @property
     def attributions(self) -> list[dict[str, Any]]:
-        """Errors told apart, mrad."""
+        """Separate errors, mrad."""
         return [
             {
                 "about": found.about, "cell": f"{found.cell[0]}, {found.cell[1]}", "bundle": found.bundle,
@@ -117,7 +117,7 @@ class LightRows:
 
     @property
     def waves_sentence(self) -> str:
-        """What the waves are, and what equal cells do in coherent light."""
+        """Description of the waves, and the effect of identical cells in coherent light."""
         from clacad.waves.as_rows import head, sentences
 
         found = self.evidence.waves

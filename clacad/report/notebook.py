@@ -1,6 +1,6 @@
 """What a notebook shows of a design, a window or a report: a section with rays, and the transfer curve.
 
-`plot` gives a matplotlib figure, `as_html` what stands below a cell that ends in one of these objects. Their methods of
+`plot` gives a matplotlib figure, `as_html` the output below a cell that ends in one of these objects. Their methods of
 these names come here through `clacad.plot` and `clacad.as_html`, the package's own door, so that no room above imports
 this one.
 """
@@ -59,7 +59,7 @@ def plot(thing: Design | Window | Report, figure: Figure | None = None) -> Figur
 
 
 def as_html(thing: Design | Window | Report) -> str:
-    """The same picture as HTML that needs nothing else, under what `repr` says; a design that cannot be built says why."""
+    """Picture as self-contained HTML below the text of `repr`; for a design that cannot be built, the reason."""
     from clacad.config.design_error import DesignError
     from clacad.prescription.radii import NoSuchLens
 
@@ -96,7 +96,7 @@ def _section(axes: Any, window: Window) -> None:
     """Three cells cut along x, to scale, with rays along the middle of the field."""
     unit, name = length_unit(window.unit)
     draw_section(axes, window.with_cells((3, 3)), window.unit / unit, name)
-    axes.set_aspect("auto")  # to scale, lenses of a long pair could not be told from lines
+    axes.set_aspect("auto")  # to scale, lenses of a long pair could not be distinguished from lines
     axes.set_title("section, five rays; x stretched")
 
 

@@ -26,7 +26,7 @@ class Section:
         Its address within the page.
     title : str
     body : str
-        HTML that needs no escaping; text of a design must have been escaped by whoever made it.
+        HTML that needs no escaping; text of a design must have been escaped by the caller.
     """
 
     anchor: str

@@ -1,4 +1,4 @@
-"""Where the panels of a figure stand: by fixed margins, in inches, since finding them by drawing twice is slow."""
+"""Places of the panels of a figure by fixed margins in inches, since finding them by drawing twice is slow."""
 
 from __future__ import annotations
 
@@ -55,5 +55,5 @@ def panels(
 
 
 def room_for(words: list[str]) -> float:
-    """Inches that the longest of some words takes beside an axis."""
+    """Inches that the longest of some words takes next to an axis."""
     return 0.16 + LETTER * max(map(len, words), default=0)

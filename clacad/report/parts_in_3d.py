@@ -16,7 +16,7 @@ from clacad.sheet.window import Window
 
 COLOURS = ((0.36, 0.60, 0.80), (0.42, 0.70, 0.52), (0.7, 0.6, 0.4))
 LONGEST = 3.0
-"""Depth over width of the shown piece beyond which the gap between the bodies is drawn shorter, said so."""
+"""Depth over width of the shown piece beyond which the gap between the bodies is drawn shorter, with a note."""
 MOST_CELLS = 7
 PICTURE = (720, 400)
 

@@ -52,7 +52,7 @@ def pdf_bytes(content: Content) -> bytes:
 
 
 class _Shelf:
-    """Drawings and pictures as files beside the text."""
+    """Drawings and pictures as files next to the text."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -108,7 +108,7 @@ def _viewer(content: Content, shelf: _Shelf) -> list[Block]:
 
 
 def _verdicts(content: Content) -> list[Block]:
-    """One line a file: what it is for, what is said of it, light through it."""
+    """One line a file: role, verdict, light through it."""
     if not content.verdicts:
         return []
     head = ["verdict", "file", "role", "rms / mrad", "limit"]
@@ -265,7 +265,7 @@ def _light(content: Content, shelf: _Shelf) -> list[Block]:
 
 
 def _errors(content: Content, shelf: _Shelf) -> list[Block]:
-    """Blocks that tell errors apart, and the budget."""
+    """Blocks of the separate errors, and the budget."""
     report = content.report
     blocks = [_heading("Where errors come from")]
     head = ("part", "rms (mrad)", "half below", "largest", "share", "what it is")

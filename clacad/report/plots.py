@@ -1,4 +1,4 @@
-"""Figures of what a report measures beside its checks: foci and caustics, ghosts, errors told apart, accuracy, effects."""
+"""Figures of the measurements of a report in addition to its checks: foci, caustics, ghosts, errors, accuracy, effects."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _rays(
 
 
 def _close_up(panel: Any, focus: MeridianFocus, mm: float) -> None:
-    """Draw foci and caustics of both lenses enlarged, or say that there is no focus."""
+    """Draw foci and caustics of both lenses enlarged, or a note that there is no focus."""
     known = [fan for fan in (focus.lens1, focus.lens2) if np.isfinite(fan.focus).all()]
     if not known:
         panel.set_axis_off()

@@ -1,4 +1,4 @@
-"""Write report.json, report.html, run.json and, when asked for, report.pdf: each whole or not at all."""
+"""Write report.json, report.html, run.json and, on request, report.pdf: each whole or not at all."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def write_report(
     pdf : bool
         Write report.pdf as well.
     timings : bool
-        Show seconds of this run in page and numbers; they go to run.json anyway. A Content has its own say.
+        Show seconds of this run in page and numbers; they go to run.json anyway. A Content has its own setting.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def write_report(
     if pdf:
         from clacad.report.pdf import typesetter
 
-        typesetter()  # said before the work is done, not after it
+        typesetter()  # reported before the work, not after it
     return _write_all(report, Path(folder), overwrite, progress or silent, more, pdf=pdf, timings=timings)
 
 
@@ -105,7 +105,7 @@ def _json(numbers: dict[str, Any]) -> str:
 
 
 def is_report(path: Path) -> bool:
-    """Tell whether a file is one that was written here."""
+    """Whether a file is one that was written here."""
     if path.suffix == ".pdf":
         try:
             data = read_regular(path, LARGEST)

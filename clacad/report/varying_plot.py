@@ -1,4 +1,4 @@
-"""The sheet whose cells differ, on the report's page: δ, η and steps of its cells, the worst ones, the asked point's light."""
+"""The non-uniform sheet on the report's page: δ, η and steps of its cells, the worst ones, light of the object point."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ACROSS = 400
 
 
 def varying(report: Report, window: Window) -> str:
-    """Maps of δ and steps of cells, the worst ones ringed, the asked point's light through focus; "" where cells are alike."""
+    """Maps of δ and steps of cells, the worst ones ringed, light of the object point through focus; "" for a uniform sheet."""
     laws = window.cell_laws
     if laws is None:
         return ""
@@ -104,7 +104,7 @@ def _maps(window: Window) -> Floats:
 
 
 def _named_cells(panel: Any, report: Report, window: Window, mm: float) -> str:
-    """Ring the cells that checks of light name as the worst; say which."""
+    """Ring the cells that checks of light name as the worst, with their names."""
     named: dict[tuple[int, int], list[str]] = {}
     for check in report.checks:
         cell = (check.detail or {}).get("cell")

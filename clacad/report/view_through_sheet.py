@@ -29,7 +29,7 @@ PIXELS = 260
 VIEWER_PIXELS = 200
 SAMPLES = 4
 EFFECTS = ("ghosts",)
-"""Shown here; what the others would change is said by the plan of the report."""
+"""Effects shown here; the plan of the report lists what the others would change."""
 
 INSIDE = 0.35
 """Part of the half field of view that the sheet fills as the eye sees it, if that can be had from 4 to 60 widths."""

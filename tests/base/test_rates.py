@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from clacad.base import machine_rates as rates_module
 from clacad.base.machine_rates import KEPT, Rates, Span, span_text, total
-from clacad.cli.announce_cost import forecast
+from clacad.cli.console import Console
 
 
 class Clock:
@@ -167,17 +167,17 @@ def test_the_machine_is_timed_by_the_clock_it_is_given(cache, monkeypatch):
 
 
 def test_a_long_command_says_its_range_and_learns_from_the_run(cache, capsys, monkeypatch):
-    monkeypatch.setattr("clacad.cli.announce_cost._kernels", lambda: 5)
+    monkeypatch.setattr("clacad.cli.console._kernels", lambda: 5)
     clock = Clock()
-    with forecast("verify", 20.0, quiet=False, clock=clock):
+    with Console().forecast("verify", 20.0, clock=clock):
         clock.now += 16.0
     assert "this takes 8–50 s of processor time" in capsys.readouterr().err
-    with forecast("verify", 20.0, quiet=False, clock=clock):
+    with Console().forecast("verify", 20.0, clock=clock):
         clock.now += 16.0
     assert "this takes 12–20 s of processor time" in capsys.readouterr().err
-    with forecast("verify", 20.0, quiet=True, clock=clock):
+    with Console(quiet=True).forecast("verify", 20.0, clock=clock):
         clock.now += 16.0
-    with forecast("check", 0.1, quiet=False, clock=clock):
+    with Console().forecast("check", 0.1, clock=clock):
         clock.now += 0.1
     told = capsys.readouterr()
     assert (told.out, told.err) == ("", "")
@@ -185,9 +185,9 @@ def test_a_long_command_says_its_range_and_learns_from_the_run(cache, capsys, mo
 
 def test_a_run_that_compiled_kernels_is_not_noted(cache, monkeypatch):
     counts = iter([0, 3])
-    monkeypatch.setattr("clacad.cli.announce_cost._kernels", lambda: next(counts))
+    monkeypatch.setattr("clacad.cli.console._kernels", lambda: next(counts))
     clock = Clock()
-    with forecast("verify", 1.0, quiet=True, clock=clock):
+    with Console(quiet=True).forecast("verify", 1.0, clock=clock):
         clock.now += 60.0
     assert Rates.here().tasks == {}
 
@@ -199,11 +199,11 @@ def test_a_run_that_compiled_a_kernel_anew_is_not_noted(cache, tmp_path, monkeyp
     os.utime(kernel, (1.0, 1.0))
     monkeypatch.setattr("clacad.doctor.kernel_cache", lambda: (tmp_path, [kernel]))
     clock = Clock()
-    with forecast("trace", 1.0, quiet=True, clock=clock):
+    with Console(quiet=True).forecast("trace", 1.0, clock=clock):
         clock.now += 60.0
         kernel.write_bytes(b"new")
     assert Rates.here().tasks == {}
-    with forecast("trace", 1.0, quiet=True, clock=clock):
+    with Console(quiet=True).forecast("trace", 1.0, clock=clock):
         clock.now += 1.5
     assert Rates.here().tasks["trace"] == ((1.0, pytest.approx(1.5)),)
 
@@ -254,12 +254,12 @@ def test_the_seconds_of_another_process_are_read_or_replaced():
 
 def test_a_forecast_measured_on_a_part_is_corrected_by_what_such_work_took_before(cache, monkeypatch):
     """A picture that takes twice what its first pixels say is forecast so the next time."""
-    monkeypatch.setattr("clacad.cli.announce_cost._kernels", lambda: 5)
+    monkeypatch.setattr("clacad.cli.console._kernels", lambda: 5)
     clock = Clock()
-    with forecast("render", Span(4.0 / 1.3, 4.0 * 1.3), quiet=True, clock=clock) as first:
+    with Console(quiet=True).forecast("render", Span(4.0 / 1.3, 4.0 * 1.3), clock=clock) as first:
         clock.now += 8.0
     assert (first.low, first.high) == pytest.approx((4.0 / 1.3, 4.0 * 1.3))
-    with forecast("render", Span(6.0 / 1.3, 6.0 * 1.3), quiet=True, clock=clock) as second:
+    with Console(quiet=True).forecast("render", Span(6.0 / 1.3, 6.0 * 1.3), clock=clock) as second:
         clock.now += 12.0
     assert second.low < 12.0 < second.high
     assert second.middle == pytest.approx(12.0)

@@ -54,8 +54,9 @@ def test_rough_sizes_are_near_the_close_ones(name: str) -> None:
 
 def test_a_check_loads_no_mesher_no_solids_and_no_writer() -> None:
     program = (
-        "import json, sys; from clacad.cli.check_command import check_design; from pathlib import Path; "
-        "check_design(Path('designs/plano.toml'), [], json=False, quiet=True); print(json.dumps(sorted(sys.modules)))"
+        "import json, sys; from clacad.cli.check_command import Check, run; from clacad.cli.console import Console; "
+        "from pathlib import Path; "
+        "run(Check(design=Path('designs/plano.toml')), Console(quiet=True)); print(json.dumps(sorted(sys.modules)))"
     )
     loaded = json.loads(
         subprocess.run(

@@ -268,13 +268,22 @@ def test_a_design_s_name_is_text_in_the_section():
 
 
 def test_a_long_atlas_says_first_how_long_it_takes(tmp_path, monkeypatch, capsys):
-    from clacad.cli import atlas_command
+    from clacad.cli.atlas_command import MakeAtlas, run
+    from clacad.cli.console import Console
     from clacad.rendering.atlas import make_atlas as atlas
 
     monkeypatch.setattr(atlas, "make_atlas", lambda job, progress: Atlas(job.request.out, {}, ()))
     for size, quiet in ((440, False), (440, True), (16, False)):
-        request = AtlasRequest(SCENES, tmp_path / "a", size, 64, movies=False, rows=("F2",), measured=False)
-        assert atlas_command.make_atlas(request, json=True, quiet=quiet) == 0
+        request = MakeAtlas(
+            scenes=SCENES,
+            out=tmp_path / "a",
+            size=size,
+            samples=64,
+            movies=False,
+            rows=("F2",),
+            measure=False,
+        )
+        assert run(request, Console(json=True, quiet=quiet)) == 0
         said = capsys.readouterr()
         assert json.loads(said.out)["passed"]
         told = re.search(r"this takes (\S+)–(\S+) (s|min) of processor time", said.err)

@@ -280,7 +280,7 @@ def test_the_sheets_of_a_scene_are_a_stack(capsys: pytest.CaptureFixture[str]) -
     assert found["gaps"] == pytest.approx([100.0], rel=1e-12)
     assert [one["id"] for one in found["sheets"]] == ["a", "b"]
     assert command("stack", scene, "--gap", "3") == 2
-    assert "a scene file says which sheets there are" in capsys.readouterr().err
+    assert "a scene file lists its sheets" in capsys.readouterr().err
 
 
 @pytest.mark.slow

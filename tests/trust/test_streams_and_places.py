@@ -166,14 +166,14 @@ NO_CACHE = """
 import numba.core.caching as caching
 def refuse(self): raise OSError(30, "Read-only file system")
 caching._CacheLocator.ensure_cache_path = refuse
-import clacad.cli.explain_command as command
-show = command.show_explanation
+import clacad.explain.look_up as look_up
+explain = look_up.explain
 def compiling(*arguments, **options):
     from clacad.base.compiled import entry
     one, other = entry(lambda x: x), entry(lambda x: 2 * x)
     assert one(1.0) + other(1.0) == 3.0
-    return show(*arguments, **options)
-command.show_explanation = compiling
+    return explain(*arguments, **options)
+look_up.explain = compiling
 """
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from clacad import Tracer, tessellate
 from clacad.base import kernel_cache
-from clacad.cli.announce_cost import tell_compiling
+from clacad.cli.console import Console
 from clacad.design import load
 from clacad.optics.rays import Rays
 from clacad.prescription.prescribe import prescribe
@@ -30,9 +30,9 @@ def test_nothing_is_compiled_where_all_is_kept_and_all_where_nothing_is(monkeypa
     for home in homes:
         monkeypatch.setattr(f"{home}.is_kept", lambda *_: True)
     assert compiling_seconds(window, OF_TABLE) == 0.0
-    tell_compiling("some", 0.0, quiet=False)
+    Console().announce_compiling("some", 0.0)
     assert capsys.readouterr().err == ""
-    tell_compiling("some", 40.0, quiet=False)
+    Console().announce_compiling("some", 40.0)
     assert "once on this machine" in capsys.readouterr().err
 
 
