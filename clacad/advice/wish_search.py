@@ -27,8 +27,8 @@ from clacad.advice.lens_shape import FAULTS, JUDGEMENT, LensShapes, Work
 from clacad.advice.wish import Wish
 from clacad.base.types import Progress, silent
 from clacad.design import Design, DesignError
+from clacad.design.limits import CheckSpec
 from clacad.design.process_profiles import profile
-from clacad.design.sections import CheckSpec
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.verification.check_kinds.light import FIELD, LAW_RMS, VIEWED

@@ -12,7 +12,7 @@ from string import ascii_letters
 
 from clacad.base.text import table
 from clacad.design.combinations import BUILT, ITSELF, matrix
-from clacad.design.keys import homes
+from clacad.design.keys import DESIGN
 from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.effects import registry
 from clacad.explain.entry import Entry
@@ -156,7 +156,7 @@ def _formats() -> Entry:
 
 def _format(one: Format) -> Entry:
     """A format by what it declares."""
-    name = f"format {one.word}" if homes(one.word) else one.word
+    name = f"format {one.word}" if DESIGN.homes(one.word) else one.word
     sheets = "non-uniform sheets too" if one.any_cells else "uniform sheets only"
     repeats = "; it stores one cell of a uniform sheet and its places" if one.repeats else ""
     return Entry(

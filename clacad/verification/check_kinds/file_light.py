@@ -7,13 +7,13 @@ from clacad.verification.checks import CheckKind
 FAITHFUL_RMS = CheckKind(
     "faithful_rms", "CL346", "rad", where="file", limit="file_rms", former="file_rms"
 ).explained(
-    means="Direction error of light through the file's own surfaces against the design's exact ones: is "
-    "the file the design, cut as it says it is? It does not say whether light obeys the law through it: "
-    "file_law_rms does.",
+    means="Direction error of light through the file's own surfaces against the design's exact ones: "
+    "whether the file is the design, with the facets that it states. Whether light through it "
+    "obeys the law is measured by file_law_rms.",
     why="Facets that are as coarse as stated are faithful; dents, noise and wrong corners are not.",
     formula="≤ 1.25 × forecast from the facets' slope errors, and an absolute limit where no manifest "
     "states any; 10⁻⁶ rad for STEP",
-    do="Export it again; if it came back from elsewhere, look at the deviation map.",
+    do="Export it again; if it is of a measured part, look at the deviation map.",
 )
 
 FAITHFUL_ETA = CheckKind(
@@ -35,10 +35,11 @@ FAITHFUL_DELTA = CheckKind(
 )
 
 FILE_LAW_RMS = CheckKind("file_law_rms", "CL349", "rad", where="file", limit="law_rms").explained(
-    means="Rms angle between light through the file's own triangles or faces and the asked law; limit "
-    "law_rms, or check.mesh_law_rms if given; fails a master, warns a preview. The value is that of the "
-    "worst cell looked at; the sentence adds the rms over all of them, and where an array is displaced the "
-    "rms of the light that leaves nearer to the law than to the direction of a neighbouring lens.",
+    means="Rms angle between light through the file's own triangles or faces and the requested law; "
+    "limit law_rms, or check.mesh_law_rms if given; fails a master, warns a preview. The value is "
+    "that of the worst traced cell; the sentence adds the rms over all traced cells, and where an "
+    "array is displaced the rms of the light that leaves nearer to the law than to the direction "
+    "of a neighbouring lens.",
     why="Parts are made from the file, not from the design: facets that are too coarse bend light wherever "
     "they lie.",
     formula="√⟨∠(d', A d)²⟩ over ALIVE rays through the file; a facet's slope error falls as its size",
@@ -57,8 +58,8 @@ FILE_LAW_BIAS = CheckKind("file_law_bias", "CL356", "rad", where="file", limit="
 FILE_LAW_ETA = CheckKind("file_law_eta", "CL357", "relative", where="file", limit="eta").explained(
     means="η fitted to light through the file less η fitted to the same rays through the exact surfaces; "
     "fails a master, warns a preview.",
-    why="Four facets across a lens can show another magnification than was asked. The difference is taken "
-    "because aberration alone moves a fit over a degree by 1 to 2 %.",
+    why="Four facets across a lens can show another magnification than the requested one. The "
+    "difference is taken because aberration alone moves a fit over a degree by 1 to 2 %.",
     formula="max_i |η_i,file/η_i,exact − 1|; limit check.eta",
     do="Finer facets, or another file: wrong radius, index, separation or scale in z.",
 )
@@ -76,7 +77,7 @@ FILE_CONFOCALITY = CheckKind(
 ).explained(
     means="How far array 2 would have to move along the normal for light through the file to keep to the "
     "law as well as through the exact surfaces; fails a master, warns a preview.",
-    why="A file whose arrays stand at the wrong distance focuses or spreads light.",
+    why="A file whose arrays lie at the wrong distance focuses or spreads light.",
     formula="argmin over Δz of the rms to the law, file less exact, same rays, worse axis, over the "
     "separation; limit check.confocality",
     do="Check the distance of the bodies in the file and its unit; finer facets.",
@@ -103,8 +104,8 @@ THROUGH_FILE = (
 """Checks of light through a file against the law: by them a file is called an optical master."""
 
 FILE_NORMALS = CheckKind("file_normals", "CL367", where="file").explained(
-    means="Normals stored in a file (PLY, GLB) against the normals of the exact surface where they stand; "
-    "fails in every role.",
+    means="Normals stored in a file (PLY, GLB) against the normals of the exact surface at the same "
+    "points; fails in every role.",
     why="A renderer shades and refracts by the stored normals: wrong ones show another part. Right ones "
     "never make a master, for parts are made from the facets.",
     formula="∠(n_stored, n_surface) ≤ 2 × the facets' slope error",
@@ -112,7 +113,7 @@ FILE_NORMALS = CheckKind("file_normals", "CL367", where="file").explained(
 )
 
 FILE_TARGET = CheckKind("file_target", "CL355", "rad", where="file", rule="--target").explained(
-    means="Whether a file keeps the error it was asked to be made with.",
+    means="Whether a file keeps the error that its export requested.",
     why="An export that names a target has promised it.",
     do="Export with a finer setting.",
 )

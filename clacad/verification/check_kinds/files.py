@@ -9,7 +9,7 @@ from clacad.verification.checks import Check, CheckKind
 
 READABLE = CheckKind("readable", "CL339", where="file").explained(
     means="Whether the file could be read, and what is in it.",
-    why="Nothing else can be said of a file that cannot be read.",
+    why="No other check can run on a file that cannot be read.",
     do="Export it again, or in another format.",
 )
 
@@ -24,12 +24,12 @@ INTEGRITY = CheckKind("integrity", "CL341", relation="=", where="file").explaine
     means="Whether a file's bytes are those that were written.",
     why="A changed file is no longer what was checked.",
     formula="sha256",
-    do="Export it again. A file that came back from a workshop: verify it alone, outside its folder.",
+    do="Export it again. A file from a workshop: verify it alone, outside its folder.",
 )
 
 TABLE = CheckKind("table", "CL371", where="file").explained(
-    means="Whether the table of cells that lies beside the files is the one whose SHA-256 the design states.",
-    why="The lenses stand where the table says: another table is another part.",
+    means="Whether the table of cells next to the files is the one whose SHA-256 the design states.",
+    why="The table defines the places of the lenses: another table is another part.",
     do="Export again, or take the design and the table that belong together.",
 )
 
@@ -59,8 +59,7 @@ BODIES = CheckKind("bodies", "CL368", relation="=", where="file").explained(
 )
 
 PLACEMENT = CheckKind("placement", "CL369", where="file").explained(
-    means="Whether every instance of a repeated cell stands where the lattice has that cell: all "
-    "placements are read, none is sampled.",
+    means="Whether every instance of a repeated cell lies at a cell of the lattice: all placements are read.",
     why="One row of instances a few per cent of the pitch aside sends its light elsewhere, and no cell by "
     "itself is wrong.",
     formula="|placement − lattice| ≤ 10⁻⁷ of the pitch, each cell exactly once",
@@ -70,7 +69,7 @@ PLACEMENT = CheckKind("placement", "CL369", where="file").explained(
 DELIVERY = CheckKind("delivery", "CL370", where="file").explained(
     means="Whether a delivery can be judged at all: it fails if no optical file was judged, as when it "
     "holds nothing but frames, baffles or coupons, or when its manifest withholds its optical files.",
-    why="Files that were compared byte by byte alone say nothing about light, so they cannot be passed.",
+    why="A comparison of bytes alone measures no light, so the files cannot be passed.",
     do="Verify a folder with an optical master in it, with the manifest that was written with it, or the "
     "file by itself.",
 )
@@ -83,8 +82,8 @@ VOLUME = CheckKind("volume", "CL344", where="file", limit="volume").explained(
 )
 
 SHAPE = CheckKind("shape", "CL345", where="file", limit="shape").explained(
-    means="Distance of a file's surfaces from the exact faces; for a part that came back the mean over its "
-    "cells, noise apart.",
+    means="Distance of a file's surfaces from the exact faces; for a measured part the mean over its "
+    "cells, without noise.",
     why="A deviation that all cells share is the process; one cell's own is damage.",
     formula="1.1 × L²/8R for facets; 10⁻⁷ pitch for STEP",
     do="Finer facets, or look at the deviation map.",
@@ -98,8 +97,8 @@ SCALE = CheckKind("scale", "CL350", "relative", where="file", limit="scale").exp
 )
 
 POSE = CheckKind("pose", "CL351", where="file", limit="pose").explained(
-    means="How a part that came back lies in its file: axes turned, rotation, displacement; and how well "
-    "it then fits.",
+    means="Pose of a measured part in its file: axes turned, rotation, displacement; and the error of "
+    "the fit.",
     why="A part in the design's own frame that fits only when turned has tilt, offset or arrays of the "
     "other sign.",
     formula="24 turns of the axes, then least squares point to plane; residual ≤ pitch/20",

@@ -33,8 +33,8 @@ FOUND_BY = {
 _FIXED = "fixed: what a field lens is for"
 
 LAW_RMS = CheckKind("law_rms", "CL301", "rad", where="surfaces", limit="law_rms", levers=SHARPER).explained(
-    means="Rms angle between where light leaves and where the asked law sends it. Rays spread evenly over "
-    "a cell and a cone (Sobol points, seed 0) are traced through the exact surfaces.",
+    means="Rms angle between the direction of the light and that of the requested law. Rays spread "
+    "evenly over a cell and a cone (Sobol points, seed 0) are traced through the exact surfaces.",
     why="It is the blur and the distortion a viewer sees, in one number.",
     formula="√⟨∠(d', A d)²⟩ over ALIVE rays, A = R M Rᵀ",
     do="A smaller ratio of pitch to separation (aberration falls as its third power), biconic faces, or "
@@ -59,27 +59,27 @@ SPREAD = CheckKind("spread", "CL307", "rad", where="surfaces", limit="law_rms", 
 )
 
 ETA = CheckKind("eta", "CL303", "relative", where="surfaces", limit="eta", levers=SHARPER).explained(
-    means="η fitted to traced rays near the axis, against the η that was asked; where cells have an η of "
-    "their own, the light of each taken by it.",
+    means="η fitted to traced rays near the axis, against the requested η; light of a cell with its own "
+    "η is compared with that one.",
     why="η is the magnification the sheet was made for.",
     formula="max_i |η_i,fit/η_i − 1|",
     do='If the pair is thin-lens designed, take confocal = "exact".',
 )
 
 DELTA = CheckKind("delta", "CL304", "slope", where="surfaces", limit="delta", levers=SHARPER).explained(
-    means="δ fitted to traced rays, against the δ that was asked.",
+    means="δ fitted to traced rays, against the requested δ.",
     why="An error of δ shifts the whole image.",
     formula="max_i |δ_i,fit − δ_i|",
     do="Check the sign: δ_i = d_i/f1_i, with a different f1 in x and y.",
 )
 
 TILT = CheckKind("tilt", "CL305", "deg", where="surfaces", limit="delta", levers=SHARPER).explained(
-    means="By how much the lenses are turned. Where η differs between the meridians light shows a turn of "
-    "them about the lens axis, and that is measured. A lean of the axis (θ) acts on light as δ does, in "
-    "first order: of it only the angle is told that δ's error amounts to. With the same η in both "
-    "meridians that is all, and the check is δ as an angle.",
-    why="Turned meridians lean the horizon, and η and δ hardly show it. Slopes squared would tell θ from "
-    "δ, but aberration is larger.",
+    means="Angle by which the lenses are turned. Where η differs between the meridians, light shows a "
+    "turn about the lens axis, which is measured. A tilt of the axis (θ) acts on light as δ does, "
+    "in first order: only the angle equivalent to δ's error is given. With the same η in both "
+    "meridians the check is δ as an angle.",
+    why="Turned meridians lean the horizon, and η and δ hardly show it. Slopes squared would separate "
+    "θ from δ, but aberration is larger.",
     formula="turn: ½ atan2(J_xy + J_yx, J_xx − J_yy) of the slopes t' = J t + b in the lens frame; lean: "
     "|Δδ_i|/|1 − η_i|, because δ_eff = δ + (1 − η) τ",
     do="Check φ + ψ, euler_axes and the sign of θ: for θ > 0, ψ = 0 the axis leans to −y.",
@@ -118,13 +118,13 @@ CONFOCALITY = CheckKind(
 ).explained(
     means="How far lens 2 would have to move along the axis to share a focal plane with lens 1.",
     why="A pair that is not confocal has power: every telescopelet focuses or spreads light.",
-    formula="|Δz|/s of the worse meridian, from rays a hair beside the axis ray; Φ = −Δz/(f1 f2); between "
-    "the meridians 0.002 at most",
+    formula="|Δz|/s of the worse meridian, from parabasal rays; Φ = −Δz/(f1 f2); between the meridians "
+    "0.002 at most",
     do='confocal = "exact" solves the thick lenses; for tilted plano pairs less tilt.',
 )
 
 FIELD_FOCUS = CheckKind("field_focus", "CL316", "of f1", where="surfaces, parabasal", rule=_FIXED).explained(
-    means="How far the faces of a field lens stand from the foci of lens 1, along the axis.",
+    means="Distance along the axis between the faces of a field lens and the foci of lens 1.",
     why="Only where all light of one direction meets in a point does a lens leave the law alone.",
     formula="max |z_face − z_focus|/f1 in air, of every face and meridian with power; 0.01 at most",
     do='A smaller gap between the plates (pair.field.gap); confocal = "exact".',
@@ -150,7 +150,7 @@ FIELD_THROUGHPUT = CheckKind(
 
 FIELD_LAW = CheckKind("field_law", "CL319", "of that without", where="surfaces", rule=_FIXED).explained(
     means="Rms error of the law with the field lens over that without, for the light that both let through.",
-    why="A field lens shall widen the field and cost nothing inside it.",
+    why="A field lens must widen the field and cost nothing inside it.",
     formula="rms_with/rms_without over the cone of test rays; 1.2 at most",
     do="A conic of the field faces (pair.field.conic), or no field lens.",
 )
@@ -238,8 +238,8 @@ RESIDUAL = CheckKind(
 )
 
 ORDERS = CheckKind("orders", "CL320", "rad", where="thin", limit="law_rms").explained(
-    means="In coherent light (`light.coherent`): half the step between the directions that equal cells "
-    "send light to.",
+    means="In coherent light (`light.coherent`): half the step between the directions into which "
+    "identical cells send light.",
     why="A laser's light leaves in spots of a grating, and the direction of the law falls between two of "
     "them.",
     formula="sin θ' = sin θ + mλ/p, so ± λ/(2p) along each lattice vector",

@@ -93,8 +93,8 @@ WORKABLE = CheckKind("workable", "CL325", relation="=", limit="materials").expla
     means="Whether the process can work the material of the part.",
     why="Single-point diamond turning cuts plastics, infrared crystals and chalcogenides, not ordinary "
     "glass; a printer hardens resins only.",
-    do="The material or the process that the message names; check.materials says what your workshop works "
-    "instead of the profile.",
+    do="The material or the process that the message names; check.materials lists the materials of "
+    "your workshop in place of the profile.",
 )
 
 PART_HEIGHT = CheckKind("part_height", "CL326", limit="part_height", levers=(CLOSER, THINNER)).explained(
