@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import BASE, Forecast, own_cells_note
-from clacad.storage.atomic import canonical_json
 
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
@@ -74,6 +73,8 @@ PER_FACE = 0.015
 
 def calibration_record(job: Job, word: str, faces: Mapping[str, Any]) -> FileRecord:
     """Write one calibration file for the faces of a format."""
+    from clacad.storage.atomic import canonical_json
+
     path = job.stage.path(f"{job.stem}.{word}.json")
     text = canonical_json({"format": 1, "unit": "mm", "faces": faces})
     path.write_text(text, encoding="utf-8", newline="\n")
