@@ -83,6 +83,7 @@ def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quie
 def _base(request: ShapeRequest, overrides: list[str]) -> Design:
     """The design that is shaped: as given, or the slab of the templates, its law and cells as --set has them."""
     from clacad.design import Design, load, template
+    from clacad.design.keys import LATTICE
 
     cells = parse_cells(request.cells)
     if request.base is not None:
@@ -94,7 +95,7 @@ def _base(request: ShapeRequest, overrides: list[str]) -> Design:
         design = Design.from_dict(
             tomllib.loads(template(name, "slab")), ["lattice.count=[100, 100]", *overrides]
         )
-    changes: dict[str, Any] = {} if cells is None else {"lattice.count": list(cells)}
+    changes: dict[str, Any] = {} if cells is None else {LATTICE.count: list(cells)}
     if design.law_spec.varying is not None:
         raise BadOption(
             f"{request.base or '--set'}: its law varies already; leave law.varying out, this command writes it"

@@ -8,6 +8,7 @@ from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any
 
 from clacad.config.edit_text import value_text
+from clacad.design.keys import LATTICE, PAIR
 from clacad.design.sections import AimedAt
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, judge
@@ -96,8 +97,8 @@ def _remedy_text(design: Design, window: Window, viewer: Point) -> str:
 
 def _keys(design: Design, viewer: Point) -> Iterator[str]:
     """Keys whose change reaches the limit: cells aimed at the viewer, or a field lens."""
-    point = {"lattice.aperture": {"point": [int(v) if v.is_integer() else v for v in map(float, viewer)]}}
-    for changes in (point, {"pair.field_lens": True}):
+    point = {LATTICE.aperture: {"point": [int(v) if v.is_integer() else v for v in map(float, viewer)]}}
+    for changes in (point, {PAIR.field_lens: True}):
         changed = _built(design, changes)
         share = 0.0 if changed is None else viewed(changed, viewer, TRIED_RAYS).traced
         if share >= design.check.viewed:
@@ -116,8 +117,8 @@ def _built(design: Design, changes: dict[str, Any]) -> Window | None:
         asked = design.replace(changes)
         if not isinstance(asked.lattice.aperture, AimedAt):
             return prescribe(asked)
-        plain = asked.replace({"pair.offset": "paraxial"})
-        refuse_aim(prescribe(plain.replace({"lattice.aperture": "aligned"})), asked)
+        plain = asked.replace({PAIR.offset: "paraxial"})
+        refuse_aim(prescribe(plain.replace({LATTICE.aperture: "aligned"})), asked)
         return prescribe(plain)
     except (DesignError, NoSuchLens):
         return None
