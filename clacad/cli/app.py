@@ -575,7 +575,7 @@ def atlas(
 ) -> int:  # fmt: skip
     """Every figure and movie of the paper, each with its numbers measured in the picture."""
     from clacad.cli.atlas_command import make_atlas
-    from clacad.design.shipped_folder import shipped_designs
+    from clacad.design.starter_designs import shipped_designs
     from clacad.rendering.atlas.make_atlas import AtlasRequest
 
     folder = shipped_designs() / "scenes" if scenes is None else scenes
