@@ -135,9 +135,11 @@ def literals() -> dict[str, Counter[str]]:
     found = {}
     for path in PACKAGE.rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        said = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+        docstrings = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
         texts = (n for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str))
-        found[path.relative_to(PACKAGE).as_posix()] = Counter(n.value for n in texts if id(n) not in said)
+        found[path.relative_to(PACKAGE).as_posix()] = Counter(
+            n.value for n in texts if id(n) not in docstrings
+        )
     return found
 
 
@@ -151,7 +153,7 @@ def paths_in_modules() -> dict[str, int]:
 
 
 def names_in_modules() -> dict[str, int]:
-    """Name of a key of one section, of two words → number of modules that say it."""
+    """Name of a key of one section, of two words → number of modules that contain it."""
     sections = Counter(name for keys in SECTIONS.values() for name in keys)
     names = {name for name, count in sections.items() if count == 1 and "_" in name}
     found: defaultdict[str, int] = defaultdict(int)
@@ -173,7 +175,7 @@ LEFT_NAMES = {
     "residual_power": 4,
     "pitch_2": 2,
 }
-"""Names of keys that several modules say, most as the id of a check or a field of a report; each number may only fall."""
+"""Names of keys that several modules contain, most as the id of a check or a field of a report; each number may only fall."""
 
 
 def test_paths_of_keys_are_taken_from_the_keys():
@@ -181,9 +183,9 @@ def test_paths_of_keys_are_taken_from_the_keys():
     assert paths_in_modules() == {}
 
 
-def test_a_name_of_a_key_is_said_by_one_module():
+def test_a_name_of_a_key_occurs_in_one_module():
     for name, count in names_in_modules().items():
-        assert count <= LEFT_NAMES.get(name, 1), f"{count} modules say {name}"
+        assert count <= LEFT_NAMES.get(name, 1), f"{count} modules contain {name}"
 
 
 def test_paths_named_in_the_package_are_keys():
