@@ -21,6 +21,7 @@ from clacad.base.text import plain
 from clacad.base.types import Progress, silent
 from clacad.config.edit_text import value_text
 from clacad.design import Design
+from clacad.design.keys import LATTICE, PAIR
 from clacad.verification.check_kinds.levers import UNBUILT, Lever
 from clacad.verification.checks import Check
 
@@ -144,10 +145,8 @@ def _pruned(trials: Trials, changes: Changes) -> Changes:
     """Set of changes without unnecessary keys: the first keys of a longer set may have become unnecessary."""
     trials.most, trials.seconds = trials.most + len(changes), inf
     for key in changes:
-        less = {
-            k: v for k, v in changes.items() if k != key and (k, key) != ("lattice.count", "lattice.pitch")
-        }
-        if key != "lattice.count" and less and badness(trials.judged(less), trials.design) == 0.0:
+        less = {k: v for k, v in changes.items() if k != key and (k, key) != (LATTICE.count, LATTICE.pitch)}
+        if key != LATTICE.count and less and badness(trials.judged(less), trials.design) == 0.0:
             changes = less
     return changes
 
@@ -199,7 +198,7 @@ def _pulled(
     mine = [c for c in failing if mends(lever, c)]
     values = settings(lever, now, judged, failing)
     if lever.way == "shape":
-        tuned = {k: before[k] for k in ("pair.surface", "pair.conic") if "pair.conic" in before}
+        tuned = {k: before[k] for k in (PAIR.surface, PAIR.conic) if PAIR.conic in before}
         return trials.shaped(before, (tuned,) if tuned else values)
     met = trials.nearest(before, values, lambda trial: all(settled(trial, c) for c in mine))
     if met is not None:

@@ -12,6 +12,7 @@ from math import ceil, isfinite, log10
 from typing import TYPE_CHECKING, Any, Final
 
 from clacad.design import Design
+from clacad.design.keys import BODY, LATTICE, PAIR
 from clacad.verification.check_kinds.levers import FORMS, WORDS, Lever
 from clacad.verification.check_kinds.light import VIEWED
 from clacad.verification.checks import Check, kinds
@@ -43,13 +44,13 @@ near.
 """
 
 
-INTENTS: Final = frozenset({"lattice.aperture", "body.border"})
+INTENTS: Final = frozenset({LATTICE.aperture, BODY.border})
 """Keys that stay fixed where the design states them: the direction of its cells, and its flange."""
 
 MOST_AIMED: Final = 5000
 """Largest number of cells of a sheet that is tried with aimed cells: tracing takes 1 ms per cell."""
 
-_HELD: Final = ("pair.separation", "pair.thickness", "lattice.pitch", "lattice.aperture")
+_HELD: Final = (PAIR.separation, PAIR.thickness, LATTICE.pitch, LATTICE.aperture)
 """Keys that `clacad optimise` keeps fixed: its faces are those of the pair with these values."""
 
 
@@ -106,7 +107,7 @@ def settings(
     making: Callable[[Design, str, Judged | None], tuple[Changes, ...]] | None = _SCALED.get(lever.key)
     if making is not None:
         return making(design, lever.way, judged)
-    if lever.key == "pair.thickness":
+    if lever.key == PAIR.thickness:
         return _thicknesses(design, lever.way, judged, _lacking(design, checks, lever))
     return tuple({lever.key: value} for value in _lengths(lever, design, checks))
 
@@ -116,16 +117,16 @@ def _aimed(design: Design) -> tuple[Changes, ...]:
     n1, n2 = design.lattice.count
     if design.check.viewer is None or n1 * n2 > MOST_AIMED:
         return ()
-    return ({"lattice.aperture": {"point": [0, 0, -nice(design.check.viewer, 12)]}},)
+    return ({LATTICE.aperture: {"point": [0, 0, -nice(design.check.viewer, 12)]}},)
 
 
 def _conic(x: float, y: float) -> Changes:
-    return {"pair.surface": "biconic", "pair.conic": [nice(x, 3), nice(y, 3)]}
+    return {PAIR.surface: "biconic", PAIR.conic: [nice(x, 3), nice(y, 3)]}
 
 
 def conics_about(changes: Changes, step: float) -> tuple[Changes, ...]:
     """Changes with the conic constant of one meridian decreased, and increased, by a step."""
-    x, y = changes["pair.conic"]
+    x, y = changes[PAIR.conic]
     beside = ((x - step, y), (x + step, y), (x, y - step), (x, y + step))
     return tuple({**changes, **_conic(*one)} for one in beside)
 
@@ -133,9 +134,9 @@ def conics_about(changes: Changes, step: float) -> tuple[Changes, ...]:
 def _separations(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
     """Settings of the separation, or of the thickness for a slab that states it instead."""
     if design.pair.separation is not None:
-        return tuple({"pair.separation": value} for value in _ladder(design.pair.separation, way))
+        return tuple({PAIR.separation: value} for value in _ladder(design.pair.separation, way))
     thickness = design.pair.thicknesses
-    return () if thickness is None else tuple({"pair.thickness": v} for v in _ladder(thickness[0], way))
+    return () if thickness is None else tuple({PAIR.thickness: v} for v in _ladder(thickness[0], way))
 
 
 def _pitches(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
@@ -144,10 +145,10 @@ def _pitches(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
     for new in _ladder(max(old), way):
         factor = new / max(old)
         both = [new if p == max(old) else nice(p * factor, 3) for p in old]
-        changes: dict[str, Any] = {"lattice.pitch": both if design.lattice.kind == "rectangular" else new}
+        changes: dict[str, Any] = {LATTICE.pitch: both if design.lattice.kind == "rectangular" else new}
         if "count" in design.given.get("lattice", {}):
             rounded = ceil if design.lattice.outline is not None else round
-            changes["lattice.count"] = [
+            changes[LATTICE.count] = [
                 max(1, rounded(n * a / b - 1e-9))
                 for n, a, b in zip(design.lattice.count, old, both, strict=True)
             ]
@@ -167,7 +168,7 @@ def _lacking(design: Design, checks: Iterable[Check], lever: Lever) -> float:
 def _thicknesses(design: Design, way: str, judged: Judged | None, lack: float) -> tuple[Changes, ...]:
     """The word auto first, then numbers from the present thickness: by ratio, and by shares of the shortfall."""
     given = design.pair.thicknesses
-    auto: tuple[Changes, ...] = () if given is None else ({"pair.thickness": "auto"},)
+    auto: tuple[Changes, ...] = () if given is None else ({PAIR.thickness: "auto"},)
     if given is None and judged is not None:
         first, second = (nice(lens.thickness, 3) for lens in judged.facts.lenses[:2])
         given = (first, second)
@@ -180,12 +181,12 @@ def _thicknesses(design: Design, way: str, judged: Judged | None, lack: float) -
         pair for pair in found if all((a > t) == (way == "up") for a, t in zip(pair, given, strict=True))
     ]
     same = given[0] == given[1]
-    return (*auto, *({"pair.thickness": pair[0] if same else pair} for pair in sorted(found)))
+    return (*auto, *({PAIR.thickness: pair[0] if same else pair} for pair in sorted(found)))
 
 
 _SCALED: Final = {
-    "pair.separation": _separations,
-    "lattice.pitch": _pitches,
+    PAIR.separation: _separations,
+    LATTICE.pitch: _pitches,
 }
 
 
@@ -229,7 +230,7 @@ def size_of(changes: Changes, design: Design) -> float:
     for key, value in changes.items():
         section, name = key.split(".")
         present = getattr(getattr(design, section), name)
-        if key == "lattice.count":
+        if key == LATTICE.count:
             continue  # follows the pitch
         if isinstance(value, str | bool) or isinstance(present, str) or not present:
             total += WEIGHTS.get(key, 0.05)
@@ -240,11 +241,11 @@ def size_of(changes: Changes, design: Design) -> float:
 
 
 WEIGHTS: Final = {
-    "lattice.pitch": 1.5,
-    "pair.surface": 0.15,
-    "lattice.aperture": 0.2,
-    "pair.thickness": 0.3,
-    "pair.field_lens": 0.6,
+    LATTICE.pitch: 1.5,
+    PAIR.surface: 0.15,
+    LATTICE.aperture: 0.2,
+    PAIR.thickness: 0.3,
+    PAIR.field_lens: 0.6,
 }
 """Weight of a change of a key: other cells mean other pixels, other faces other tools, another aperture
 another view.

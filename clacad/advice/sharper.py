@@ -15,9 +15,10 @@ from clacad.advice.judged import Judged
 from clacad.advice.levers import Changes
 from clacad.advice.trials import NoMoreTrials, Trials
 from clacad.base.digits import digits
+from clacad.design.keys import PAIR
 from clacad.verification.check_kinds.light import LAW_RMS
 
-CHANGES: Final[Changes] = {"pair.surface": "biconic"}
+CHANGES: Final[Changes] = {PAIR.surface: "biconic"}
 
 WORTH: Final = 0.9
 """Largest share of the error that may remain for the change to be advised."""

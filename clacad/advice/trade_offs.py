@@ -12,6 +12,7 @@ from clacad.advice.judged import Judged, judge
 from clacad.advice.wish import Wish
 from clacad.base.digits import digits
 from clacad.design import Design, DesignError
+from clacad.design.keys import LATTICE, PAIR
 from clacad.sheet.feasibility.pitch_for_eye import ARC_MINUTE
 from clacad.verification.check_kinds.light import LAW_RMS
 
@@ -74,9 +75,9 @@ def trade_offs(wish: Wish, chosen: Judged) -> tuple[Trade, ...]:
 
 
 def _resized(design: Design, wish: Wish, pitch: float, separation: float) -> Design | None:
-    changes: dict[str, object] = {"lattice.pitch": pitch, "pair.separation": separation}
+    changes: dict[str, object] = {LATTICE.pitch: pitch, PAIR.separation: separation}
     if design.lattice.outline is None:
-        changes["lattice.count"] = [max(1, int(side / pitch + 1e-9)) for side in wish.size.size]
+        changes[LATTICE.count] = [max(1, int(side / pitch + 1e-9)) for side in wish.size.size]
     try:
         return design.replace(changes)
     except DesignError:

@@ -27,6 +27,7 @@ from clacad.advice.lens_shape import FAULTS, JUDGEMENT, LensShapes, Work
 from clacad.advice.wish import Wish
 from clacad.base.types import Progress, silent
 from clacad.design import Design, DesignError
+from clacad.design.keys import PAIR
 from clacad.design.limits import CheckSpec
 from clacad.design.process_profiles import profile
 from clacad.prescription.prescribe import prescribe
@@ -256,7 +257,7 @@ class Search:
         try:
             design = self._built(variant, bound, ratio)
             if variant.eye == "aimed":  # positions of lenses 2 in their cells move no border
-                design = design.replace({"pair.offset": "paraxial"})
+                design = design.replace({PAIR.offset: "paraxial"})
             return thin_share(prescribe(design), viewer_of(design)), ""
         except DesignError as problem:
             return 0.0, f"{variant}: {problem.mistakes[0].message}"

@@ -136,8 +136,8 @@ def _fix(request: Check, console: Console) -> int:
 
 def _text(request: Check, fixed: Fixed, out: Path) -> tuple[str, bool]:
     """Text of the file to write, and whether it is the given one with its keys changed."""
+    from clacad.config.edit_text import parse as parse_override
     from clacad.config.edit_text import with_values
-    from clacad.config.overrides import parse as parse_override
     from clacad.config.toml_text import parse, read_text
     from clacad.design import Design
 

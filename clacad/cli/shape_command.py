@@ -108,6 +108,7 @@ def run(request: Shape, console: Console) -> int:
 def _base(request: Shape) -> Design:
     """The design to shape: as given, or the slab of the templates, its law and cells as --set has them."""
     from clacad.design import Design, load, template
+    from clacad.design.keys import LATTICE
 
     cells, overrides = request.cells, request.set
     if request.base is not None:
@@ -119,7 +120,7 @@ def _base(request: Shape) -> Design:
         design = Design.from_dict(
             tomllib.loads(template(name, "slab")), ["lattice.count=[100, 100]", *overrides]
         )
-    changes: dict[str, Any] = {} if cells is None else {"lattice.count": list(cells)}
+    changes: dict[str, Any] = {} if cells is None else {LATTICE.count: list(cells)}
     if design.law_spec.varying is not None:
         raise BadOption(
             f"{request.base or '--set'}: its law varies already; leave law.varying out, this command "

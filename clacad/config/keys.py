@@ -109,7 +109,7 @@ class KeyPaths:
         self._paths = {name: f"{section}.{name}" for name in names}
 
     def __getattr__(self, name: str) -> str:
-        try:
-            return self._paths[name]
-        except KeyError:
-            raise AttributeError(f"no key {name}; keys: {', '.join(self._paths)}") from None
+        paths: dict[str, str] = self.__dict__.get("_paths", {})  # absent while a copy is made
+        if name not in paths:
+            raise AttributeError(f"no key {name}; keys: {', '.join(paths)}")
+        return paths[name]

@@ -27,7 +27,7 @@ from clacad.base.text import printable
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.keys import REQUIRED, key
 from clacad.config.mistakes import Mistake
-from clacad.config.named_paths import folder_of, outside
+from clacad.config.toml_text import folder_of, outside
 from clacad.config.value_kinds import Text
 
 if TYPE_CHECKING:  # a design is read without numpy

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.units import Unit, design_unit
-from clacad.config.edit_text import to_toml
+from clacad.config.edit_text import changed_keys, to_toml
 from clacad.config.keys import written
-from clacad.config.overrides import changed_keys
 from clacad.config.value_kinds import FORMAT
 from clacad.design.body import BodySpec
 from clacad.design.limits import CheckSpec, TolerancesSpec

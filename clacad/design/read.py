@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from clacad.base import units
-from clacad.config import overrides as override
+from clacad.config import edit_text as override
 from clacad.config.design_error import DesignError
 from clacad.config.key_positions import located
 from clacad.config.key_reader import KeyReader
@@ -21,7 +21,8 @@ from clacad.design.body import filling_count
 from clacad.design.cell_table import digest, table_path
 from clacad.design.drawn_outline import with_points
 from clacad.design.keys import DESIGN, SECTIONS, SPECS
-from clacad.design.rules import Asked, broken
+from clacad.design.rules import Asked
+from clacad.design.sheet_rules import broken
 from clacad.design.varying import VaryingSpec
 
 

@@ -1,6 +1,8 @@
 """Starter design files (`clacad new`): a commented template of each form, and the designs of the paper.
 
-Where both have one name, such as "slab", the commented template is used.
+Where both have one name, such as "slab", the commented template is used. The source of the paper's designs and
+scenes is the folder `designs` of the repository. An installed package contains them as its own folder of that
+name, created when the wheel is built. In a checkout they lie next to the package.
 """
 
 from __future__ import annotations
@@ -14,9 +16,9 @@ from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import Refusal, Word, shown
 from clacad.design.keys import ROOT
-from clacad.design.shipped_folder import shipped_designs
 
 _FOLDER = Path(__file__).parent / "templates"
+_PACKAGE = Path(__file__).resolve().parents[1]
 MOST_NAMED = 5
 """Greatest number of templates that a message suggests."""
 
@@ -109,3 +111,19 @@ def _files() -> dict[str, Path]:
 def _about(text: str) -> str:
     found = re.search(r"^# (.*)$", text, re.MULTILINE)
     return "" if found is None else found[1]
+
+
+def shipped_designs() -> Path:
+    """Folder of the shipped design files; their scenes lie in its subfolder `scenes`.
+
+    Raises
+    ------
+    FileNotFoundError
+        The package was taken out of its repository without the designs.
+    """
+    for folder in (_PACKAGE / "designs", _PACKAGE.parent / "designs"):
+        if (folder / "scenes").is_dir():
+            return folder
+    raise FileNotFoundError(
+        f"{_PACKAGE / 'designs'}: the designs that come with clacad are not there; install it anew"
+    )

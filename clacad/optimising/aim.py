@@ -21,6 +21,7 @@ from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
 from clacad.design import Design
+from clacad.design.keys import CHECK
 from clacad.optics.fit import AskedLight, law_residuals
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import bundle
@@ -172,7 +173,7 @@ def kept_light(window: Window, field: float, design: Design, fewest: int = 1) ->
         )
         raise DesignError([
             Mistake("CL120", f"{len(rays)} of {RAYS:,} rays of the field reach their partner cell through ideal lenses, too few to search with",
-                    "check.field", allowed=f"a cone inside the field of view: {fewest} rays at least", hint=way)
+                    CHECK.field, allowed=f"a cone inside the field of view: {fewest} rays at least", hint=way)
         ])  # fmt: skip
     return AskedLight.of(rays, window.law.refract(rays.direction))
 

@@ -14,6 +14,7 @@ from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.design import Design
 from clacad.design.faces import SearchRecord, faces_digest
+from clacad.design.keys import PAIR
 from clacad.optics.fit import minimise
 from clacad.optimising.aim import RAYS, Aim, AimedRays
 from clacad.optimising.search_walls import Walls, penalties
@@ -165,7 +166,7 @@ class FaceSearch:
             slack, name = self.nearest
             raise DesignError([
                 Mistake("CL120", f"no faces were found within the walls: the {name} stays {-slack:.3g} times its limit beyond it",
-                        "pair.thickness", allowed="walls that leave room: the process, check.edge, check.graph, or more thickness")
+                        PAIR.thickness, allowed="walls that leave room: the process, check.edge, check.graph, or more thickness")
             ])  # fmt: skip
         self._refuse_no_gain(self.best)
         faces, offset = self.unknowns.faces(self.best.vector)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from math import degrees
 
 from clacad.config.edit_text import to_toml
+from clacad.design.keys import PAIR
 from clacad.optimising.aim import RAYS, WHOLE
 from clacad.optimising.search import Optimised
 
@@ -40,7 +41,7 @@ def design_text(found: Optimised) -> str:
             for face, place in zip(faces, PLATES if plates else PLACES[len(faces)], strict=True):
                 body = to_toml(face)
                 parts.append(f"\n[[pair.face]]    # {place}\n{body}")
-            parts.append(to_toml({"pair.search": record}))
+            parts.append(to_toml({PAIR.search: record}))
     return "".join(parts)
 
 

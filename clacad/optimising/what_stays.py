@@ -9,6 +9,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
+from clacad.design.keys import PAIR
 from clacad.optimising.light_in_cells import MOST_LOST
 from clacad.optimising.measured_light import Seen
 from clacad.sheet.window import Window
@@ -52,7 +53,7 @@ def refuse_moved(start: Window, found: Window, *, traced: bool) -> None:
     apart = np.abs(_places(found, traced=traced) - _places(start, traced=traced)).max()
     if not apart <= SAME * start.thin.separation:
         raise DesignError([
-            Mistake("CL120", f"the plates or cells would move by {apart:.3g}; nothing is written", "pair.separation",
+            Mistake("CL120", f"the plates or cells would move by {apart:.3g}; nothing is written", PAIR.separation,
                     allowed="plates and cells that stay where the start has them", hint='pair.confocal = "exact" in the design to start from')
         ])  # fmt: skip
 

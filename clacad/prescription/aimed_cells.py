@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.design.keys import LATTICE
 from clacad.prescription.poses import displacement
 from clacad.prescription.radii import NoSuchLens
 from clacad.prescription.traced_vertices import traced_moves
@@ -195,7 +196,7 @@ def _refuse_table(design: Design) -> None:
     cells = design.lattice.count[0] * design.lattice.count[1]
     if design.pair.offset != "paraxial" and cells > MOST_TRACED:
         raise NoSuchLens(
-            f"a sheet aimed at a point cannot have a table of more than {MOST_TRACED} vertices", key="lattice.count",
+            f"a sheet aimed at a point cannot have a table of more than {MOST_TRACED} vertices", key=LATTICE.count,
             code="CL121", hint='pair.offset = "paraxial", or fewer cells',
         )  # fmt: skip
 
@@ -222,7 +223,7 @@ def _refuse_steep(aim: AimPoint, window: Window, design: Design, place: CellPlac
         raise NoSuchLens(
             f"in cell ({cell[0]}, {cell[1]}) lens 2 would be used {used:.4g} from its vertex, {used / radius:.2f} of its radius "
             f"{radius:.4g}, where at most {STEEPEST:g} sends light right",
-            key="lattice.aperture", code="CL123", hint=_way_out(aim, window, cells),
+            key=LATTICE.aperture, code="CL123", hint=_way_out(aim, window, cells),
         )  # fmt: skip
 
 
@@ -233,7 +234,7 @@ def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: In
         raise NoSuchLens(
             f"at ({x:.4g}, {y:.4g}) the light of the viewer would land {off:.4g} from the middle of its cell of array 2, more than "
             f"{OFF:g} of the pitch: refraction bends it too much for a lattice that is only scaled",
-            key="lattice.aperture", code="CL123", hint=_way_out(aim, window, cells),
+            key=LATTICE.aperture, code="CL123", hint=_way_out(aim, window, cells),
         )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from clacad.base.digits import rounded_up
 from clacad.base.types import Floats, Pair2
 from clacad.design.asked_cells import lattice_of
 from clacad.design.faces import faces_digest
+from clacad.design.keys import BODY, LATTICE, PAIR
 from clacad.design.process_profiles import profile
 from clacad.design.sections import AimedAt
 from clacad.prescription import poses
@@ -164,14 +165,14 @@ def _refuse_radius(intent: Intent) -> None:
                 raise NoSuchLens(
                     f"lens {number} would rise by {sag:.3g} over its cell in {axis}, less than its place between "
                     f"lenses {separation_of(intent):.6g} apart is known to",
-                    key="pair.separation",
+                    key=PAIR.separation,
                     hint=f"a smaller separation or a larger pitch: the height must be above {LEAST_SAG:g} of the separation",
                 )
             if radius < reach:
                 raise NoSuchLens(
                     f"lens {number} would have the radius {radius:.6g} in {axis}, less than half the {where} of "
                     f"its cell ({reach:.6g}): the surface ends inside the cell",
-                    key="lattice.pitch",
+                    key=LATTICE.pitch,
                     hint=f"{_smaller_pitch(intent, axis, where, radius / reach)}, or separation > "
                     f"{separation_of(intent) * reach / radius:.6g}",
                 )
@@ -200,10 +201,10 @@ def _scaled_best(intent: Intent, build: Callable[[float], Window]) -> Window:
 def _refuse_land_without_plate(design: Design, window: Window) -> None:
     """Refuse seam, border or outline on a concave lens: its body has no plate of its own for them."""
     asked = {
-        "lattice.seam": design.lattice.seam > 0.0,
-        "body.border": design.body.border > 0.0,
-        "body.outline": design.body.outline is not None,
-        "lattice.outline": design.lattice.outline is not None,
+        LATTICE.seam: design.lattice.seam > 0.0,
+        BODY.border: design.body.border > 0.0,
+        BODY.outline: design.body.outline is not None,
+        LATTICE.outline: design.lattice.outline is not None,
     }
     keys = [key for key, given in asked.items() if given]
     for number, body in enumerate(window.bodies, start=1):
@@ -373,7 +374,7 @@ def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
     thickness = n * (min(first) - gap), n * (min(second) - gap)
     if min(thickness) <= 0.0:
         raise NoSuchLens(
-            f"air gaps of {gap:.6g} leave a plate no thickness", key="pair.field",
+            f"air gaps of {gap:.6g} leave a plate no thickness", key=PAIR.field,
             hint=f"gap < {min(*first, *second):.6g}", code="CL129",
         )  # fmt: skip
     lenses = _one_faced(intent, separation, thickness).scaled(scale)
@@ -389,7 +390,7 @@ def _plano_with_field(intent: Intent, lenses: LensPair, separation: float) -> Wi
     before, behind = min(first) - glass[0] / n, min(second) - glass[1] / n
     if before <= 0.0:
         raise NoSuchLens(
-            f"lens 1 would reach {-before:.4g} beyond its focus", key="pair.separation",
+            f"lens 1 would reach {-before:.4g} beyond its focus", key=PAIR.separation,
             hint="a larger separation, or a thinner lens 1", code="CL129",
         )  # fmt: skip
     foci = (glass[0] + first[0] - glass[0] / n, glass[0] + first[1] - glass[0] / n)
@@ -661,7 +662,7 @@ def _refuse_empty(lattice: Lattice, moved: Pair2, wider: float) -> None:
         shape = f"rectangle = [{', '.join(map(rounded_up, sides))}]"
     raise NoSuchLens(
         f"lattice.outline holds no cell that is whole in both arrays: they stand {hypot(*moved):.4g} apart",
-        key="lattice.outline",
+        key=LATTICE.outline,
         hint=f"outline = {{{shape}}} or larger; or smaller angles, delta or separation, which bring the arrays together",
         code="CL117",
     )

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.design.keys import LATTICE
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.representative_cells import level_point, outermost_cells
 from clacad.sheet.window import (
@@ -108,7 +109,7 @@ def face_range(window: Window, face: Face) -> tuple[float, float]:
     if not len(z):
         raise NoSuchLens(
             f"the surface of lens {1 + (face.array or 0)} ends before it reaches its cell: no point of the cell is lens",
-            key="lattice.aperture",
+            key=LATTICE.aperture,
             hint="a smaller displacement of the cells, a smaller tilt, or a smaller pitch",
         )
     return float(z.min()), float(z.max())

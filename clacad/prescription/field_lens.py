@@ -25,6 +25,7 @@ from math import sqrt
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
+from clacad.design.keys import LATTICE, LAW, PAIR
 from clacad.design.process_profiles import profile
 from clacad.design.sections import AimedAt
 from clacad.optics.surface import Quadric, Surface
@@ -70,7 +71,7 @@ def refuse_too_steep(radius: float, intent: Intent, axis: int | None) -> None:
         raise NoSuchLens(
             f"the field lens would have the radius {radius:.6g}, less than {STEEPEST * half:.6g}: its surface ends inside "
             "the cell",
-            key="lattice.pitch",
+            key=LATTICE.pitch,
             hint=f"pitch < {max(intent.lattice.pitch) * scale:.6g}{further}",
             code="CL128",
         )
@@ -154,7 +155,7 @@ def paired_plates(eta: float, separation: float, gap: float) -> Plates:
     if gap >= 2.0 * min(f1, f2):
         raise NoSuchLens(
             f"an air gap of {gap:.6g} is too wide for field faces of focal length {min(f1, f2):.6g}",
-            key="pair.field" , hint=f"gap < {2.0 * min(f1, f2):.6g}", code="CL129",
+            key=PAIR.field , hint=f"gap < {2.0 * min(f1, f2):.6g}", code="CL129",
         )  # fmt: skip
     a1, a2 = (f / (1.0 - 0.5 * gap / f) for f in (f1, f2))
     return Plates((a1, a2), (f1, f2), gap)
@@ -312,7 +313,7 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
             raise NoSuchLens(
                 f"the foci lie {abs(foci[0] - foci[1]):.4g} apart, so that the plate between the field faces would be "
                 f"{thickness:.4g} thick: they need {least:.4g}",
-                key="law.eta",
+                key=LAW.eta,
                 hint=f"eta_x = eta_y (one field lens), or focal lengths f1 at least {apart:.4g} apart",
                 code="CL129",
             )
@@ -325,7 +326,7 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
     if room <= 0.0 or behind <= 0.0:
         raise NoSuchLens(
             f"there is no room for the field plate: it would reach {-room:.4g} into the body behind it",
-            key="pair.separation", hint="a larger separation, or thinner lenses", code="CL129",
+            key=PAIR.separation, hint="a larger separation, or thinner lenses", code="CL129",
         )  # fmt: skip
     told: dict[str, object] = {
         "R": radius if crossed else radius[0], "f": power if crossed else power[0],

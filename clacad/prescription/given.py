@@ -13,6 +13,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.design.faces import FaceSpec
+from clacad.design.keys import PAIR
 from clacad.design.sections import PairSpec
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, as_quadric
 from clacad.prescription.cell_heights import face_range, least_thickness, zone_points
@@ -131,7 +132,7 @@ def _refuse_no_height(window: Window, face: Face, number: int) -> None:
     at = points[missing][int(np.argmin((apart**2).sum(axis=1)))]
     raise NoSuchLens(
         f"face {number + 1} has no real height over ({at[0]:.4g}, {at[1]:.4g}) of its cell",
-        key=f"pair.face.{number}.conic",
+        key=f"{PAIR.face}.{number}.conic",
         hint=_conic_that_fits(face, points),
     )
 
@@ -171,6 +172,6 @@ def _refuse_crossing(window: Window, body: Body, after: int) -> None:
     if left <= 0.0:
         raise NoSuchLens(
             f"faces {after - 1} and {after} cross over their cell: {left:.4g} is left between them where they are nearest",
-            key="pair.thickness" if window.form != "slab" else "pair.separation",
+            key=PAIR.thickness if window.form != "slab" else PAIR.separation,
             hint=f"more than {-left:.4g} more thickness, or longer radii",
         )

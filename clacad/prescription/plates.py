@@ -16,6 +16,7 @@ import numpy as np
 from clacad.base.digits import rounded_up
 from clacad.base.types import Pair2
 from clacad.design.body import BodySpec, Outline
+from clacad.design.keys import BODY, LATTICE
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Hole, Plate, counter_clockwise, plate_of_circle, plate_of_rectangle
@@ -57,7 +58,7 @@ def with_plate(window: Window, body: BodySpec) -> Window:
     if isinstance(kept, Plate):
         many = window.lattice.count[0] * window.lattice.count[1]
         if many > MOST_CELLS:
-            raise NoSuchLens(f"lattice.count asks {many:,} cells whether the plate holds them", "lattice.count",
+            raise NoSuchLens(f"lattice.count asks {many:,} cells whether the plate holds them", LATTICE.count,
                              f"at most {MOST_CELLS:,}", "CL106")  # fmt: skip
         kept = replace(kept, moved=window.shifts[1])
         window = replace(window, lattice=replace(window.lattice, outline=kept), outline=kept)
@@ -100,7 +101,7 @@ def _plate(outline: Outline, body: BodySpec) -> Plate:
 def _rectangular(size: Pair2, body: BodySpec) -> Plate:
     corners = None if body.corners is None else (body.corners.shape, body.corners.size)
     if corners is not None and not 2.0 * corners[1] < min(size):
-        raise NoSuchLens(f"body.corners: {corners[0]} = {corners[1]:g} leaves no side of {size[0]:g} x {size[1]:g}", "body.corners",
+        raise NoSuchLens(f"body.corners: {corners[0]} = {corners[1]:g} leaves no side of {size[0]:g} x {size[1]:g}", BODY.corners,
                          f"{corners[0]} below {0.5 * min(size):g}", "CL141")  # fmt: skip
     return _with_holes(plate_of_rectangle(*size, corners), size, body)
 
@@ -109,13 +110,13 @@ def _with_holes(vertices: tuple[Vertex, ...], size: Pair2, body: BodySpec) -> Pl
     """Plate of a boundary with its holes, each wholly in the material and apart from the others."""
     plate = Plate(vertices)
     asked = [
-        (Hole(x, y, spec.diameter), f"body.holes.{n}")
+        (Hole(x, y, spec.diameter), f"{BODY.holes}.{n}")
         for n, spec in enumerate(body.holes)
         for x, y in spec.places(size)
     ]
     if body.pins is not None:
         diameter = body.pins.diameter + body.pins.play
-        asked += [(Hole(x, y, diameter, "pin", body.pins.play), "body.pins") for x, y in body.pins.at]
+        asked += [(Hole(x, y, diameter, "pin", body.pins.play), BODY.pins) for x, y in body.pins.at]
     holes: list[Hole] = []
     for hole, key in asked:
         holes.append(_fitting(plate, holes, hole, key))
@@ -145,7 +146,7 @@ def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
     """Refuse an edge, hole or corner that cuts a cell of the lattice."""
     lattice = window.lattice
     if lattice.count[0] * lattice.count[1] > MOST_CELLS:
-        raise NoSuchLens(f"{lattice.count[0]:,} x {lattice.count[1]:,} cells are too many beside holes", "lattice.count",
+        raise NoSuchLens(f"{lattice.count[0]:,} x {lattice.count[1]:,} cells are too many beside holes", LATTICE.count,
                          f"at most {MOST_CELLS:,}", "CL106")  # fmt: skip
     cells = lattice.cells()
     held = plate.holds(lattice.tile(), lattice.centres(cells), plate.room(lattice.pitch))
@@ -153,8 +154,8 @@ def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
         return
     solid = Plate(plate.vertices, moved=plate.moved)
     cut_by_edge = not solid.holds(lattice.tile(), lattice.centres(cells), plate.room(lattice.pitch)).all()
-    edge = "body.outline" if body.outline is not None else "body.corners"
-    key = edge if cut_by_edge or not plate.holes else "body.holes"
+    edge = BODY.outline if body.outline is not None else BODY.corners
+    key = edge if cut_by_edge or not plate.holes else BODY.holes
     raise NoSuchLens(
         f"{key}: {int((~held).sum())} of {len(cells)} cells are cut, or come nearer than {plate.room(lattice.pitch):.3g} to an edge",
         key,
@@ -182,7 +183,7 @@ def _refuse_empty(window: Window, plate: Plate) -> None:
     x0, x1, y0, y1 = plate.box
     raise NoSuchLens(
         "lattice.outline holds no whole cell off its edge and holes",
-        "lattice.outline",
+        LATTICE.outline,
         f"it reaches from ({x0:.6g}, {y0:.6g}) to ({x1:.6g}, {y1:.6g}); cells stand about the origin: a larger outline, a "
         "smaller lattice.pitch, or the outline moved there",
         "CL117",

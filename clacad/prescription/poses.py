@@ -9,6 +9,7 @@ from math import asin
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.design.keys import LAW
 from clacad.design.sections import AimedAt
 from clacad.optics.law import Law, rotation
 from clacad.optics.parabasal import STEP, parabasal
@@ -65,7 +66,7 @@ def plano_outside_axis(turn: Floats, index: float, thickness: tuple[float, float
         raise NoSuchLens(
             f"a tilt of {np.degrees(np.arccos(axis[2])):.4g} deg sends the lens axis beyond total reflection at the "
             "plane faces",
-            key="law.euler",
+            key=LAW.euler,
             hint=f"theta < {np.degrees(asin(1.0 / index)):.4g} deg, or form = 'biconvex' or 'slab'",
         )
     glass = axis / axis[2]

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from clacad.design.keys import PAIR
 from clacad.prescription.radii import NoSuchLens
 
 if TYPE_CHECKING:
@@ -50,4 +51,4 @@ def prescribe(design: Design) -> Window:
         raise DesignError.at(design, error.key, error.message, code=error.code, hint=error.hint) from error
     except ArithmeticError as error:  # lengths too far apart in size
         message = f"the lengths of this design are too far apart in size to be computed with ({error})"
-        raise DesignError.at(design, "pair.separation", message) from error
+        raise DesignError.at(design, PAIR.separation, message) from error

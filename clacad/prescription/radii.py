@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import copysign, inf, isinf, nan, sqrt
 
 from clacad.base.types import Pair2
+from clacad.design.keys import PAIR
 
 
 class NoSuchLens(ValueError):
@@ -28,9 +29,7 @@ class NoSuchLens(ValueError):
         A code of `clacad.config.mistakes.CODES`.
     """
 
-    def __init__(
-        self, message: str, key: str = "pair.thickness", hint: str = "", code: str = "CL120"
-    ) -> None:
+    def __init__(self, message: str, key: str = PAIR.thickness, hint: str = "", code: str = "CL120") -> None:
         super().__init__(message)
         self.message, self.key, self.hint, self.code = message, key, hint, code
 

@@ -21,6 +21,7 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Pair2
+from clacad.design.keys import PAIR
 from clacad.design.varying import Planes
 from clacad.optics.law.focusing import SharpPair
 from clacad.prescription.radii import (
@@ -38,7 +39,7 @@ from clacad.sheet.window import Window
 if TYPE_CHECKING:
     from clacad.design import Design
 
-KEY = "pair.focus"
+KEY = PAIR.focus
 ROUNDS = 60
 """Greatest number of iterations of the principal planes: each gains two or three digits."""
 UNLIKE = 2.0

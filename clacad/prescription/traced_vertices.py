@@ -19,6 +19,7 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.design.keys import LATTICE
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
 from clacad.prescription.radii import NoSuchLens
@@ -113,7 +114,7 @@ class CellLight:
     asked: Floats
     first: Floats
     variable: Floats
-    key: str = "lattice.aperture"
+    key: str = LATTICE.aperture
     climb: Pair2 = (0.0, 0.0)
     own: OwnLenses | None = None
 

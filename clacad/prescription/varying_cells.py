@@ -16,6 +16,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.asked_cells import cell_laws
+from clacad.design.keys import LATTICE, LAW
 from clacad.optics.law.varying import refract_each
 from clacad.prescription.aimed_cells import MOST_TRACED, STEEPEST
 from clacad.prescription.cell_sizes import CellSizes, sizes_of
@@ -28,7 +29,7 @@ from clacad.sheet.window import Face, Window
 if TYPE_CHECKING:
     from clacad.design import Design
 
-KEY = "law.varying"
+KEY = LAW.varying
 
 
 def with_varying_law(window: Window, design: Design) -> Window:
@@ -51,7 +52,7 @@ def with_varying_law(window: Window, design: Design) -> Window:
     n1, n2 = design.lattice.count
     if n1 * n2 > MOST_TRACED:
         raise NoSuchLens(f"a sheet whose law varies has a table of vertices: {n1 * n2:,} cells are more than the "
-                         f"{MOST_TRACED:,} that it may have", key="lattice.count", code="CL125", hint="fewer cells")  # fmt: skip
+                         f"{MOST_TRACED:,} that it may have", key=LATTICE.count, code="CL125", hint="fewer cells")  # fmt: skip
     cells = window.lattice.cells()
     deltas = laws.deltas(window.lattice, cells)
     sizes = None if laws.ratios is None else sizes_of(window, design, laws)

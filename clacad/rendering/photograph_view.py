@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clacad.config import overrides as override
+from clacad.config import edit_text as override
 from clacad.config.mistakes import Mistake
 from clacad.design import load
 from clacad.prescription.prescribe import prescribe

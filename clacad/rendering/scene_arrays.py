@@ -16,7 +16,7 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 from clacad.rendering.photographs import read_picture
 from clacad.scene import Background, Light, Scene, SceneObject, chess_knight
-from clacad.scene.object_rotation import turned
+from clacad.scene.chess_knight import turned
 from clacad.tracing.triangles.median_tree import Tree, behind_one_another, grow
 
 FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.digits import digits
 from clacad.base.units import millimetres
+from clacad.design.keys import CHECK
 from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def before_and_after(found: Optimised) -> BeforeAndAfter:
     """
     from clacad.optimising.gain_as_made import gain_as_made
 
-    designs = [one.replace({"check.field": f"{found.field!r} rad"}) for one in (found.start, found.design)]
+    designs = [one.replace({CHECK.field: f"{found.field!r} rad"}) for one in (found.start, found.design)]
     return BeforeAndAfter(found, _measured(designs[0]), _measured(designs[1]), gain_as_made(*designs))
 
 

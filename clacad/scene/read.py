@@ -13,7 +13,7 @@ from typing import Any
 
 from clacad.base import units
 from clacad.base.whole_numbers import whole_number
-from clacad.config import overrides as override
+from clacad.config import edit_text as override
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import located, split_key
 from clacad.config.key_reader import NO_UNIT, KeyReader

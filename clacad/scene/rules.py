@@ -9,7 +9,7 @@ from typing import Any
 
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
-from clacad.config.named_paths import folder_of, outside
+from clacad.config.toml_text import folder_of, outside
 from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
 
 

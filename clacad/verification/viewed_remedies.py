@@ -10,6 +10,7 @@ from typing import Any, Final
 from clacad.config.design_error import DesignError
 from clacad.config.edit_text import value_text
 from clacad.design import Design
+from clacad.design.keys import LATTICE, PAIR
 from clacad.design.sections import AimedAt
 from clacad.prescription.aimed_cells import refuse_aim
 from clacad.prescription.prescribe import prescribe
@@ -40,7 +41,7 @@ FARTHEST: Final = 1024.0
 STEPS: Final = 6
 """Most steps of a tenth that rays need beyond the distance for ideal lenses."""
 
-PARAXIAL: Final = {"pair.offset": "paraxial"}
+PARAXIAL: Final = {PAIR.offset: "paraxial"}
 
 
 def name_remedies(checks: Iterable[Check], design: Design, window: Window) -> list[Check]:
@@ -72,10 +73,10 @@ def _remedy_text(checks: list[Check], design: Design, window: Window, viewer: Po
 
 def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) -> Iterator[str]:
     """Keys whose change reaches the limit and makes no other check fail: aimed cells, or a field lens."""
-    point = {"lattice.aperture": {"point": [int(v) if v.is_integer() else v for v in map(float, viewer)]}}
+    point = {LATTICE.aperture: {"point": [int(v) if v.is_integer() else v for v in map(float, viewer)]}}
     n1, n2 = design.lattice.count
     aimed = point if n1 * n2 <= MOST_TRACED else point | PARAXIAL
-    for changes in (aimed, {"pair.field_lens": True}):
+    for changes in (aimed, {PAIR.field_lens: True}):
         share = _share(design, changes, viewer)
         if share >= design.check.viewed and _fails(design, changes) <= failing:
             keys = " with ".join(f"{key} = {value_text(value)}" for key, value in changes.items())
@@ -88,7 +89,7 @@ def _share(design: Design, changes: dict[str, Any], viewer: Point) -> float:
         asked = design.replace(changes)
         if isinstance(asked.lattice.aperture, AimedAt):
             asked = asked.replace(PARAXIAL)
-            refuse_aim(prescribe(asked.replace({"lattice.aperture": "aligned"})), asked)
+            refuse_aim(prescribe(asked.replace({LATTICE.aperture: "aligned"})), asked)
         return viewed(prescribe(asked), viewer, TRIED_RAYS).traced
     except (DesignError, NoSuchLens):
         return 0.0

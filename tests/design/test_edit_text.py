@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from clacad.config.edit_text import with_values
+from clacad.config.edit_text import put, with_values
 from clacad.config.key_positions import split_key
-from clacad.config.overrides import put
 from clacad.design import Design, template, templates
 from clacad.design.keys import SECTIONS
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from trust.running import clacad
 
-from clacad.design import load, shipped_folder, template, templates
+from clacad.design import load, starter_designs, template, templates
 from clacad.scene import load_scene
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -45,22 +45,22 @@ def test_a_misspelt_figure_is_told_the_nearest(tmp_path):
 
 
 def test_the_folder_of_an_installed_package_comes_before_the_one_beside_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped_folder, "_PACKAGE", tmp_path / "clacad")
+    monkeypatch.setattr(starter_designs, "_PACKAGE", tmp_path / "clacad")
     with pytest.raises(FileNotFoundError, match="install it anew"):
-        shipped_folder.shipped_designs()
+        starter_designs.shipped_designs()
     beside, within = tmp_path / "designs", tmp_path / "clacad" / "designs"
     for folder in (beside, within):
         (folder / "scenes").mkdir(parents=True)
-        assert shipped_folder.shipped_designs() == folder
+        assert starter_designs.shipped_designs() == folder
 
 
 def test_in_a_checkout_the_folder_is_the_repositorys_own():
-    assert shipped_folder.shipped_designs() == DESIGNS
+    assert starter_designs.shipped_designs() == DESIGNS
 
 
 def test_every_scene_that_comes_with_the_package_is_read_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    scenes = sorted((shipped_folder.shipped_designs() / "scenes").glob("*.toml"))
+    scenes = sorted((starter_designs.shipped_designs() / "scenes").glob("*.toml"))
     assert len(scenes) > 30
     for path in scenes:
         scene = load_scene(path)

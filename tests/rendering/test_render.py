@@ -35,7 +35,7 @@ from clacad.rendering.scene_arrays import set_stage
 from clacad.rendering.screen_measure import measure
 from clacad.rendering.sheet_passage import geometry_alone
 from clacad.scene import Scene, SceneError
-from clacad.scene.object_rotation import turned
+from clacad.scene.chess_knight import turned
 from clacad.tracing.triangles.median_tree import grow, nearest_triangle
 
 PLAIN = {

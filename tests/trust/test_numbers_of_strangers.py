@@ -127,7 +127,7 @@ def test_a_design_file_with_5000_digits_is_refused_without_python_s_words(
 
 
 def test_a_value_after_an_option_may_leave_out_the_0_before_a_point(place: Path) -> None:
-    from clacad.config.overrides import parse
+    from clacad.config.edit_text import parse
 
     assert parse("tolerances.radius=.01") == ("tolerances.radius", 0.01)
     assert parse("lattice.pitch=-.5") == ("lattice.pitch", -0.5)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
+from clacad.design.keys import LATTICE, LAW, PAIR
 from clacad.design.sections import AimedAt
 from clacad.formats.drawing.canvas import Canvas
 from clacad.formats.drawing.drawing_tables import table
@@ -26,9 +27,9 @@ def differing_key(design: Design) -> str:
     """The key of a design that makes its sheet non-uniform; "" for a uniform sheet."""
     asked = {
         "lattice.aperture.point": isinstance(design.lattice.aperture, AimedAt),
-        "law.varying": design.law_spec.varying is not None,
-        "lattice.pitch_2": design.lattice.pitch_2 is not None,
-        "pair.focus": design.pair.focus is not None,
+        LAW.varying: design.law_spec.varying is not None,
+        LATTICE.pitch_2: design.lattice.pitch_2 is not None,
+        PAIR.focus: design.pair.focus is not None,
     }
     return next((key for key, present in asked.items() if present), "")
 

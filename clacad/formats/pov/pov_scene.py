@@ -19,7 +19,7 @@ from clacad.base.types import Floats
 from clacad.formats.pov.pov_solids import refuse, sheet_lines
 from clacad.formats.pov.pov_text import NotForPov, colour, matrix, number, vector
 from clacad.scene import chess_knight
-from clacad.scene.object_rotation import turned
+from clacad.scene.chess_knight import turned
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:

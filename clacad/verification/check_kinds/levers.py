@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from clacad.design.keys import BODY, LATTICE, PAIR
+
 
 @dataclass(frozen=True, slots=True)
 class Lever:
@@ -20,24 +22,24 @@ class Lever:
     way: str
 
 
-FARTHER = Lever("pair.separation", "up")
-CLOSER = Lever("pair.separation", "down")
-FINER = Lever("lattice.pitch", "down")
-COARSER = Lever("lattice.pitch", "up")
-THICKER = Lever("pair.thickness", "up")
-THINNER = Lever("pair.thickness", "down")
-WEB = Lever("pair.web", "up")
-WIDER_NECK = Lever("body.neck", "up")
-BORDER = Lever("body.border", "up")
-SEAM = Lever("lattice.seam", "up")
-LESS_SEAM = Lever("lattice.seam", "down")
-RECIPE = Lever("pair.confocal", "word")
-BICONIC = Lever("pair.surface", "word")
-CONIC = Lever("pair.conic", "shape")
-TURNED = Lever("pair.curved", "word")
-APERTURE = Lever("lattice.aperture", "word")
-AIM = Lever("lattice.aperture", "aim")
-FIELD_LENS = Lever("pair.field_lens", "word")
+FARTHER = Lever(PAIR.separation, "up")
+CLOSER = Lever(PAIR.separation, "down")
+FINER = Lever(LATTICE.pitch, "down")
+COARSER = Lever(LATTICE.pitch, "up")
+THICKER = Lever(PAIR.thickness, "up")
+THINNER = Lever(PAIR.thickness, "down")
+WEB = Lever(PAIR.web, "up")
+WIDER_NECK = Lever(BODY.neck, "up")
+BORDER = Lever(BODY.border, "up")
+SEAM = Lever(LATTICE.seam, "up")
+LESS_SEAM = Lever(LATTICE.seam, "down")
+RECIPE = Lever(PAIR.confocal, "word")
+BICONIC = Lever(PAIR.surface, "word")
+CONIC = Lever(PAIR.conic, "shape")
+TURNED = Lever(PAIR.curved, "word")
+APERTURE = Lever(LATTICE.aperture, "word")
+AIM = Lever(LATTICE.aperture, "aim")
+FIELD_LENS = Lever(PAIR.field_lens, "word")
 
 SHARPER = (RECIPE, FARTHER, BICONIC, FINER, TURNED, APERTURE)
 """For a law that is not met sharply enough."""
@@ -52,20 +54,20 @@ UNBUILT: Final = (FARTHER, FINER, THICKER, THINNER, LESS_SEAM, RECIPE)
 """Levers of a design that cannot be built."""
 
 WORDS: Final[Mapping[str, tuple[str | bool, ...]]] = {
-    "pair.field_lens": (True,),
-    "pair.confocal": ("exact", "best"),
-    "pair.surface": ("biconic",),
-    "pair.curved": ("outside", "inside"),
-    "lattice.aperture": ("centred", "aligned"),
+    PAIR.field_lens: (True,),
+    PAIR.confocal: ("exact", "best"),
+    PAIR.surface: ("biconic",),
+    PAIR.curved: ("outside", "inside"),
+    LATTICE.aperture: ("centred", "aligned"),
 }
 """Trial words of a key."""
 
 FORMS: Final[Mapping[str, tuple[str, ...]]] = {
-    "pair.confocal": ("biconvex", "plano"),
-    "pair.surface": ("plano", "slab"),
-    "pair.curved": ("plano",),
-    "pair.conic": ("biconvex", "plano", "slab"),
-    "pair.web": ("biconvex",),
-    "pair.thickness": ("biconvex", "plano"),
+    PAIR.confocal: ("biconvex", "plano"),
+    PAIR.surface: ("plano", "slab"),
+    PAIR.curved: ("plano",),
+    PAIR.conic: ("biconvex", "plano", "slab"),
+    PAIR.web: ("biconvex",),
+    PAIR.thickness: ("biconvex", "plano"),
 }
 """Forms of the pair that have the key, or accept it without another one."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from clacad.base.digits import digits
 from clacad.base.text import count_text
+from clacad.design.keys import PAIR
 from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell
@@ -229,7 +230,7 @@ def _covering_thickness(design: Design, lens: LensFacts) -> float | None:
     for _ in range(12):
         thickness[lens.array] = wanted
         try:
-            window = prescribe(design.replace({"pair.thickness": list(thickness)}))
+            window = prescribe(design.replace({PAIR.thickness: list(thickness)}))
         except DesignError:
             return None
         found = least_thickness(window, lens.array)
@@ -257,7 +258,7 @@ def _covering_index(design: Design, lens: LensFacts) -> float | None:
         if not 1.0 < index < 4.0:
             return None
         try:
-            wanted = least_thickness(prescribe(design.replace({"pair.index": index})), lens.array)
+            wanted = least_thickness(prescribe(design.replace({PAIR.index: index})), lens.array)
         except DesignError:
             return None
         if not isfinite(wanted):
@@ -324,7 +325,7 @@ def _thicker(design: Design, check: Check) -> Check:
     keys = {
         "biconvex": "pair.thickness, pair.web, or body.border with a web",
         "plano": "pair.thickness, body.neck, or body.border",
-        "slab": "pair.separation",
+        "slab": PAIR.separation,
     }
     return replace(check, sentence=f"{check.sentence}; {keys[design.pair.form]} makes it thicker")
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from clacad import __version__
 from clacad.base.types import Floats, Progress, silent
+from clacad.design.keys import CHECK, TOLERANCES
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.tracing.worst_cell import worst_cell
@@ -174,18 +175,18 @@ def limits(design: Design) -> tuple[Limit, ...]:
     """Limits of a good sheet: those of [check], and those of [tolerances]."""
     check, own = design.check, design.tolerances
     found = [
-        Limit("law_rms", "<=", check.law_rms, "check.law_rms"),
-        Limit("law_bias", "<=", check.law_bias, "check.law_bias"),
-        Limit("eta_error", "<=", check.eta, "check.eta"),
-        Limit("delta_error", "<=", check.delta, "check.delta"),
-        Limit("kept", ">=", check.throughput, "check.throughput"),
+        Limit("law_rms", "<=", check.law_rms, CHECK.law_rms),
+        Limit("law_bias", "<=", check.law_bias, CHECK.law_bias),
+        Limit("eta_error", "<=", check.eta, CHECK.eta),
+        Limit("delta_error", "<=", check.delta, CHECK.delta),
+        Limit("kept", ">=", check.throughput, CHECK.throughput),
     ]
     for measure in ("image_shift", "blur", "residual_power", "moire_period"):
         value = getattr(own, measure)
         if value is not None:
             metres = design.unit_m if measure == "moire_period" else 1.0
             relation = ">=" if measure == "moire_period" else "<="
-            found.append(Limit(measure, relation, value * metres, f"tolerances.{measure}"))
+            found.append(Limit(measure, relation, value * metres, getattr(TOLERANCES, measure)))
     return tuple(found)
 
 
