@@ -46,7 +46,7 @@ class MakeAtlas:
 
 def run(request: MakeAtlas, console: Console) -> int:
     """Make the paper's figures and movies, measure their rows; exit 1 when one fails."""
-    from clacad.design.shipped_folder import shipped_designs
+    from clacad.design.starter_designs import shipped_designs
     from clacad.rendering.atlas.make_atlas import AtlasRequest, make_atlas, prepare
     from clacad.rendering.picture_cost import ATLAS, atlas_seconds
 
