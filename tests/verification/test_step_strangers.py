@@ -12,10 +12,12 @@ import pytest
 import clacad
 from clacad.formats.step.step_files import read_step, write_step
 from clacad.formats.step.text_health import patch_points, scan_step
+from clacad.verification.check_kinds.file_light import THROUGH_FILE
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.law_through_file import IDS
 from clacad.verification.files.step_file import judge_solid
 from clacad.verification.files.step_light import FACE_RAYS
+
+IDS = tuple(kind.id for kind in THROUGH_FILE)
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 UNITS = {"MM": 1.0, "INCH": 25.4, "M": 1000.0}
