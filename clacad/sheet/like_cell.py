@@ -26,15 +26,16 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
         Whether its cells are as wide as those of the wider array; else as those of array 1.
     """
     scales = [max(place.scale(window.lattice)) for place in window.placements]
-    return _of_width(window, index, max(scales) if widest else 1.0)
+    wider = max(scales) if widest else 1.0
+    return _of_width(window, index, (wider, wider))
 
 
 def cell_of_array(window: Window, index: Ints, array: int) -> Window:
-    """Return the uniform equivalent of the cell at `index` (2,), with cells as wide as those of an array."""
-    return _of_width(window, index, max(window.placements[array].scale(window.lattice)))
+    """Return the uniform equivalent of the cell at `index` (2,), with cells as wide and high as those of an array."""
+    return _of_width(window, index, window.placements[array].scale(window.lattice))
 
 
-def _of_width(window: Window, index: Ints, wider: float) -> Window:
+def _of_width(window: Window, index: Ints, wider: Pair2) -> Window:
     """Uniform equivalent of the cell at `index` (2,),
     with cells `wider` times as wide as those of array 1.
     """
@@ -67,7 +68,7 @@ def _of_width(window: Window, index: Ints, wider: float) -> Window:
         law=window.law_at(index),
         cell_laws=None,
         lattice=_scaled(window.lattice, wider),
-        outline=None if window.outline is None else _larger(window.outline, wider),
+        outline=None if window.outline is None else _larger(window.outline, max(wider)),
         thin=replace(
             pair, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0,
             change=None, change_1=None,
@@ -75,12 +76,12 @@ def _of_width(window: Window, index: Ints, wider: float) -> Window:
     )  # fmt: skip
 
 
-def _scaled(lattice: Lattice, factor: float) -> Lattice:
-    """Lattice with the same cells, kept or not, `factor` times as wide."""
-    if factor == 1.0:
+def _scaled(lattice: Lattice, factor: Pair2) -> Lattice:
+    """Lattice with the same cells, kept or not, `factor` times as wide and high."""
+    if factor == (1.0, 1.0):
         return lattice
-    pitch = (lattice.pitch[0] * factor, lattice.pitch[1] * factor)
-    outline = None if lattice.outline is None else _larger(lattice.outline, factor)
+    pitch = (lattice.pitch[0] * factor[0], lattice.pitch[1] * factor[1])
+    outline = None if lattice.outline is None else _larger(lattice.outline, max(factor))
     return replace(lattice, pitch=pitch, outline=outline)
 
 

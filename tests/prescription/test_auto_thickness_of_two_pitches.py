@@ -39,6 +39,23 @@ def test_each_lens_is_as_thick_as_the_cells_of_its_own_array_ask(change):
     assert [c.state for c in checks] == ["pass", "pass"]
 
 
+def test_cells_of_array_2_of_another_shape_are_covered_too():
+    """Ratios differ in x and y, and each array has its own two pitches: the corner of each cell is as thick as the web."""
+    law = {
+        "law": {"eta": [-1.2, -0.8]},
+        "lattice": {"kind": "rectangular", "pitch": [0.6, 0.4], "count": [5, 5]},
+    }
+    pair = BICONVEX["pair"] | {"separation": 6.0, "focus": {"object": -300, "image": 100}}
+    design = Design.from_dict(BICONVEX | law | {"pair": pair})
+    window = prescribe(design)
+    facts = feasibility(window)
+    scale = window.placements[1].scale(window.lattice)
+    assert abs(scale[0] - scale[1]) > 0.005
+    assert [lens.corner for lens in facts.lenses[:2]] == pytest.approx([WEB, WEB], rel=1e-9)
+    checks = [c for c in design_checks(design, window, facts) if c.id == "cover"]
+    assert [c.state for c in checks] == ["pass", "pass"]
+
+
 @pytest.mark.slow
 def test_a_lens_that_is_too_thin_for_its_array_is_the_one_that_fails():
     made = prescribe(Design.from_dict(BICONVEX | WIDER))
