@@ -116,16 +116,18 @@ def accuracy_text(measured: AccuracyTable) -> str:
     """Table as text, errors in mrad."""
     front = set(map(id, measured.pareto()))
     lines = [
-        ["", "rung", "setting", "model rms", "95 %", "max", "law rms", "other fate", "seconds", "Mrays/s", "prepare s",
-         "memory", "file"]
+        ["", "rung", "setting", "model rms", "95 %", "max", "law rms", "other fate", "seconds", "Mrays/s",
+         "prepare s", "memory", "file"]
     ]  # fmt: skip
     lines += [_line(row, id(row) in front) for row in measured.rows]
     reference = measured.reference
     notes = [
-        f"errors in mrad; truth: rung surfaces, itself {1e3 * reference['rms']:.2g} rms, {1e3 * reference['max']:.2g} "
-        f"max from a {reference['digits']:.0f}-digit trace of {reference['rays']:.0f} rays",
-        "seconds: processor time of the trace alone, best of 3; prepare s: compiling, tessellating or reading, once before the "
-        "first ray; other fate: share of the rays that end elsewhere than in the truth",
+        f"errors in mrad; truth: rung surfaces, itself {1e3 * reference['rms']:.2g} rms, "
+        f"{1e3 * reference['max']:.2g} max from a {reference['digits']:.0f}-digit trace of "
+        f"{reference['rays']:.0f} rays",
+        "seconds: processor time of the trace alone, best of 3; prepare s: compiling, tessellating or "
+        "reading, once before the first ray; other fate: share of the rays that end elsewhere than in the "
+        "truth",
         "* no other setting is better in both error and seconds",
         *measured.notes,
     ]

@@ -1,7 +1,7 @@
 """Words of the command line → a request and a console.
 
-Options may precede and follow arguments. An option takes the next word as its value, even one that begins with
-a dash.
+Options may precede and follow arguments. An option takes the next word as its value, even one that begins
+with a dash.
 """
 
 from __future__ import annotations

@@ -57,8 +57,8 @@ def run(request: MakeAtlas, console: Console) -> int:
         )
     job = prepare(
         AtlasRequest(
-            scenes, request.out, request.size, request.samples, request.movies, request.movie_size, request.rows,
-            request.measure, request.overwrite,
+            scenes, request.out, request.size, request.samples, request.movies, request.movie_size,
+            request.rows,            request.measure, request.overwrite,
         )
     )  # fmt: skip
     with console.progress() as progress, console.forecast(ATLAS, atlas_seconds(job)):
@@ -69,12 +69,7 @@ def run(request: MakeAtlas, console: Console) -> int:
 
 def _document(atlas: Atlas) -> dict[str, Any]:
     rows = {row: [one.to_dict() for one in found] for row, found in atlas.findings.items()}
-    return {
-        "folder": str(atlas.folder),
-        "files": list(atlas.files),
-        "passed": atlas.passed,
-        "rows": rows,
-    }
+    return {"folder": str(atlas.folder), "files": list(atlas.files), "passed": atlas.passed, "rows": rows}
 
 
 def _text(atlas: Atlas) -> str:

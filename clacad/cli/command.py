@@ -1,4 +1,4 @@
-"""Registry of commands: each is a frozen dataclass, whose fields are its options, and a function that runs it.
+"""Registry of commands: each is a frozen dataclass, whose fields are its options, and a function.
 
 Every module of this package whose name ends in `_command` states its commands as `COMMANDS`. Parser, help,
 completion and `clacad explain` loop over them; a new command is one new module.

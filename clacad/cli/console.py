@@ -94,7 +94,7 @@ class Console:
             self.say(f"this takes {span} of processor time")
 
     def announce_compiling(self, task: str, modelled: float) -> None:
-        """Print the cost of compiling on top of a forecast, in seconds of the reference machine; nothing for 0."""
+        """Print the cost of compiling on top of a forecast (modelled seconds); nothing for 0."""
         if modelled > 0.0:
             takes = Rates.here().span(task, modelled)
             self.say(f"what traces is compiled on the way, once on this machine: {takes} more")
@@ -155,8 +155,8 @@ def size(count: float) -> str:
 def make_writable() -> None:
     """Redirect closed standard streams to the null device, and escape characters that an encoding lacks.
 
-    A file opened later must not get the number of a closed stream, or printed text would end up in it. A terminal
-    of ASCII only, or a file name that is no text, does not change the exit status.
+    A file opened later must not get the number of a closed stream, or printed text would end up in it. A
+    terminal of ASCII only, or a file name that is no text, does not change the exit status.
     """
     for number in range(3):
         try:
@@ -189,9 +189,9 @@ ENOUGH = 0.5
 class Progress:
     """One line on stderr with the current stage and its share of completion.
 
-    Silent for the first second, and when quiet; then the current stage is printed repeatedly, even if it reports
-    nothing. The remaining time is the forecast's processor seconds at the rate at which the machine grants them.
-    On a terminal the line is rewritten; elsewhere every stage gets one line. Call it as a function:
+    Silent for the first second, and when quiet; then the current stage is printed repeatedly, even if it
+    reports nothing. The remaining time is the forecast's processor seconds at the rate of this run. On
+    a terminal the line is rewritten; elsewhere every stage gets one line. Call it as a function:
     progress(stage, fraction), fraction None or NaN where unknown.
     """
 

@@ -111,8 +111,8 @@ def plan_text(plan: Plan) -> str:
     return "\n".join(
         [
             f"rung {plan.rung}: {plan.rung_why}",
-            f"what matters: {1e3 * plan.angle:.3g} mrad, {plan.radiance:.2%} of the light; {kind} bounds of what each "
-            "effect changes:",
+            f"what matters: {1e3 * plan.angle:.3g} mrad, {plan.radiance:.2%} of the light; {kind} bounds "
+            "of what each effect changes:",
             table(rows),
             f"predicted time: {plan.cost:.3g} x the bare trace",
             plan.summary(),

@@ -87,7 +87,8 @@ def _request(design: Design, given: Export) -> Request:
     typed = {one.name: getattr(given, one.name) for one in fields(given) if one.name in OPTIONS}
     read = {
         "slope_error": given.slope_error or "auto", "quads": asked_quads(_numbers(quads), given.formats),
-        "step": one_of("step", given.step), "step_schema": one_of("step_schema", given.step_schema, str.lower),
+        "step": one_of("step", given.step),
+        "step_schema": one_of("step_schema", given.step_schema, str.lower),
         "saddle_bevel": parse_bevel(given.saddle_bevel, design), "role": asked_roles(role, given.formats),
         "paper": one_of("paper", given.paper, str.lower),
     }  # fmt: skip
@@ -130,11 +131,12 @@ def _announce(design: Design, request: Request, progress: Progress, console: Con
 
 
 def _warn_of(name: str, entry: Mapping[str, Any], limit: float) -> None:
-    """Print, even when quiet, that a file was declared a master and its light is forecast beyond the limits."""
+    """Print, even when quiet, that the light of a declared master is forecast beyond the limits."""
     if entry.get("role_overstated"):
         rms = entry.get("forecast_law_rms")
         light = "too little light gets through it" if rms is None else (
-            f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit {1e3 * limit:.3g})"
+            f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit "
+            f"{1e3 * limit:.3g})"
         )  # fmt: skip
         others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
         light += f", beyond the limit of {', '.join(others)}" if others else ""
@@ -247,8 +249,8 @@ def _export_scene(given: Export, console: Console) -> int:
     scene, out = load_scene(given.design, given.set), given.out
     if len(scene.sheets) > 1:
         raise NotPossible(
-            f"{given.design}: POV-Ray scenes hold one sheet, and this one has {len(scene.sheets)}; `clacad stack` writes "
-            "their assembly, `clacad render` their picture"
+            f"{given.design}: POV-Ray scenes hold one sheet, and this one has {len(scene.sheets)}; `clacad "
+            "stack` writes their assembly, `clacad render` their picture"
         )
     still = scene.at(0) if scene.animation is not None else scene
     with Stage(out, overwrite=given.overwrite) as stage:

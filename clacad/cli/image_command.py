@@ -123,8 +123,8 @@ def _show_forecast(request: ImagePoint, seconds: float, building: float, console
     console.show(
         lambda: {"forecast": {"rays": request.rays, "seconds": seconds, "building": building}},
         lambda: (
-            f"{request.rays:,} rays on each rung, about {seconds:.2g} s of processor time, {building:.2g} s of it to build the "
-            f"sheet, {files}; nothing is written"
+            f"{request.rays:,} rays on each rung, about {seconds:.2g} s of processor time, {building:.2g} "
+            f"s of it to build the sheet, {files}; nothing is written"
         ),
     )
     return 0
@@ -137,7 +137,8 @@ def image_text(found: Image, unit: str) -> str:
         lines.append([
             one.rung, _point(one.predicted), _point(one.found),
             "" if one.predicted.missing or one.found.missing else f"{one.off:.3g}",
-            "" if one.found.missing else ", ".join(f"{v:.4g}" for v in one.found.spot), f"{100.0 * one.share:.3g} %", "",
+            "" if one.found.missing else ", ".join(f"{v:.4g}" for v in one.found.spot),
+            f"{100.0 * one.share:.3g} %", "",
         ])  # fmt: skip
     return "\n".join([table(lines), *_notes(found, unit)])
 
@@ -149,7 +150,8 @@ NO_WIDTH = 1e-9
 def _notes(found: Image, unit: str) -> list[str]:
     """Notes below the table."""
     notes = [
-        "share: of the light on the sheet, what goes through lenses of one telescopelet; rung law: a sheet of no thickness at z = 0"
+        "share: of the light on the sheet, what goes through lenses of one telescopelet; rung law: a "
+        "sheet of no thickness at z = 0"
     ]
     if any(best.missing == "parallel" for one in found.rungs for best in (one.predicted, one.found)):
         notes.append("parallel: this light leaves the sheet parallel, and meets in no point")
@@ -166,16 +168,21 @@ def _notes(found: Image, unit: str) -> list[str]:
         notes.append(f"cells do not focus: the image of a point is {width} {unit} wide at least (x, y)")
     if found.sampling is not None:
         spot = ", ".join(f"{v:.3g}" for v in found.sampling.smooth.spot)
-        notes.append(f"sampling: the law of the cell hit turns light {1e3 * found.sampling.slope:.3g} mrad rms from the smooth law, whose spot "
-                     f"at {_place(found.sampling.smooth.point)} would be {spot} {unit}")  # fmt: skip
+        notes.append(
+            f"sampling: the law of the cell hit turns light {1e3 * found.sampling.slope:.3g} mrad rms from "
+            f"the smooth law, whose spot at {_place(found.sampling.smooth.point)} would be {spot} {unit}"
+        )
     if found.zone is not None:
         zone, number, moire = (
             ", ".join(f"{v:.4g}" for v in pair)
             for pair in (found.zone.width, found.zone.f_number, found.zone.moire)
         )
-        notes.append(f"array 2 has a pitch of its own or is turned: light along the normal stays with its partner over {zone} {unit} (x, y), "
-                     f"one lens of F-number {number} of a lattice of them, and no field of a cell survives beyond the moire period {moire} "
-                     f"{unit}; one large lens: [law.varying] f_image")  # fmt: skip
+        notes.append(
+            "array 2 has a pitch of its own or is turned: light along the normal stays with its partner "
+            f"over {zone} {unit} (x, y), one lens of F-number {number} of a lattice of them, and no field "
+            f"of a cell survives beyond the moire period {moire} {unit}; one large lens: [law.varying] "
+            "f_image"
+        )
     return notes
 
 
@@ -193,7 +200,8 @@ def _instead(found: Image, instead: Middle, unit: str) -> str:
         else f"light from {_place(instead.source)} {unit}"
     )
     return (
-        f"rung {one.rung}: {went}; {what}, through the middles of both lenses, has a share of {100.0 * instead.share:.3g} %: "
+        f"rung {one.rung}: {went}; {what}, through the middles of both lenses, has a share of "
+        f"{100.0 * instead.share:.3g} %: "
         f'--object="{place}"'
     )
 

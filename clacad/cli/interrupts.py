@@ -1,8 +1,8 @@
 """Ctrl-C ends a command within a second, regardless of its current work.
 
 Python handles a signal only in its main thread. Compilers and kernels may occupy that thread for seconds, and
-some swallow the exception. The signal therefore wakes a second thread. It allows half a second for the ordinary
-end, in which every block cleans up, and then ends the process.
+some swallow the exception. The signal therefore wakes a second thread. It allows half a second for the
+ordinary end, in which every block cleans up, and then ends the process.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class InterruptHandler:
     def handle(self, _: int, frame: FrameType | None) -> None:
         """Handle a signal: the first is raised, later ones would only break off the cleaning up after it.
 
-        Within the compiler of kernels, or while a module is loaded, the process ends instead: an exception through
-        compiled code that expects none has ended in a segmentation fault.
+        Within the compiler of kernels, or while a module is loaded, the process ends instead: an exception
+        through compiled code that expects none has ended in a segmentation fault.
         """
         self.asked = True
         if not self._heard:
@@ -101,7 +101,7 @@ def _loading(frame: FrameType | None) -> bool:
 
 @contextmanager
 def ended_in_time(interrupts: InterruptHandler) -> Iterator[None]:
-    """Within the block a signal raises KeyboardInterrupt; if that does not end the process, `INTERRUPTED` does.
+    """Within the block a signal raises KeyboardInterrupt, and soon ends the process with `INTERRUPTED`.
 
     Only in the main thread, where signals are handled; elsewhere nothing is watched. A signal that is ignored
     (as by nohup), or that has another handler, is left alone.

@@ -112,7 +112,8 @@ def _from_template(request: New, target: Path, console: Console) -> int:
     console.show(
         lambda: {"path": str(target), "template": template, "text": text, "written": not request.dry_run},
         lambda: text.rstrip("\n") if request.dry_run else (
-            f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format step"
+            f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format "
+            "step"
         ),
     )  # fmt: skip
     return 0

@@ -125,8 +125,8 @@ def run(request: Optimise, console: Console) -> int:
         with console.forecast(TASK, ahead["seconds"]) as span:
             progress.expect(span.middle)
             found = optimise(
-                design, request.free, request.field, best_so_far, weights=weights, tolerances=request.tolerances,
-                seconds=request.seconds,
+                design, request.free, request.field, best_so_far, weights=weights,
+                tolerances=request.tolerances, seconds=request.seconds,
             )  # fmt: skip
         ended.append(found)
         private.write_text(design_text(found), encoding="utf-8", newline="\n")
@@ -179,8 +179,8 @@ def _compared(found: Optimised, page: Path | None, *, overwrite: bool) -> GainAs
 def _forecast_text(ahead: dict[str, float], page: Path | None) -> str:
     files = "one file of about 4 kB" + ("" if page is None else " and a page of about 1.4 MB")
     return (
-        f"{ahead['unknowns']:.0f} unknowns, about {ahead['evaluations']:.0f} evaluations, about {ahead['seconds']:.2g} s "
-        f"of processor time on one core, {files}; nothing is written"
+        f"{ahead['unknowns']:.0f} unknowns, about {ahead['evaluations']:.0f} evaluations, about "
+        f"{ahead['seconds']:.2g} s of processor time on one core, {files}; nothing is written"
     )
 
 
@@ -207,7 +207,8 @@ def _lines(found: Optimised, made: GainAsMade | None) -> list[str]:
     """The gain as text."""
     from clacad.optimising.optimised_text import expected, gains, left_out
 
-    about = f"{found.design.name}: {found.unknowns} unknowns ({', '.join(found.free)}), {found.evaluations} evaluations"
+    free = ", ".join(found.free)
+    about = f"{found.design.name}: {found.unknowns} unknowns ({free}), {found.evaluations} evaluations"
     lines = [f"{about}, field {degrees(found.field):.4g} deg", *(f"  {text}" for text in gains(found))]
     lines += [expected(found)] if found.expected is not None else []
     lines += [left_out(found)] if found.left_out and not found.stopped else []

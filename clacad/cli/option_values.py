@@ -138,7 +138,8 @@ def parse_slopes(option: str, text: str) -> tuple[float, float]:
         ) from None
     if not hypot(x, y) <= tan(STEEPEST):
         raise BadOption(
-            f"{option} {text}: the direction lies within 80 deg of the normal, a slope of at most {tan(STEEPEST):.4g}"
+            f"{option} {text}: the direction lies within 80 deg of the normal, a slope of at most "
+            f"{tan(STEEPEST):.4g}"
         )
     return x, y
 

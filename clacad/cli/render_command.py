@@ -107,8 +107,9 @@ def _refuse_design(path: Path) -> None:
 
     if path.is_file() and "law" in top_keys(str(path)):
         raise BadOption(
-            f"{path} is a design, which has no camera: `clacad render --preset eye {path} PHOTO -o OUT` shows a photograph "
-            "through its sheet, and a scene file with [camera] and [sheet] any other view"
+            f"{path} is a design, which has no camera: `clacad render --preset eye {path} PHOTO -o OUT` "
+            "shows a photograph through its sheet, and a scene file with [camera] and [sheet] any other "
+            "view"
         )
 
 
@@ -192,7 +193,8 @@ def _movie(scene: Scene, request: Render, console: Console) -> int:
             first = view_coarsely(still, passage, progress=_coarsely(progress), frames=count)
             write_movie([first.enlarged()], out, fps, overwrite=request.overwrite)
             progress.say(
-                f"{out} is the first of {count} frames as yet, coarse, in blocks of {BLOCK} pixels; the movie takes its place"
+                f"{out} is the first of {count} frames as yet, coarse, in blocks of {BLOCK} pixels; the "
+                "movie takes its place"
             )
         with _announced(still, passage, progress, console, count):
             pictures = render_movie(scene, progress=progress)
@@ -212,7 +214,8 @@ def _show(pictures: list[Picture], files: list[Path], console: Console) -> None:
     console.show(
         lambda: {"pictures": [_document(picture, file) for picture, file in pairs]},
         lambda: "\n".join(
-            f"wrote {file}: {picture.light.shape[1]} x {picture.light.shape[0]}, {int(picture.samples.sum()):,} camera rays"
+            f"wrote {file}: {picture.light.shape[1]} x {picture.light.shape[0]}, "
+            f"{int(picture.samples.sum()):,} camera rays"
             for picture, file in pairs
         ),
     )
@@ -247,7 +250,8 @@ def _render_eye(request: Render, photo: Path, console: Console) -> int:
     if not photo.is_file():
         raise BadOption(f"{photo}: there is no such picture")
     view = EyeRequest(
-        request.scene, photo, _length(request, "--eye", request.eye), _length(request, "--distance", request.distance),
+        request.scene, photo, _length(request, "--eye", request.eye),
+        _length(request, "--distance", request.distance),
         pixels=request.pixels or 480, samples=request.samples or 16,
     )  # fmt: skip
     with console.progress() as progress:

@@ -122,7 +122,8 @@ def _base(request: Shape) -> Design:
     changes: dict[str, Any] = {} if cells is None else {"lattice.count": list(cells)}
     if design.law_spec.varying is not None:
         raise BadOption(
-            f"{request.base or '--set'}: its law varies already; leave law.varying out, this command writes it"
+            f"{request.base or '--set'}: its law varies already; leave law.varying out, this command "
+            "writes it"
         )
     if request.base is not None:
         load(request.base, (*overrides, PROBE))
@@ -192,7 +193,8 @@ def _published(
     cells = table_text(found).encode("ascii")
     named = {"file": table.name, "sha256": sha256(cells).hexdigest()}
     data["law"] = {k: v for k, v in data["law"].items() if k != "delta"} | {"varying": {"table": named}}
-    head = f"# Parallel light along the normal goes into {_name(request.target.name)}, {distance:g} {design.unit} behind array 2.\n"
+    goal = f"{_name(request.target.name)}, {distance:g} {design.unit} behind array 2"
+    head = f"# Parallel light along the normal goes into {goal}.\n"
     text = head + to_toml(data)
     with scratch_folder() as folder:  # a sheet that cannot be built leaves no file
         (folder / table.name).write_bytes(cells)
@@ -202,8 +204,10 @@ def _published(
             window = prescribe(made)
         except DesignError as error:
             message = error.mistakes[0]
-            raise BadOption(f"{message.message}; {message.hint}. A larger --distance than {distance:g} {design.unit}, or a smaller "
-                            "--width, bends the light less") from error  # fmt: skip
+            raise BadOption(
+                f"{message.message}; {message.hint}. A larger --distance than {distance:g} {design.unit}, "
+                "or a smaller --width, bends the light less"
+            ) from error
         seen = rendered(window, found, distance, request.rays)
     drawing = plot_png(seen, design.name, design.unit)
     write_set(
@@ -220,8 +224,8 @@ def _show_forecast(design: Design, cells: int, numbers: tuple[float, float, floa
     console.show(
         lambda: {"forecast": {"cells": cells, "blur": list(blur.all), "seconds": seconds}},
         lambda: (
-            f"{cells:,} cells, each a spot {_pair(blur.all)} {design.unit} wide; about {seconds:.2g} s of processor time, "
-            f"about {40 * cells / 1000:.3g} kB in three files; nothing is written"
+            f"{cells:,} cells, each a spot {_pair(blur.all)} {design.unit} wide; about {seconds:.2g} s of "
+            f"processor time, about {40 * cells / 1000:.3g} kB in three files; nothing is written"
         ),
     )
     return 0
@@ -240,12 +244,14 @@ def _document(design: Design, found: Shaped, seen: Rendered) -> dict[str, Any]:
 def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str:
     blur, unit = found.blur, design.unit
     return "\n".join([
-        f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array 2, {found.way:.4g} {unit} aside (rms)",
-        f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source {_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
+        f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array 2, "
+        f"{found.way:.4g} {unit} aside (rms)",
+        f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
+        f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
         f"  through           {100 * seen.through:.4g} % of the light, through lenses of one telescopelet",
         f"  within one blur   {100 * seen.within:.4g} % of all light",
-        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as wide as a cell: light comes in "
-        f"{len(found.cells):,} spots; by the lenses {100 * seen.by_lenses:.3g} %",
+        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as wide as "
+        f"a cell: light comes in {len(found.cells):,} spots; by the lenses {100 * seen.by_lenses:.3g} %",
     ])  # fmt: skip
 
 

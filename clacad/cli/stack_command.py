@@ -146,7 +146,8 @@ def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]
             if not 0 <= number < len(paths):
                 last = chr(ord("a") + len(paths) - 1)
                 raise BadOption(
-                    f"--set {text}: there is no sheet {letter}; sheets are a to {last}, in the order they are given"
+                    f"--set {text}: there is no sheet {letter}; sheets are a to {last}, in the order they "
+                    "are given"
                 )
             own[number].append(text.strip()[2:])
         else:
@@ -171,9 +172,10 @@ def _stack_request(
         distance = parse_distance("--object", given.object_distance, first.unit, zero=True)
     step: Any = one_of("step", given.step)
     return StackRequest(
-        gaps=gaps, ids=ids, formats=tuple(dict.fromkeys(given.formats)), field=given.field, object_distance=distance,
-        rays=given.rays, cells=given.cells, quads=given.quads, step=step, overwrite=given.overwrite,
-        force=given.force, mesh_light=given.mesh, zone=_zone(given.zone, first.unit),
+        gaps=gaps, ids=ids, formats=tuple(dict.fromkeys(given.formats)), field=given.field,
+        object_distance=distance, rays=given.rays, cells=given.cells, quads=given.quads, step=step,
+        overwrite=given.overwrite, force=given.force, mesh_light=given.mesh,
+        zone=_zone(given.zone, first.unit),
     )  # fmt: skip
 
 
@@ -209,7 +211,8 @@ def _forecast(stack: Stack, request: StackRequest, out: Path | None, console: Co
     console.show(
         lambda: {"files": found, "sheets": sheets, "seconds": [span.low, span.high]},
         lambda: (
-            f"{_sheets_text(sheets)}\n{forecast_text(found)}\nin all {span} of processor time; nothing is written"
+            f"{_sheets_text(sheets)}\n{forecast_text(found)}\nin all {span} of processor time; nothing is "
+            "written"
         ),
     )
     return 0
@@ -278,9 +281,9 @@ def stack_text(made: Stacked) -> str:
     exact, unit = made.exact, made.unit
     x, y = exact.meridians
     parts = [
-        f"share of the light that obeys all {len(made.designs)} laws: {100.0 * exact.share:.3g} %"
-        f"{_of_meridians(x.share, y.share)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} deg "
-        f"({_thin(made)}); the rest are ghosts, or lost",
+        f"share of the light that obeys all {len(made.designs)} laws: {100.0 * exact.share:.3g} "
+        f"%{_of_meridians(x.share, y.share)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} "
+        f"deg ({_thin(made)}); the rest are ghosts, or lost",
         *_spaces(made),
         _sheets_text(
             sheet_facts(one, millimetres(made.stack.unit)) | {"share": share}
@@ -335,7 +338,10 @@ def _spaces(made: Stacked) -> Iterable[str]:
         (a, b), (c, d) = (
             [0.0 if abs(v) < 1e-14 else v for v in row] for row in one.matrix
         )  # rounding of 1 - L/f at L = f
-        matrix = f"chief rays (x, t) -> ({a:.6g} x {b:+.6g} t, {c:.6g} x {d:+.6g} t), determinant {one.determinant:.6g}"
+        matrix = (
+            f"chief rays (x, t) -> ({a:.6g} x {b:+.6g} t, {c:.6g} x {d:+.6g} t), "
+            f"determinant {one.determinant:.6g}"
+        )
         if one.acts_as_space is None:
             lines.append(f"{name}: {matrix}{_by_rays(one)}")
             continue
@@ -345,8 +351,8 @@ def _spaces(made: Stacked) -> Iterable[str]:
         if one.beams is not None and abs(one.beams - one.acts_as_space) > 1e-9 * abs(one.acts_as_space):
             by_rays = f", {one.beams:.6g} for the middle of the light that gets through{by_rays}"
         lines.append(
-            f"{name}: acts as {one.acts_as_space:.6g} {made.unit} of space{by_rays}, over {one.length:.6g} {made.unit}: "
-            f"what is seen appears {abs(one.moves_image):.6g} {made.unit} {nearer}; {matrix}"
+            f"{name}: acts as {one.acts_as_space:.6g} {made.unit} of space{by_rays}, over {one.length:.6g} "
+            f"{made.unit}: what is seen appears {abs(one.moves_image):.6g} {made.unit} {nearer}; {matrix}"
         )
     return lines
 
@@ -364,8 +370,8 @@ def _sheets_text(sheets: Iterable[dict[str, Any]]) -> str:
 
 def _rungs_text(made: Stacked) -> str:
     """Table of one bundle of rays on every rung: result, distance from the exact surfaces, cost."""
-    rows = [["rung", "share", "x", "y", f"space x / {made.unit}", "y", "scatter x / pitch", "y", "error / mrad", "other fate",
-             "seconds"]]  # fmt: skip
+    rows = [["rung", "share", "x", "y", f"space x / {made.unit}", "y", "scatter x / pitch", "y",
+             "error / mrad", "other fate", "seconds"]]  # fmt: skip
     for one in made.light:
         x, y = one.meridians
         cells = [one.rung, f"{one.share:.4f}"]
@@ -379,7 +385,10 @@ def _rungs_text(made: Stacked) -> str:
 def _image_text(made: Stacked, unit: str) -> str:
     image = made.image
     predicted = ", ".join("at infinity or mixed" if v is None else f"{v:.6g}" for v in image.predicted)
-    text = f"image of a point {image.object_distance:.6g} {unit} before the stack: {predicted} {unit} behind it (x, y, chief rays)"
+    text = (
+        f"image of a point {image.object_distance:.6g} {unit} before the stack: {predicted} {unit} behind it "
+        "(x, y, chief rays)"
+    )
     if image.point is None:
         return f"{text}; too few rays meet to measure it by rays"
     x, y, z = image.point

@@ -107,12 +107,18 @@ def holds_text(entry: Mapping[str, Any]) -> str:
         solids, faces = int(entry["solids"]), int(entry["faces"])
         words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
         if instanced:
-            return f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells (--fused: one a connected piece)"
+            return (
+                f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells "
+                "(--fused: one a connected piece)"
+            )
         if entry.get("own_cells"):
             return f"{words}, one a connected piece; every cell differs, so that none can be repeated"
         if all(name in FIXTURES or name.endswith(".marked") for name in entry["bodies"]):
             return f"{words}, one a connected piece"
-        return f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells (--step instanced repeats one cell)"
+        return (
+            f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells "
+            "(--step instanced repeats one cell)"
+        )
     if "objects" not in entry:
         return ""
     objects, bodies = int(entry["objects"]), " and ".join(map(str, entry["bodies"]))
@@ -161,8 +167,8 @@ def check_text(
     light = [check for check in checks if check.where.startswith("surfaces") and check.id != "residual"]
     rules = [check for check in checks if check not in light]
     blocks = (
-        derived_text(derived), "design rules", checks_text(rules), "light through one cell", checks_text(light),
-        "what an export would cost", forecast_text(forecast),
+        derived_text(derived), "design rules", checks_text(rules), "light through one cell",
+        checks_text(light),         "what an export would cost", forecast_text(forecast),
     )  # fmt: skip
     first = headline(checks)
     return "\n".join((title, *([f"  {first}"] if first else []), *blocks))

@@ -151,8 +151,8 @@ def tolerance_text(study: Study) -> str:
         title, factor = WORDS[measure]
         low, middle, high = (f"{factor * v:.4g}" for v in study.percentiles(measure))
         blocks.append(
-            f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, half below "
-            f"{middle}, 95 % below {high}"
+            f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, "
+            f"half below {middle}, 95 % below {high}"
         )
         if measure == "law_rms":
             blocks.append("    of the worst of the middle cell and the cells in the corners, by its centre:")
@@ -194,7 +194,8 @@ def _yield_text(study: Study) -> str:
     if nominal:
         text += f"\nthe sheet as designed already misses: {', '.join(nominal)}"
     if len(study.measures):
-        text += f"\nyield {100 * share:.1f} % of {len(study.measures)} sheets (95 %: {100 * low:.1f} to {100 * high:.1f})"
+        text += f"\nyield {100 * share:.1f} % of {len(study.measures)} sheets "
+        text += f"(95 %: {100 * low:.1f} to {100 * high:.1f})"
     return text
 
 
@@ -226,13 +227,17 @@ def sweep_text(found: Sweep) -> str:
 def _light(found: Sweep) -> str:
     """The light of a sweep, in words."""
     field = (
-        "light: over the field about its middle, check.field and check.field_centre of each point (aimed cells: the field "
-        "follows them); a beam along the normal is judged with --incident 0,0"
+        "light: over the field about its middle, check.field and check.field_centre of each point (aimed "
+        "cells: the field follows them); a beam along the normal is judged with --incident 0,0"
     )
     if found.incident is not None:
         x, y = found.incident
-        field = f"light: over check.field about the slopes ({x:g}, {y:g}) of --incident along the sheet's x and y, at every point"
-    return f"{field}\nexit (mean slopes), partner and ghosts (shares of thin lenses): of the parallel beam in the middle of that light"
+        field = (
+            f"light: over check.field about the slopes ({x:g}, {y:g}) of --incident along the sheet's x "
+            "and y, at every point"
+        )
+    beam = "of the parallel beam in the middle of that light"
+    return f"{field}\nexit (mean slopes), partner and ghosts (shares of thin lenses): {beam}"
 
 
 def _optics(row: dict[str, Any]) -> list[str]:

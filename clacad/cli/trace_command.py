@@ -66,7 +66,7 @@ def run(request: Trace, console: Console) -> int:
 
 @contextmanager
 def _mesh_is_input(request: Trace) -> Iterator[None]:
-    """Within the block a mesh that cannot be read, or of another sheet, is bad input; one beyond a limit is not.
+    """Within the block a mesh that cannot be read, or of another sheet, is bad input.
 
     Raises
     ------

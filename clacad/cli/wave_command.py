@@ -18,7 +18,7 @@ TASK = "wave"
 
 @dataclass(frozen=True, kw_only=True)
 class Wave(OfDesign):
-    """Light as a wave through one telescopelet: far field, Strehl ratio, share to the partner, with its rays."""
+    """Light as a wave through one telescopelet: far field, Strehl ratio, share to the partner, its rays."""
 
     out: Path | None = option("-o, --out FILE", "Write the picture here, .png or .svg.")
     field: tuple[float, float] | None = option(
@@ -68,8 +68,9 @@ def run(request: Wave, console: Console) -> int:
 
 def _forecast_text(ahead: dict[str, float]) -> str:
     return (
-        f"{ahead['rays']:.0f} x {ahead['rays']:.0f} rays, a grid of {ahead['points']:.0f} points a side, about "
-        f"{ahead['seconds']:.2g} s of processor time, {size(ahead['bytes'])} of memory; nothing is written"
+        f"{ahead['rays']:.0f} x {ahead['rays']:.0f} rays, a grid of {ahead['points']:.0f} points a side, "
+        f"about {ahead['seconds']:.2g} s of processor time, {size(ahead['bytes'])} of memory; nothing is "
+        "written"
     )
 
 
