@@ -51,6 +51,7 @@ _HOME = {
     "trace": "clacad.tracing.trace",
     "Tracer": "clacad.tracing.tracer",
     "trace_sequence": "clacad.tracing.trace",
+    "measure_light": "clacad.tracing.worst_cell",
     "export": "clacad.exporting.export_design",
     "design_for": "clacad.advice",
     "Wish": "clacad.advice",

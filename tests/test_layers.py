@@ -17,6 +17,7 @@ ROOMS = [
     "base",  # arithmetic, tables and services without optics
     "optics",  # law, surfaces, materials, rays: single things
     "sheet",  # the sheet as built, and what follows from it in closed form
+    "light",  # light against the law, whoever traces it
     "config",  # what design and scene files share
     "design",
     "scene",
@@ -175,7 +176,7 @@ def test_mathematics_knows_numpy_and_the_standard_library_only():
 def test_only_the_forecast_of_light_traces_in_export_and_meshes_and_solids_know_no_design():
     for name in in_rooms("exporting"):
         if name != "exporting/light_forecast.py":
-            light = {"sheet/bundle.py", "sheet/light_against_law.py"}
+            light = {"sheet/bundle.py", "light/measure.py", "light/compare.py"}
             known = {room_of(target) for target in imports(name)} | (imports(name) & light)
             assert not known & {"tracing", *light}, f"{name} traces"
     for name in in_rooms("mesh", "solid", "topology"):

@@ -9,8 +9,11 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.design import Design
-from clacad.optics.rays import Fate, Rays
+from clacad.light.measure import measure
+from clacad.optics.rays import Rays
 from clacad.optics.sequence import trace_sequence
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import of_rays
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
@@ -64,10 +67,16 @@ def _eta_error(window: Window, field: float) -> float:
     low, _ = window.z_range
     middle = np.array([*window.shifts[0], window.bodies[0].front.vertex[2]])
     start = middle - direction * ((middle[2] - low + 1.0) / direction[:, 2:])
-    seen = trace_sequence(interfaces(window), Rays(start, direction))
-    if not (seen.fate == Fate.ALIVE).all():
+    faces = interfaces(window)
+    light = measure(
+        lambda lit: trace_sequence(faces, lit.rays),
+        of_rays(Rays(start, direction)),
+        RequestedLaw(window.law),
+        fewest=4,
+    )
+    if light.dark:
         return inf
-    found, asked = _change(seen.direction), _change(window.law.refract(direction))
+    found, asked = _change(light.direction), _change(light.expected)
     if not (np.isfinite(found).all() and np.isfinite(asked).all()):
         return inf
     return float(np.linalg.svd(found @ np.linalg.inv(asked) - np.eye(2), compute_uv=False).max())

@@ -11,16 +11,20 @@ n0|/(n0 − 1) (derivative of the thin pair; m = −f2/f1). *Cost* the number of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import hypot
 
 import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.effect import Declaration, Effect, When
-from clacad.effects.engine.measured_change import MOST, angles, traced_with
+from clacad.effects.engine.measured_change import MOST, traced_with
 from clacad.effects.engine.parameters import Setting
+from clacad.light.compare import angles
+from clacad.light.measure import measure
 from clacad.optics.rays import Fate, Rays
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import of_rays
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, thin_cells
 from clacad.sheet.window import Window
 
@@ -44,12 +48,6 @@ def effect(window: Window, setting: Setting) -> Effect:
         return Rays(rays.position, rays.direction, np.array(lines)[turn])
 
     return Effect(NAME, When.LAUNCH, launch=launch)
-
-
-def passes(rays: Rays, wavelengths: Sequence[float]) -> Iterator[Rays]:
-    """All rays once in each wavelength (metres)."""
-    for wave in wavelengths:
-        yield Rays(rays.position, rays.direction, np.full(len(rays), wave))
 
 
 def spread(window: Window, wavelengths: Sequence[float]) -> float:
@@ -124,10 +122,14 @@ def measured(situation: Situation) -> tuple[float, float]:
     """Largest angle of 99 % of the light that keeps its order, over the wavelengths."""
     from clacad.tracing.trace import trace
 
-    base, worst = traced_with(situation), 0.0
-    for rays in passes(situation.rays, situation.wavelengths):
-        turned = angles(base, trace(situation.window, rays, path="size"), Fate.GHOST)
-        worst = max(worst, float(np.quantile(turned, MOST)) if len(turned) else 0.0)
+    window = situation.window
+    light = measure(
+        lambda lit: trace(window, lit.rays, path="size"), of_rays(situation.rays), RequestedLaw(window.law),
+        situation.wavelengths,
+    )  # fmt: skip
+    base = traced_with(situation)
+    turned = [angles(base, line.seen, Fate.GHOST) for line in light.lines]
+    worst = max((float(np.quantile(one, MOST)) for one in turned if len(one)), default=0.0)
     return worst, 0.0
 
 

@@ -15,8 +15,9 @@ from clacad.base.units import millimetres
 from clacad.exporting.tessellations import Meshes, instanceable, weld
 from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT, Places
 from clacad.sheet.lattice import Circle, Rectangle
-from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.plate import Plate
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: boo
     if max(n1, n2) <= 8:
         return step_text_length(window, mode, pcurves)
     if not window.uniform:  # the same number of cells like the outermost one, each written out
-        like = like_cell(window, outer_cells(window)[0])
+        like = like_cell(window, representative_cells(window, "displaced")[0])
         return int(OWN_CELLS * step_bytes(like, "fused", pcurves))
     if isinstance(window.outline, Plate):
         return _plate_step_bytes(window, window.outline, mode, pcurves)

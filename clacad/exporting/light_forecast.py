@@ -8,7 +8,7 @@ module of `exporting` traces.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import hypot, inf, isfinite, isnan, nan, sqrt
@@ -19,26 +19,19 @@ import numpy as np
 from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Bools, Floats
 from clacad.exporting.tessellations import Meshes, instanceable
+from clacad.light.compare import Comparison, change_with_shift
+from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
 from clacad.optics.law import difference_of_laws
-from clacad.optics.rays import Fate
-from clacad.sheet.asked_focus import asked_directions, less_focus
-from clacad.sheet.bundle import bundle, central_cell, field_points, sent_together
-from clacad.sheet.light_against_law import (
-    FEWEST,
-    change_with_shift,
-    fitted_laws,
-    law_errors,
-    mean_error,
-    rms_error,
-    shift_of_array_2,
-)
-from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import bundle, field_points
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import WALL, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.mesh import Mesh
-    from clacad.optics.rays import Rays, TraceResult
+    from clacad.optics.rays import TraceResult
     from clacad.sheet.bundle import Bundle
     from clacad.tracing.triangles.telescopelet_facets import FacetBody
 
@@ -238,103 +231,77 @@ def _judged_cell(window: Window, field: float, centre: str) -> Window:
     Candidates are the central cell and those with the most displaced lenses; the worst has the largest rms
     error to the law.
     """
-    from clacad.tracing.trace import trace
-
-    tried = [np.array(central_cell(window)), *([] if window.uniform else outer_cells(window))]
+    tried = representative_cells(window, "forecast")
     alone = [like_cell(window, cell, widest=False).with_cells((1, 1)) for cell in tried]
     if len(alone) == 1:
         return alone[0]
-    rms = []
-    for one in alone:
-        lit = bundle(one, POINT_RAYS, field, centre)
-        rms.append(rms_error(law_errors(trace(one, lit.rays, path="numpy"), asked_directions(one, lit))))
+    rms = [
+        measure(_exactly(one), bundle(one, POINT_RAYS, field, centre), RequestedLaw.of(one)).rms
+        for one in alone
+    ]
     return alone[int(np.argmax(np.where(np.isnan(rms), inf, rms)))]
 
 
+def _exactly(window: Window) -> Send:
+    """Sender through the exact surfaces; compiled kernels would take longer to load."""
+    from clacad.tracing.trace import trace
+
+    return lambda lit: trace(window, lit.rays, path="numpy")
+
+
 class _Light:
-    """Rays of the checks over one cell, with their directions by the law and by the exact surfaces."""
+    """Bundles of the checks over one cell, and their light through the exact surfaces."""
 
     def __init__(self, window: Window, field: float, centre: str) -> None:
         self.window, self._field, self._centre = _judged_cell(window, field, centre), field, centre
+        self._law = RequestedLaw.of(self.window)
 
     @cached_property
-    def _lit(self) -> Bundle:
-        return bundle(self.window, RAYS, self._field, self._centre)
-
-    @property
-    def rays(self) -> Rays:
-        return self._lit.rays
+    def _truth(self) -> Light:
+        lit = bundle(self.window, RAYS, self._field, self._centre)
+        return measure(_exactly(self.window), lit, self._law)
 
     @cached_property
     def _points(self) -> list[Bundle]:
         directions = field_points(self.window, self._field, self._centre)
         return [bundle(self.window, POINT_RAYS, 0.0, middle=direction) for direction in directions]
 
-    @cached_property
-    def _asked(self) -> Floats:
-        return asked_directions(self.window, self._lit)
-
-    @cached_property
-    def _truth(self) -> TraceResult:
-        from clacad.tracing.trace import trace
-
-        return trace(self.window, self.rays, path="numpy")  # compiled kernels would take longer to load
-
-    @cached_property
+    @property
     def exact(self) -> float:
         """Rms direction error (radians) of the exact surfaces."""
-        return self._rms(self._truth)
+        return self._truth.rms
 
     @cached_property
     def exact_bias(self) -> float:
         """Worst angle (radians) of the mean direction to the law at a point of the field, exact surfaces."""
-        from clacad.tracing.trace import trace
-
-        return self._bias(lambda lit: trace(self.window, lit.rays, path="numpy"))
+        return self._bias(_exactly(self.window))
 
     def grade(self, quads: int, bodies: tuple[FacetBody, ...]) -> Grade:
         """Trace the rays through facets."""
         from clacad.tracing.triangles.telescopelet_facets import trace_facets
 
-        seen = trace_facets(bodies, self.rays)
-        stretch, offset = self._fitted(seen)
-        bias = self._bias(lambda lit: trace_facets(bodies, lit.rays))
-        return Grade(quads, self._rms(seen), bias, stretch, offset, self._defocus(seen))
+        def send(lit: Bundle) -> TraceResult:
+            return trace_facets(bodies, lit.rays)
 
-    def _rms(self, seen: TraceResult) -> float:
-        return rms_error(law_errors(seen, self._asked))
+        light = measure(send, self._truth.lit, self._law)
+        found = Comparison(light, self._truth)
+        stretch, offset = (nan, nan) if found.laws is None else difference_of_laws(*found.laws)
+        return Grade(quads, light.rms, self._bias(send), stretch, offset, self._defocus(found))
 
-    def _bias(self, send: Callable[[Bundle], TraceResult]) -> float:
+    def _bias(self, send: Send) -> float:
         """Worst angle of the mean direction to the law over the points of the field that are not dark."""
-        law = self.window.law
-        found = [
-            mean_error(less_focus(self.window, lit.points, out), fate, law.refract(lit.rays.direction[:1])[0])
-            for lit, (out, fate) in zip(self._points, sent_together(self._points, send), strict=True)
-        ]
+        found = [light.bias for light in measure_each(send, self._points, self._law)]
         return max((error for error in found if not isnan(error)), default=nan)
 
     @cached_property
     def _change(self) -> Floats:
-        return change_with_shift(self.window, (0, 0), self.rays)
+        return change_with_shift(self.window, (0, 0), self._truth.lit.rays)
 
-    def _both(self, seen: TraceResult) -> Bools:
-        """Rays (n,) that pass both the facets and the exact surfaces."""
-        return np.asarray((seen.fate == Fate.ALIVE) & (self._truth.fate == Fate.ALIVE))
-
-    def _defocus(self, seen: TraceResult) -> float:
+    def _defocus(self, found: Comparison) -> float:
         """Shift of array 2 that compensates the facets, over the distance between the lenses, worse axis."""
-        both = self._both(seen) & np.isfinite(self._change[:, 0])
-        if both.sum() < FEWEST:
+        if (found.both & np.isfinite(self._change[:, 0])).sum() < FEWEST:
             return nan
-        shift = shift_of_array_2(
-            self.window, seen.direction[both], self._truth.direction[both], self._change[both]
-        )
-        return float(np.nanmax(np.abs(shift), initial=0.0))
-
-    def _fitted(self, seen: TraceResult) -> tuple[float, float]:
-        """Relative error of the ratio of slopes, and error of the slope that leaves along the axis, worse axis."""
-        laws = fitted_laws(self.window.law, self.rays, seen, self._truth, self._both(seen))
-        return (nan, nan) if laws is None else difference_of_laws(*laws)
+        return float(np.nanmax(np.abs(found.focus(self.window, self._change)), initial=0.0))
 
 
 # -- facets of one telescopelet ------------------------------------------------------------------

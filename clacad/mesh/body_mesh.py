@@ -19,7 +19,7 @@ from clacad.mesh.land_ring import row_states
 from clacad.mesh.tiled import JUDGED, Tiled
 from clacad.mesh.volume import flux
 from clacad.sheet.lattice import Lattice
-from clacad.sheet.like_cell import sampled_cells
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ class BodyMesh:
             return self._tally.facets
         total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
         for tiled in (one for one in self.tiled if one.own is not None):
-            cells = sampled_cells(self.window, JUDGED)
+            cells = representative_cells(self.window, "sample", JUDGED)
             sampled = 0
             for i, j in cells.tolist():
                 states = self._states(tiled, np.array([[i, j]]))[0]

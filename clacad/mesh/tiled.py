@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from clacad.mesh.cell_template import TemplateMaker
 from clacad.sheet.lattice import Lattice
-from clacad.sheet.like_cell import outer_cells, sampled_cells
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
@@ -47,5 +45,5 @@ class Tiled:
         """Makers of representative cells for facet errors, each with the body of its uniform equivalent."""
         if self.own is None:
             return [(self.maker, body)]
-        cells = np.unique(np.concatenate([outer_cells(window), sampled_cells(window, JUDGED)]), axis=0)
+        cells = representative_cells(window, "facets", JUDGED)
         return [(self.own.at((i, j)), self.own.body_at((i, j))) for i, j in cells.tolist()]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -133,6 +135,23 @@ class TraceResult:
     def counts(self) -> dict[str, int]:
         """Number of rays of each fate, by name; every fate is listed and the numbers add up to n."""
         return fate_counts(self.fate)
+
+    def rows(self, part: slice) -> TraceResult:
+        """Result of some of the rays."""
+        of_surfaces = [None if one is None else one[:, part] for one in (self.hits, self.directions)]
+        return TraceResult(
+            self.position[part], self.direction[part], self.fate[part], self.optical_path[part], self.cell[part],
+            self.order[part], self.surface[part], self.flux[part], *of_surfaces,
+        )  # fmt: skip
+
+
+def joined_results(parts: Sequence[TraceResult]) -> TraceResult:
+    """Results of several traces, one after another; without the columns of single surfaces."""
+
+    def joined(name: str) -> Any:
+        return np.concatenate([getattr(one, name) for one in parts])
+
+    return TraceResult(*map(joined, TraceResult.__slots__[:-2]))
 
 
 def fate_counts(fates: NDArray[np.uint8]) -> dict[str, int]:

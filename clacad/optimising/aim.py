@@ -24,10 +24,10 @@ from clacad.design import Design
 from clacad.optics.fit import AskedLight, law_residuals
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import bundle
+from clacad.sheet.representative_cells import places_of_errors
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
 from clacad.verification.tolerance import Parameter, parameters, telescopelet
-from clacad.verification.tolerance.light_measures import places
 from clacad.verification.tolerance.perturbations import SIGMAS
 from clacad.verification.tolerance.study import NO_TOLERANCES, NoTolerances
 
@@ -145,7 +145,7 @@ def _errors(design: Design, window: Window) -> Iterator[tuple[Parameter, float, 
     stated = [error for error in parameters(design, window) if not error.one_sided]
     if not stated:
         raise NoTolerances(NO_TOLERANCES)
-    cells = places(window)
+    cells = places_of_errors(window)
     far = cells[int(np.argmax((cells**2).sum(axis=1)))]
     for error in stated:
         yield error, error.half / of_sigma, far if error.key in ("rotation", "tilt") else cells[0]

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from clacad.base.sobol import sobol
 from clacad.design import Design
-from clacad.optics.law import angle_between
-from clacad.optics.rays import Fate
-from clacad.sheet.bundle import central_cell, cone, launched, middle_direction
+from clacad.light.measure import measure
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import cone, launched, middle_direction
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Window
 
 FRESH = 16384
@@ -36,8 +35,7 @@ def measured(window: Window, field: float, design: Design) -> Seen:
     middle = middle_direction(small, design.check.field_centre)
     light = launched(small, small.lattice.over_cell(points[:, :2]), cone(middle, field, points[:, 2:]),
                      central_cell(small), middle, field)  # fmt: skip
-    seen = trace(small, light.rays, path="numpy")
-    good = (seen.fate == Fate.ALIVE) & (seen.order == 0).all(axis=1)
-    error = angle_between(seen.direction[good], window.law.refract(light.rays.direction[good]))
-    rms = float(np.sqrt(np.mean(error**2))) if good.any() else float("nan")
-    return Seen(field, rms, float(good.mean()))
+    found = measure(
+        lambda lit: trace(small, lit.rays, path="numpy"), light, RequestedLaw(window.law), fewest=1
+    )
+    return Seen(field, found.rms, found.share)

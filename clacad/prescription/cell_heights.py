@@ -11,7 +11,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.prescription.radii import NoSuchLens
-from clacad.sheet.outermost_cells import level_point, outermost_cells
+from clacad.sheet.representative_cells import level_point, outermost_cells
 from clacad.sheet.window import (
     Body,
     Face,

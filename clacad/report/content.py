@@ -208,9 +208,7 @@ class Content:
         """The command that makes this report again."""
         files = " --files FOLDER" if self.report.files else ""
         timings = " --timings" if self.timings else ""
-        return (
-            f"clacad verify DESIGN.toml{files} --rays {len(self.report.optics.main.rays)}{timings} -o REPORT"
-        )
+        return f"clacad verify DESIGN.toml{files} --rays {len(self.report.optics.main.lit.rays)}{timings} -o REPORT"
 
     @property
     def versions(self) -> str:

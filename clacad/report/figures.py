@@ -236,7 +236,7 @@ def budget_rows(report: Report) -> list[tuple[str, float, str]]:
             float(np.nanmax([p.spread for p in seen.points])),
             "rms about that mean, worst field point",
         ),
-        ("design, all together", seen.rms, "rms over cell and field, exact surfaces"),
+        ("design, all together", seen.main.rms, "rms over cell and field, exact surfaces"),
     ]
     for found in report.files:
         if found.mesh is not None:

@@ -3,20 +3,21 @@ law.
 
 A ray that enters lens 1 at C1 + ξ leaves with t' = (t − δ)/η − D ξ along each lens axis. D = 1/f1 + 1/f2 −
 s/(f1 f2) is the power of the pair, 0 for an afocal pair. Code that compares such light with the law subtracts
-D ξ first; the rest is error.
+D ξ first (`RequestedLaw`); the rest is error.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.optics.law import Law
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
-    from clacad.optics.rays import TraceResult
     from clacad.sheet.bundle import Bundle
 
 
@@ -28,37 +29,44 @@ def asked_power(window: Window) -> Floats:
     return np.asarray((first + second - window.thin.separation) / (first * second))
 
 
-def less_focus(window: Window, points: Floats, direction: Floats) -> Floats:
-    """Exit directions (n, 3), unit, without the effect of the requested focus.
+@dataclass(frozen=True, eq=False)
+class RequestedLaw:
+    """Law and power of the pair that light through one cell is compared with.
 
-    points : (n, 2) lengths
-        Point where each ray crosses z = 0, relative to the centre of its cell.
+    Parameters
+    ----------
+    law : Law
+    power : (2,) 1/length or None
+        D along both lens axes; None for an afocal pair.
     """
-    return _with_slopes(window, direction, points)
 
+    law: Law
+    power: Floats | None = None
 
-def _with_slopes(window: Window, direction: Floats, points: Floats) -> Floats:
-    """Directions (n, 3) with D times `points` (n, 2), lengths, added to their slopes."""
-    power = asked_power(window)
-    if not power.any():
-        return direction
-    turn = window.law.rotation
-    lens = direction @ turn
-    slopes = lens[:, :2] / lens[:, 2:] + (points @ turn[:2, :2]) * power
-    made = np.column_stack([slopes, np.ones(len(slopes))]) @ turn.T
-    return np.asarray(made / np.linalg.norm(made, axis=1)[:, None])
+    @staticmethod
+    def of(window: Window) -> RequestedLaw:
+        """Requested law of a window."""
+        power = asked_power(window)
+        return RequestedLaw(window.law, power if power.any() else None)
 
+    def refract(self, direction: Floats) -> Floats:
+        """Exit directions (n, 3) of the law; NaN where it has no answer."""
+        return self.law.refract(direction)
 
-def asked_directions(window: Window, lit: Bundle) -> Floats:
-    """Expected exit directions (n, 3), unit, of a bundle: the law and the requested focus."""
-    out = window.law.refract(lit.rays.direction)
-    return _with_slopes(window, out, -lit.points)
+    def without_focus(self, points: Floats, direction: Floats) -> Floats:
+        """Exit directions (n, 3), unit, without the effect of the requested focus.
 
+        points : (n, 2) lengths
+            Point where each ray crosses z = 0, relative to the centre of its cell.
+        """
+        if self.power is None:
+            return direction
+        turn = self.law.rotation
+        lens = direction @ turn
+        slopes = lens[:, :2] / lens[:, 2:] + (points @ turn[:2, :2]) * self.power
+        made = np.column_stack([slopes, np.ones(len(slopes))]) @ turn.T
+        return np.asarray(made / np.linalg.norm(made, axis=1)[:, None])
 
-def held_to_law(window: Window, lit: Bundle, result: TraceResult) -> TraceResult:
-    """Trace result of a bundle through one cell, its directions without the effect of the requested focus."""
-    if not asked_power(window).any():
-        return result
-    from dataclasses import replace
-
-    return replace(result, direction=less_focus(window, lit.points, result.direction))
+    def expected(self, lit: Bundle) -> Floats:
+        """Exit directions (n, 3), unit, of a bundle: the law and the requested focus."""
+        return self.without_focus(-lit.points, self.refract(lit.rays.direction))

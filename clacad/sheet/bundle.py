@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import cos, degrees, pi, sin, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
-from clacad.optics.rays import Rays, TraceResult
+from clacad.optics.rays import Rays
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
 
@@ -43,20 +42,6 @@ class Bundle:
             f"{len(self.rays)} Sobol rays, seed 0, cone of {degrees(self.field):.4g} deg, "
             f"{self.aperture:g} of the cell"
         )
-
-
-def central_cell(window: Window) -> tuple[int, int]:
-    """Kept cell nearest to the centre of the sheet, so that rays find neighbours on all sides."""
-    lattice = window.lattice
-    n1, n2 = lattice.count
-    middle = np.array([[0.0], [0.0]])
-    index, _, _ = lattice.locate(middle[0], middle[1])
-    if lattice.contains(index)[0]:
-        return int(index[0, 0]), int(index[0, 1])
-    cells = lattice.cells()
-    centres = lattice.centres(cells)
-    near = cells[int(np.argmin((centres**2).sum(axis=1)))]
-    return int(near[0]), int(near[1])
 
 
 def middle_direction(window: Window, centre: str = "axis") -> Floats:
@@ -129,20 +114,9 @@ def launched(
     return Bundle(middle, field, aperture, cell, Rays(start, direction), local)
 
 
-def sent_together(
-    lit: Sequence[Bundle], send: Callable[[Bundle], TraceResult]
-) -> list[tuple[Floats, NDArray[np.uint8]]]:
-    """Directions (n, 3) and fates (n,) of each of several bundles over one cell, traced in one call.
-
-    Additional rays add little to the cost of a call.
-    """
-    starts, ways = (
-        np.concatenate([getattr(one.rays, name) for one in lit]) for name in ("position", "direction")
-    )
-    joined = replace(lit[0], rays=Rays(starts, ways), points=np.concatenate([one.points for one in lit]))
-    seen = send(joined)
-    ends = np.cumsum([len(one.rays) for one in lit])[:-1]
-    return list(zip(np.split(seen.direction, ends), np.split(seen.fate, ends), strict=True))
+def of_rays(rays: Rays) -> Bundle:
+    """Bundle of rays over no one cell, those of a scene for instance; their points are not known."""
+    return Bundle(np.full(3, np.nan), np.nan, np.nan, (0, 0), rays, np.full((len(rays), 2), np.nan))
 
 
 def field_points(window: Window, field: float, centre: str = "axis") -> Floats:

@@ -12,18 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.sheet.cell_places import CellPlacement, extreme_cells
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
-
-SAMPLED = 64
-"""Number of cells sampled on a large sheet, in addition to the extreme cells."""
-
-SIDES = 4
-"""Number of directions in which the cell with the farthest lens is checked."""
 
 
 def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
@@ -80,48 +73,6 @@ def _of_width(window: Window, index: Ints, wider: float) -> Window:
             change=None, change_1=None,
         ),
     )  # fmt: skip
-
-
-def outer_cells(window: Window) -> Ints:
-    """Cells (m, 2) whose lenses are displaced farthest, in four directions, or are the smallest,
-    largest or steepest.
-    """
-    changes = [face.change for face in window.faces if face.change is not None]
-    if not changes:  # the arrays differ in pitch only
-        return np.asarray(sampled_cells(window, SIDES))
-    lattice = window.lattice
-    found = []
-    for face in window.faces:
-        if face.change is None:
-            continue
-        cells = extreme_cells(face.change, lattice)
-        places = window.vertices(face, cells)[:, :2]
-        angles = np.arange(SIDES) * (2.0 * np.pi / SIDES)
-        found.append(cells[[int(np.argmax(places @ (np.cos(a), np.sin(a)))) for a in angles]])
-        found.append(cells[[int(np.argmax(np.hypot(*places.T)))]])
-        size = window.lenses(face, cells).size
-        if size is not None:
-            steep = (lattice.circumradius + np.hypot(*places.T)) / size
-            found.append(cells[[int(np.argmin(size)), int(np.argmax(size)), int(np.argmax(steep))]])
-    return np.unique(np.concatenate(found), axis=0)
-
-
-def sampled_cells(window: Window, count: int = SAMPLED) -> Ints:
-    """At most `count` kept cells (n, 2), spread evenly over the sheet by Sobol points, deterministic."""
-    lattice = window.lattice
-    if lattice.cell_count <= count:
-        return lattice.cells()
-    n1, n2 = lattice.count
-    found: Ints = np.empty((0, 2), dtype=np.int64)
-    for chunk in range(64):
-        i, j = np.floor(sobol(4 * count, 2, skip=1 + 4 * count * chunk) * (n1, n2)).astype(np.int64).T
-        index = np.stack([i - j // 2 if lattice.hexagonal else i, j], axis=-1)
-        found = np.concatenate([found, index[lattice.contains(index)]])
-        _, first = np.unique(found, axis=0, return_index=True)
-        found = found[np.sort(first)]
-        if len(found) >= count:
-            break
-    return found[:count]
 
 
 def _scaled(lattice: Lattice, factor: float) -> Lattice:

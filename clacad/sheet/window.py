@@ -142,6 +142,20 @@ class Body:
             return self.index
         return float(self.material.index(wavelength))
 
+    def heated(self, kelvin: float) -> Body:
+        """The body at a temperature `kelvin` higher: another index; its expansion is a scale and bends no light.
+
+        Raises
+        ------
+        ValueError
+            No dn/dT of its material is known.
+        """
+        if self.material is None:
+            raise ValueError(f"{self.name}: an index without a material has no known change with temperature")
+        warm = self.material.heated(kelvin)
+        change = warm.index_change - self.material.index_change
+        return replace(self, index=self.index + change, material=warm)
+
 
 @dataclass(frozen=True, slots=True)
 class FieldLens:

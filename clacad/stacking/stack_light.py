@@ -16,7 +16,7 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Bools, Floats, Pair2, Progress, Rung
-from clacad.optics.law import angle_between
+from clacad.light.compare import rms_between
 from clacad.optics.rays import Fate, TraceResult
 from clacad.sheet.stack import Stack, StackedSheet
 from clacad.stacking.chief_matrices import COUPLED, expected_share, length, meridian, no_meridian
@@ -160,9 +160,8 @@ def measure_light(
         if tracer.rung == "surfaces":
             truth = trace
         both = (trace.fate == Fate.ALIVE) & (truth.fate == Fate.ALIVE)
-        apart = angle_between(trace.direction[both], truth.direction[both])
         found[tracer.rung] = replace(
-            light, error=float(np.sqrt(np.mean(apart**2))) if both.any() else float("nan"),
+            light, error=rms_between(trace.direction, truth.direction, both),
             strays=float((trace.fate != truth.fate).mean()), seconds=time.process_time() - began,
         )  # fmt: skip
     return tuple(found[tracer.rung] for tracer in tracers)

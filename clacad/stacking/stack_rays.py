@@ -9,7 +9,7 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.rays import Rays
-from clacad.sheet.bundle import central_cell
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.stack import BadStack, Stack
 from clacad.sheet.vignetting import aperture_slopes
 

@@ -17,8 +17,8 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import sharpest_bend
 from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, LensPlaces, VertexChange
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
-from clacad.sheet.outermost_cells import outermost_cells
 from clacad.sheet.plate import Plate
+from clacad.sheet.representative_cells import outermost_cells
 from clacad.sheet.turn import turned
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 

@@ -12,12 +12,14 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Floats, Ints
+from clacad.light.measure import Light, Weights, measure
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.sheet.asked_focus import less_focus
-from clacad.sheet.bundle import Bundle, bundle, central_cell
-from clacad.sheet.like_cell import SAMPLED, like_cell, outer_cells, sampled_cells
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import Bundle, bundle
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import SAMPLED, central_cell, representative_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 
@@ -60,6 +62,24 @@ class SeenCell:
     cell: Ints
     tried: int = 0
 
+    def __call__(self, lit: Bundle) -> TraceResult:
+        """Send a bundle that was made for `like` through this cell of the sheet."""
+        return self.send(lit)
+
+    def heated(self, kelvin: float) -> SeenCell:
+        """The cell at a temperature `kelvin` higher.
+
+        Raises
+        ------
+        ValueError
+            The change of an index with temperature is not known.
+        """
+        whole, like = (
+            replace(one, bodies=tuple(body.heated(kelvin) for body in one.bodies))
+            for one in (self.window, self.like)
+        )
+        return replace(self, window=whole, like=whole if self.like is self.window else like)
+
     @property
     def buildable(self) -> Window:
         """`like` without a cut outline, with room for displaced partners: the window that meshes and solids
@@ -84,6 +104,39 @@ class SeenCell:
         return np.asarray(lit.rays.position + [*apart, 0.0])
 
 
+def measure_light(
+    window: Window, field: float, wavelengths: Weights = (), temperatures: Weights = (), rays: int = 16384
+) -> Light:
+    """Measure the light of a sheet in several colours and at several temperatures.
+
+    Parameters
+    ----------
+    window : Window
+    field : float, radians
+        Half angle of the cone of rays about the axis; 0 for parallel light.
+    wavelengths : mapping of metres to weight, or sequence of metres
+        Lines of the light; empty: the design's.
+    temperatures : mapping of kelvin to weight, or sequence of kelvin
+        Temperatures above that of the design, at which the index is n + dn/dT times that; empty: the design's.
+    rays : int
+        Rays of each line, over the cell by which the sheet is judged.
+
+    Returns
+    -------
+    Light
+        Of all lines together; `Light.lines` holds them one by one.
+
+    Raises
+    ------
+    ValueError
+        A weight is not positive; or an index is not known at a wavelength, or its change with temperature.
+    """
+    cell = worst_cell(window, field)
+    return measure(
+        cell, bundle(cell.like, rays, field), RequestedLaw.of(cell.like), wavelengths, temperatures
+    )
+
+
 def worst_cell(window: Window, field: float) -> SeenCell:
     """The tried cell whose light of a cone (half angle `field`, radians) leaves farthest from the law."""
     return worst_of(tried_cells(window, field), field)
@@ -98,7 +151,7 @@ def tried_cells(window: Window, field: float) -> list[SeenCell]:
     """
     if window.uniform:
         return [SeenCell(window, window, np.array(central_cell(window)))]
-    cells = np.concatenate([outer_cells(window), sampled_cells(window)])
+    cells = representative_cells(window, "light")
     if SAMPLED < window.lattice.cell_count <= MOST_SCREENED:
         cells = np.concatenate([cells, _screened(window, field)])
     return _as_seen(window, np.unique(cells, axis=0))
@@ -131,18 +184,18 @@ def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
     """Rms angle (n,) of the light of each cell to the law, by `count` rays; infinite where almost no light
     gets through.
     """
-    rays, alive, direction = through_all(tried, field, count)
-    each = rays.direction.reshape(len(tried), -1, 3)
+    rays, seen = through_all(tried, field, count)
+    alive, each = seen.fate == Fate.ALIVE, rays.direction.reshape(len(tried), -1, 3)
     asked = np.concatenate([one.like.law.refract(some) for one, some in zip(tried, each, strict=True)])
-    error = np.where(alive, angle_between(direction, asked), np.nan).reshape(len(tried), -1)
+    error = np.where(alive, angle_between(seen.direction, asked), np.nan).reshape(len(tried), -1)
     through = alive.reshape(len(tried), -1).sum(axis=1)
     rms = np.sqrt(np.nansum(error**2, axis=1) / np.maximum(through, 1))
     return np.where(through < FEWEST_TRIED * count / TRIED_RAYS, np.inf, rms)
 
 
-def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, Bools, Floats]:
-    """Trace `count` rays through every tried cell of a sheet; return them, which are ALIVE, and where they
-    go.
+def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, TraceResult]:
+    """Trace `count` rays through every tried cell of a sheet; the result is without the effect of the requested
+    focus.
     """
     starts, rays, points = [], [], []
     for one in tried:
@@ -152,5 +205,6 @@ def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) ->
         points.append(lit.points)
     sent = Rays(np.concatenate(starts), np.concatenate(rays))
     result = trace(tried[0].window, sent, path="size")
-    direction = less_focus(tried[0].window, np.concatenate(points), result.direction)
-    return sent, result.fate == Fate.ALIVE, direction
+    law = RequestedLaw.of(tried[0].window)
+    direction = law.without_focus(np.concatenate(points), result.direction)
+    return sent, replace(result, direction=direction)

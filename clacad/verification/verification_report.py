@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
 from clacad.exporting.roles import Role
+from clacad.light.measure import Light
 from clacad.sheet.feasibility import Feasibility, describe, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
@@ -190,7 +191,9 @@ class Report:
             },
             "derived": [list(row) for row in describe(self.window, self.facts)],
             "checks": [check.to_dict() for check in self.checks],
-            "field": [_field_row(p) for p in self.optics.points],
+            "field": [
+                _field_row(*pair) for pair in zip(self.optics.points, self.optics.closed_form, strict=True)
+            ],
             "transfer": [_curve_row(c) for c in self.curves],
             "files": [_file_row(f) for f in self.files],
             "notes": list(self.design.notes),
@@ -241,10 +244,10 @@ def _verdict_row(one: FileVerdict) -> dict[str, Any]:
     return dict(plain(row))
 
 
-def _field_row(point: Any) -> dict[str, Any]:
+def _field_row(point: Light, closed_form: float) -> dict[str, Any]:
     row = {
-        "direction": point.direction, "expected": point.expected, "bias": point.bias, "spread": point.spread,
-        "rms": point.rms, "worst": point.worst, "share": point.share, "closed_form": point.closed_form,
+        "direction": point.lit.middle, "expected": point.expected[0], "bias": point.bias, "spread": point.spread,
+        "rms": point.rms, "worst": point.worst, "share": point.share, "closed_form": closed_form,
         "counts": point.counts,
     }  # fmt: skip
     return dict(plain(row))
@@ -276,7 +279,7 @@ def asked_and_built(report: Report, sheet: Window) -> list[tuple[str, str, str]]
 
     sheet : the whole sheet, of which `report.window` may be the uniform equivalent of one cell.
     """
-    design, window, law, fit = report.design, report.window, report.design.law, report.optics.fit
+    design, window, law, fit = report.design, report.window, report.design.law, report.optics.narrow.fitted
     dark = "not measured"
     index = (
         "from material " + str(design.pair.material)
@@ -293,7 +296,7 @@ def asked_and_built(report: Report, sheet: Window) -> list[tuple[str, str, str]]
         ("cells", " × ".join(str(n) for n in design.lattice.count), str(sheet.lattice.cell_count)),
         ("refractive index", index, ", ".join(f"{body.index:.6g}" for body in window.bodies)),
         ("wavelength (nm)", f"{1e9 * design.pair.wavelength:g}", f"{1e9 * report.facts.wavelength:g}"),
-        ("cone of test rays (deg)", f"{degrees(design.check.field):g}", str(report.optics.main)),
+        ("cone of test rays (deg)", f"{degrees(design.check.field):g}", str(report.optics.main.lit)),
     ]  # fmt: skip
 
 

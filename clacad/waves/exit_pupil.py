@@ -19,7 +19,8 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.optics.rays import Fate, Rays
-from clacad.sheet.bundle import bundle, central_cell, launched
+from clacad.sheet.bundle import bundle, launched
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Window, in_optical_tile
 from clacad.storage.errors import LimitRefused
 from clacad.tracing.layout import lay_out

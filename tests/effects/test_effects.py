@@ -309,16 +309,19 @@ def test_dispersion_of_a_constant_index_is_nothing():
 
 
 def test_each_line_is_traced_with_its_own_index():
-    from clacad.effects.dispersion import passes
+    from clacad.light.measure import measure
+    from clacad.sheet.asked_focus import RequestedLaw
+    from clacad.sheet.bundle import of_rays
 
     glass = Material("toy", "cauchy", (1.48, 0.005, -2.0), (400e-9, 700e-9), "made up")
     sheet = window("slab")
     sheet = replace(sheet, bodies=tuple(replace(b, material=glass) for b in sheet.bodies))
     rays = bundle("slab")
     lines = (450e-9, 650e-9)
-    for wave, part in zip(lines, passes(rays, lines), strict=True):
+    light = measure(lambda lit: trace(sheet, lit.rays), of_rays(rays), RequestedLaw(sheet.law), lines)
+    for wave, line in zip(lines, light.lines, strict=True):
         expected = trace(indexed(sheet, glass.index(wave)), rays)
-        assert same(trace(sheet, part), expected, ("direction", "fate", "position"))
+        assert same(line.seen, expected, ("direction", "fate", "position"))
 
 
 # -- diffraction -------------------------------------------------------------------------------

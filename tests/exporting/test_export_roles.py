@@ -177,7 +177,7 @@ def test_auto_keeps_every_limit_of_light_not_the_rms_alone():
             65536,
         )
         found[quads] = (
-            light.rms <= design.check.law_rms,
+            light.light.rms <= design.check.law_rms,
             np.abs(light.shift).max() <= design.check.confocality,
         )
     assert found == {16: (True, False), 32: (True, True)}

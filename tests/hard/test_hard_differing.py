@@ -17,7 +17,8 @@ from clacad import Rays, load, prescribe, trace
 from clacad.optics.rays import Fate
 from clacad.prescription.radii import NoSuchLens
 from clacad.prescription.traced_vertices import BRACKET, _cell_points, traced_moves
-from clacad.sheet.like_cell import like_cell, outer_cells, sampled_cells
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import aperture_slopes
 
 ROOT = Path(__file__).parents[2]
@@ -134,12 +135,12 @@ def test_the_cells_of_a_stand_in_are_as_wide_as_the_wider_array():
 
 def test_the_cells_that_stand_out_are_those_farthest_in_four_directions():
     window = window_of({"lattice.aperture": {"point": [0, 0, -400]}, "lattice.count": [41, 31]}.items())
-    cells = {tuple(cell) for cell in outer_cells(window).tolist()}
+    cells = {tuple(cell) for cell in representative_cells(window, "displaced").tolist()}
     assert {0, 40} <= {i for i, _ in cells}
     assert {0, 30} <= {j for _, j in cells}
     assert len(cells) <= 5
     assert {i in (0, 40) and j in (0, 30) for i, j in cells} >= {True}
-    few = sampled_cells(window, 20)
+    few = representative_cells(window, "sample", 20)
     assert len(np.unique(few, axis=0)) == 20
     assert np.ptp(few, axis=0).min() > 20
 

@@ -163,7 +163,7 @@ def test_light_is_alive_where_every_face_is_met_in_the_telescopelet(name):
 
 
 def _central(window):
-    from clacad.sheet.bundle import central_cell
+    from clacad.sheet.representative_cells import central_cell
 
     return np.array(central_cell(window))
 

@@ -10,7 +10,8 @@ from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle
-from clacad.sheet.like_cell import like_cell, sampled_cells
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import representative_cells
 from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_cell
 
 TEXT = """format = 1
@@ -57,11 +58,11 @@ def test_the_worst_cell_is_that_of_all_cells_of_the_sheet(design):
         errors[tuple(cell.tolist())] = float(np.sqrt(np.mean(off**2)))
     found = errors[tuple(worst_cell(window, field).cell.tolist())]
     assert found >= 0.99 * max(errors.values())
-    sample = max(errors[tuple(cell)] for cell in sampled_cells(window).tolist())
+    sample = max(errors[tuple(cell)] for cell in representative_cells(window, "sample").tolist())
     assert sample < 0.97 * max(errors.values())  # 64 of 144 cells miss it
 
 
 def test_an_even_sample_stays_among_the_cells_that_are_tried(design):
     window = prescribe(design)
     tried = {tuple(one.cell.tolist()) for one in tried_cells(window, design.check.field)}
-    assert {tuple(cell) for cell in sampled_cells(window).tolist()} <= tried
+    assert {tuple(cell) for cell in representative_cells(window, "sample").tolist()} <= tried

@@ -15,7 +15,8 @@ from clacad.exporting.export_design import export
 from clacad.exporting.roles import Role
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.bundle import bundle, central_cell
+from clacad.sheet.bundle import bundle
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.telescopelet import interfaces
 from clacad.tracing.sampled_face import height_and_slope, meet_sampled, sampled_face
 from clacad.tracing.trace import trace, trace_sequence
@@ -59,14 +60,14 @@ def test_the_shift_that_was_made_is_the_shift_that_is_found(design, part):
     found = measure_light(design, window, through(window, [0.0, 0.0, part * distance]), RAYS, 512)
     np.testing.assert_allclose(found.shift, -part, rtol=0.03, atol=5e-5)  # rays on borders enter next door
     # the same by brute force: the shift with the least rms to the law, of the moved pair less of the pair as designed
-    asked = window.law.refract(found.rays.rays.direction)
-    both = (found.seen.fate == Fate.ALIVE) & (found.truth.fate == Fate.ALIVE)
+    asked = window.law.refract(found.light.lit.rays.direction)
+    both = (found.light.seen.fate == Fate.ALIVE) & (found.compared.exact.seen.fate == Fate.ALIVE)
     least = []
     for start in (part, 0.0):
         slides = np.linspace(-0.02, 0.02, 9)
         squares = []
         for slide in slides:
-            seen = through(window, [0.0, 0.0, (start + slide) * distance])(found.rays)
+            seen = through(window, [0.0, 0.0, (start + slide) * distance])(found.light.lit)
             good = both & (seen.fate == Fate.ALIVE)
             off = (seen.direction - asked)[good] @ window.thin.rotation[:, :2]
             squares.append((off**2).mean(axis=0))
@@ -78,13 +79,16 @@ def test_the_shift_that_was_made_is_the_shift_that_is_found(design, part):
 def test_exact_faces_are_off_by_nothing_but_the_designs_own_aberration():
     window = prescribe(DESIGN)
     found = measure_light(DESIGN, window, lambda lit: trace(window, lit.rays), RAYS, 512)
-    truth = trace(window, found.rays.rays)
-    asked = window.law.refract(found.rays.rays.direction)
+    truth = trace(window, found.light.lit.rays)
+    asked = window.law.refract(found.light.lit.rays.direction)
     alive = truth.fate == Fate.ALIVE
     cosine = np.einsum("ij,ij->i", truth.direction[alive], asked[alive])
     sine = np.linalg.norm(np.cross(truth.direction[alive], asked[alive]), axis=1)
-    assert found.rms == pytest.approx(np.sqrt(np.mean(np.arctan2(sine, cosine) ** 2)), rel=1e-12)
-    assert (found.law.eta_x, found.law.eta_y) == (found.exact.eta_x, found.exact.eta_y)
+    assert found.light.rms == pytest.approx(np.sqrt(np.mean(np.arctan2(sine, cosine) ** 2)), rel=1e-12)
+    assert (found.compared.laws[0].eta_x, found.compared.laws[0].eta_y) == (
+        found.compared.laws[1].eta_x,
+        found.compared.laws[1].eta_y,
+    )
     np.testing.assert_allclose(found.shift, 0.0, atol=1e-10)
     assert found.field[0] == alive.mean()
 
@@ -94,7 +98,7 @@ def test_a_wrong_offset_is_found_as_delta():
     f1 = 10.0 / (1.0 + np.array([0.5, 1.0]))  # thin: s/(1 − η)
     aside = 0.01 * f1[0]
     found = measure_light(DESIGN, window, through(window, [aside, 0.0, 0.0]), RAYS, 512)
-    assert found.law.delta_x - found.exact.delta_x == pytest.approx(0.01, rel=0.05)
+    assert found.compared.laws[0].delta_x - found.compared.laws[1].delta_x == pytest.approx(0.01, rel=0.05)
     checks = {c.id: c for c in light_checks(Inspection(DESIGN, "x", RAYS), found)}
     assert checks["file_law_delta"].state == "fail"
     assert checks["file_law_eta"].state == "pass"
@@ -156,17 +160,20 @@ def test_light_through_a_neighbouring_lens_is_told_apart_from_the_error_of_the_p
         return replace(result, direction=bent / np.linalg.norm(bent, axis=1, keepdims=True))
 
     found = measure_light(DESIGN, window, displaced, RAYS, 512)
-    design_rms = measure_light(DESIGN, window, lambda lit: trace(window, lit.rays), RAYS, 512).rms
+    design_rms = measure_light(DESIGN, window, lambda lit: trace(window, lit.rays), RAYS, 512).light.rms
     assert found.strayed == pytest.approx(0.06, abs=0.02)
     assert found.partner == pytest.approx(np.hypot(design_rms, shift / focal), rel=0.02)
     stray = (pitch - shift) / focal
-    assert found.rms == pytest.approx(np.hypot(found.partner, np.sqrt(found.strayed) * stray), rel=0.1)
+    assert found.light.rms == pytest.approx(np.hypot(found.partner, np.sqrt(found.strayed) * stray), rel=0.1)
     check = light_checks(
-        Inspection(DESIGN, "x", RAYS), found, rms=[found.rms, 0.5 * found.rms], cells=[(0, 0), (1, 1)]
+        Inspection(DESIGN, "x", RAYS),
+        found,
+        rms=[found.light.rms, 0.5 * found.light.rms],
+        cells=[(0, 0), (1, 1)],
     )[0]
-    assert check.value == found.rms
+    assert check.value == found.light.rms
     assert "(in cell (0, 0), worst of 2)" in check.sentence
-    assert f"over all 2 cells {1e3 * found.rms * np.sqrt(0.625):.4g} mrad" in check.sentence
+    assert f"over all 2 cells {1e3 * found.light.rms * np.sqrt(0.625):.4g} mrad" in check.sentence
     assert f"the rest {1e3 * found.partner:.4g} mrad rms from the law" in check.sentence
 
 

@@ -32,10 +32,10 @@ from clacad.storage.errors import FileDisagrees, UnreadableFile
 from clacad.storage.overheard import Overheard
 from clacad.verification import verify
 from clacad.verification.files import mesh_wholeness
-from clacad.verification.files.cell_triangles import Gatherer, chosen_cells
+from clacad.verification.files.cell_triangles import Gatherer
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_file import judge_mesh
-from clacad.verification.files.mesh_light import rays_for
+from clacad.verification.files.mesh_light import lit_cells, rays_for
 from clacad.verification.files.mesh_shape import clean_forecast
 from clacad.verification.files.mesh_wholeness import connected
 from clacad.verification.files.repeated_parts import placement_check
@@ -562,7 +562,7 @@ def test_the_forecast_of_the_clean_cut_does_not_know_the_noise(tmp_path):
     window = prescribe(WINDOW)
     forecasts = []
     for noise in (0.0, 1e-3):
-        gatherer = Gatherer(window, chosen_cells(window))
+        gatherer = Gatherer(window, lit_cells(window, 0.0))
         for chunk in read_mesh(stl(tmp_path, WINDOW, 16, noise)).chunks():
             gatherer.look(chunk)
         forecasts.append(clean_forecast(window, gatherer.result, 0))

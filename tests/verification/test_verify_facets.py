@@ -11,8 +11,9 @@ from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, facet_face, first_crossing, trace_facets
-from clacad.verification.files.cell_triangles import Gatherer, chosen_cells, telescopelet
+from clacad.verification.files.cell_triangles import Gatherer, telescopelet
 from clacad.verification.files.facet_deviation import deviation, forecast_rms
+from clacad.verification.files.mesh_light import lit_cells
 
 PLAIN = Design.from_dict({
     "format": 1, "name": "plain", "unit": "mm", "law": {"eta": [-0.5, -1.0]},
@@ -84,7 +85,7 @@ def test_no_ray_slips_between_two_facets():
 def test_gathering_in_chunks_gives_the_facets_of_a_cell_once_each():
     window = prescribe(PLAIN)
     soup = sheet_facets(window, 4)
-    cells = chosen_cells(window)
+    cells = lit_cells(window, 0.0)
     whole, pieces = Gatherer(window, cells), Gatherer(window, cells)
     whole.look(soup)
     for k in range(0, len(soup), 37):
@@ -100,7 +101,7 @@ def test_gathering_in_chunks_gives_the_facets_of_a_cell_once_each():
 
 def test_the_cells_looked_at_hold_the_middle_and_all_four_corners():
     window = prescribe(PLAIN)
-    cells = chosen_cells(window)
+    cells = lit_cells(window, 0.0)
     assert {(0, 0), (4, 0), (0, 3), (4, 3)} <= set(cells)
     assert len(set(cells)) == len(cells)
     assert cells[0] in {(2, 1), (2, 2)}
@@ -111,7 +112,7 @@ def test_the_cells_looked_at_hold_the_middle_and_all_four_corners():
 )
 def test_the_cells_looked_at_are_the_outermost_of_all(kind, count):
     window = prescribe(PLAIN.replace({"lattice.kind": kind, "lattice.count": count}))
-    chosen = chosen_cells(window)
+    chosen = lit_cells(window, 0.0)
     assert window.lattice.contains(np.array(chosen)).all()
     every, own = (window.lattice.centres(cells) for cells in (window.lattice.cells(), np.array(chosen)))
     for way in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):

@@ -11,13 +11,20 @@ from clacad.design import Design
 from clacad.optics.rays import Fate
 from clacad.optics.surface import Quadric
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.bundle import bundle, central_cell, cone, field_points, middle_direction
+from clacad.sheet.bundle import bundle, cone, field_points, middle_direction
 from clacad.sheet.feasibility import feasibility
+from clacad.sheet.representative_cells import central_cell
 from clacad.tracing.trace import trace
 from clacad.verification.checks import passed
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.confocality import confocality
-from clacad.verification.light.law_checks import confocality_check, law_checks, measure, throughput_check
+from clacad.verification.light.law_checks import (
+    accounting,
+    confocality_check,
+    law_checks,
+    optics_of,
+    throughput_check,
+)
 from clacad.verification.light.through_window import judge_light
 
 BASE = Design.from_dict({
@@ -126,7 +133,7 @@ def angled(name):
 
 def by_light(design, window):
     claimed = replace(window, law=design.law)
-    seen = measure(design, claimed, lambda lit: trace(claimed, lit.rays), RAYS, POINT_RAYS)
+    seen = optics_of(design, claimed, lambda lit: trace(claimed, lit.rays), RAYS, POINT_RAYS)
     return {c.id: c for c in law_checks(design, seen)}
 
 
@@ -207,7 +214,7 @@ def test_a_defocus_of_one_percent_breaks_position_independence():
     )
     right, wrong = prescribe(near), scaled_lens_2(prescribe(near), 1.01)
     spread = [
-        measure(near, w, lambda lit, w=w: trace(w, lit.rays), RAYS, POINT_RAYS).points[0].spread
+        optics_of(near, w, lambda lit, w=w: trace(w, lit.rays), RAYS, POINT_RAYS).points[0].spread
         for w in (right, wrong)
     ]
     assert spread[0] < 1e-5
@@ -221,8 +228,8 @@ def test_the_paper_base_has_its_published_errors(recipe, rms, bias):
         "lattice.count": [200, 200],
     })  # fmt: skip
     window = prescribe(design)
-    seen = measure(design, window, lambda lit: trace(window, lit.rays), 16384)
-    assert seen.rms == pytest.approx(rms, rel=0.02)
+    seen = optics_of(design, window, lambda lit: trace(window, lit.rays), 16384)
+    assert seen.main.rms == pytest.approx(rms, rel=0.02)
     found = max(seen.points[1].bias, seen.points[5].bias)  # ±1 degree in x
     assert found == pytest.approx(bias, rel=0.03) if recipe == "exact" else found < 1e-3
 
@@ -230,7 +237,7 @@ def test_the_paper_base_has_its_published_errors(recipe, rms, bias):
 def test_without_light_nothing_is_green():
     """Remove the input of the traced checks, the light: they do not run, and the report does not pass."""
     window = prescribe(BASE)
-    none = measure(BASE, window, lambda lit: replace_fate(trace(window, lit.rays)), RAYS, POINT_RAYS)
+    none = optics_of(BASE, window, lambda lit: replace_fate(trace(window, lit.rays)), RAYS, POINT_RAYS)
     checks = [*law_checks(BASE, none), throughput_check(BASE, window, none)]
     states = {c.id: c.state for c in checks}
     assert {states[name] for name in ("law_rms", "law_bias", "spread", "eta", "delta", "tilt")} == {"not run"}
@@ -244,13 +251,12 @@ def replace_fate(result):
 
 def test_a_ray_lost_or_a_nan_that_lives_fails_the_accounting():
     window = prescribe(BASE)
-    seen = measure(BASE, window, lambda lit: trace(window, lit.rays), RAYS, POINT_RAYS)
-    direction = seen.result.direction.copy()
+    optics = optics_of(BASE, window, lambda lit: trace(window, lit.rays), RAYS, POINT_RAYS)
+    seen = optics.main.seen
+    direction = seen.direction.copy()
     direction[7] = np.nan
-    for result in (replace(seen.result, direction=direction), replace(seen.result, fate=seen.result.fate[:-1],
-                   direction=seen.result.direction[:-1], position=seen.result.position[:-1])):  # fmt: skip
-        checks = {c.id: c for c in law_checks(BASE, replace(seen, result=result))}
-        assert checks["accounting"].state == "fail"
+    for result in (replace(seen, direction=direction), seen.rows(slice(-1))):
+        assert accounting(replace(optics.main, seen=result), "surfaces").state == "fail"
 
 
 # -- confocality: thick lenses by the 2 × 2 matrices of paraxial optics -----------------------------

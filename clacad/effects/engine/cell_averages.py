@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.like_cell import like_cell, sampled_cells
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Body, Face, Window, column, face_height, optical_tile
 
@@ -55,7 +56,7 @@ def _over_cells(window: Window, number: int) -> float:
     """Mean thickness of a body over cells spread over the sheet; kept with the window."""
     kept: dict[int, float] = window.kept.setdefault("mean_thickness", {})
     if number not in kept:
-        likes = [like_cell(window, cell, widest=False) for cell in sampled_cells(window)]
+        likes = [like_cell(window, cell, widest=False) for cell in representative_cells(window, "sample")]
         kept[number] = float(np.mean([mean_thickness(like, like.bodies[number]) for like in likes]))
     return kept[number]
 

@@ -10,7 +10,7 @@ from clacad.effects.engine.camera_light import light_reaching_camera
 from clacad.effects.engine.effect import Declaration
 from clacad.effects.engine.light_rays import LightRays
 from clacad.effects.engine.passes import trace_with
-from clacad.optics.law.angle import angle_between
+from clacad.light.compare import angles
 from clacad.optics.rays import Fate, TraceResult
 
 MOST = 0.99
@@ -63,9 +63,3 @@ def turned_angles(situation: Situation, name: str, last: Fate = Fate.GHOST) -> F
     """
     turned = angles(traced_with(situation), traced_with(situation, name), last)
     return turned if len(turned) else np.zeros(1)
-
-
-def angles(a: TraceResult, b: TraceResult, last: Fate) -> Floats:
-    """Angles (k,), radians, between exit directions of rays that pass both traces with one fate and order."""
-    same = (a.fate <= last) & (a.fate == b.fate) & (a.order == b.order).all(axis=1)
-    return angle_between(a.direction[same], b.direction[same])

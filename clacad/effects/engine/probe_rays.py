@@ -14,7 +14,7 @@ from clacad.effects.dispersion import LINES
 from clacad.effects.engine.bounds import PROBE, Situation
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Rays
-from clacad.sheet.like_cell import sampled_cells
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import aperture_slope, aperture_slopes
 from clacad.sheet.window import Window
 
@@ -58,7 +58,7 @@ def situation_of_window(
 def cone(window: Window, field: float, count: int = PROBE) -> Rays:
     """Rays of a cone about the middle of the field, starting below the sheet."""
     u = sobol(count, 4)
-    cells = middle_cells(window) if window.uniform else sampled_cells(window)
+    cells = middle_cells(window) if window.uniform else representative_cells(window, "sample")
     centres = window.lattice.centres(cells)
     cell = np.minimum((u[:, 0] * len(centres)).astype(np.intp), len(centres) - 1)
     # one parallelogram of the lattice per cell: even for any outline of the cell

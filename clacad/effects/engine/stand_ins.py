@@ -19,14 +19,9 @@ from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.effect import Declaration
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import rows_through_outermost
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
-
-SAMPLED = 16
-"""Number of cells tried in addition to those with the outermost lenses."""
-
-DIRECTIONS = 8
-"""Number of directions in which the outermost lenses are searched."""
 
 RAYS = 512
 """Number of rays through each cell that is tried."""
@@ -79,7 +74,7 @@ def _stand_ins(situation: Situation) -> Iterator[tuple[tuple[int, int], Situatio
     cells, x, y = situation.window.lattice.locate(*_in_sheet(rays).T)
     # the slope at the middle of the cell that a ray hits
     way = rays.direction[:, :2] / rays.direction[:, 2:] - np.column_stack([x, y]) / situation.sheet_distance
-    for row in _tried(situation.window, cells):
+    for row in rows_through_outermost(situation.window, cells):
         like = like_cell(situation.window, cells[row], widest=False)
         slope = np.array(aperture_slope(like)) if situation.spread > 0.0 else way[row]
         light = _over_cell(like, cells[row], slope, situation)
@@ -91,24 +86,6 @@ def _in_sheet(rays: Rays) -> Floats:
     """Points (n, 2) where rays cross z = 0."""
     step = rays.position[:, 2:] / rays.direction[:, 2:]
     return np.asarray(rays.position[:, :2] - step * rays.direction[:, :2])
-
-
-def _tried(window: Window, cells: Ints) -> list[int]:
-    """Rows of rays through distinct kept cells (n, 2): the outermost lenses, then a sample."""
-    rows = np.flatnonzero(window.lattice.contains(cells))
-    if not len(rows):
-        return []
-    _, first = np.unique(cells[rows], axis=0, return_index=True)
-    rows = rows[np.sort(first)]
-    angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-    ways = np.stack([np.cos(angle), np.sin(angle)])
-    far = [window.centres(1, cells[rows]) - window.centres(0, cells[rows])]
-    places = [window.lenses(face, cells[rows]) for face in window.faces]
-    far += [one.moved for one in places if one.moved is not None]
-    sizes = [sign * one.size for one in places if one.size is not None for sign in (1.0, -1.0)]
-    extreme = [rows[np.argmax(moved @ ways, axis=0)] for moved in far] + [rows[[np.argmax(k)]] for k in sizes]
-    outer = np.unique(np.concatenate(extreme))
-    return [int(row) for row in dict.fromkeys([*outer, *rows[:SAMPLED]])]
 
 
 def _over_cell(like: Window, cell: Ints, slope: Floats, situation: Situation) -> Rays:

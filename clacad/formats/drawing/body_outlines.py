@@ -55,7 +55,7 @@ def outlines(x: Floats, front: Floats, back: Floats) -> list[Floats]:
 
 def across_cell(window: Window, array: int, samples: int = 161) -> tuple[Floats, float]:
     """Points x (n,) over the cell of an array nearest the middle, along x, and its y; sheet frame."""
-    from clacad.sheet.bundle import central_cell
+    from clacad.sheet.representative_cells import central_cell
 
     middle = window.centres(array, np.array(central_cell(window), dtype=np.int64))
     half = 0.5 * window.lattice_of(array).pitch[0] * (1.0 - 1e-9)

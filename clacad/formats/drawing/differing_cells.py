@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from clacad.base.types import Ints
 from clacad.base.units import millimetres
 from clacad.design.sections import AimedAt
 from clacad.formats.drawing.canvas import Canvas
 from clacad.formats.drawing.drawing_tables import table
 from clacad.formats.drawing.views import mm_text
 from clacad.optics.surface import principal_radii
-from clacad.sheet.bundle import central_cell
 from clacad.sheet.own_steps import greatest_steps
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Face, Window
 
 if TYPE_CHECKING:
@@ -53,17 +50,14 @@ def cells_table(window: Window) -> Canvas:
     """The first, the middle and the worst cell: positions of cells and lenses, heights of steps; mm."""
     mm = millimetres(window.unit)
     faces = _one_face_an_array(window)
-    cells = {
-        "first": window.lattice.cells()[0],
-        "middle": np.array(central_cell(window)),
-        "worst": worst_cell(window),
-    }
     head = ["cell", "i, j"]
     for face in faces:
         head += [f"centre {_lens(face)} x, y", f"apex {_lens(face)} from it x, y", f"step {_lens(face)}"]
         head += [f"radius {_lens(face)}"] if window.many_sizes else []
     rows = []
-    for name, index in cells.items():
+    for name, index in zip(
+        ("first", "middle", "worst"), representative_cells(window, "drawing"), strict=True
+    ):
         row = [name, f"{index[0]}, {index[1]}"]
         for face in faces:
             assert face.array is not None
@@ -80,19 +74,6 @@ def cells_table(window: Window) -> Canvas:
         rows.append(row)
     title = "cells that differ (mm; step: the highest to a neighbour; worst: the lens farthest from the middle of its cell)"
     return table(title, head, rows)
-
-
-def worst_cell(window: Window) -> Ints:
-    """The kept cell (2,) whose lens lies farthest from the middle of its cell.
-
-    Where all lenses are aligned, it is the cell whose partner is displaced the most.
-    """
-    cells = window.lattice.cells()
-    moved = [face for face in window.faces if face.change is not None]
-    apart = [np.hypot(*window.vertices(face, cells)[:, :2].T) for face in moved]
-    if not moved:
-        apart = [np.hypot(*(window.centres(1, cells) - window.centres(0, cells)).T)]
-    return np.asarray(cells[int(np.argmax(np.max(apart, axis=0)))])
 
 
 def _one_face_an_array(window: Window) -> list[Face]:

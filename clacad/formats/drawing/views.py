@@ -20,10 +20,10 @@ from clacad.base.units import millimetres
 from clacad.formats.drawing.allowances import NO_ALLOWANCES, Allowances
 from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
 from clacad.formats.drawing.canvas import CHARACTER, Canvas
-from clacad.sheet.bundle import central_cell
 from clacad.sheet.feasibility import FaceShape, body_range
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Plate
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.volume_and_extent import body_extent, whole_extent
 from clacad.sheet.window import Body, Window
 

@@ -22,7 +22,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints
 from clacad.formats.maps.sag import HeightMap, outward_height, plain_map, range_of_cell
 from clacad.sheet.lattice import relocate
-from clacad.sheet.like_cell import sampled_cells
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Face, Window, column, face_height
 from clacad.storage.errors import NotPossible
 
@@ -331,6 +331,6 @@ def gds_bytes(window: Window, levels: int, scale: float) -> int:
 def _own_bytes(cell: GreyCell) -> int:
     """Size of cells that vary, from the runs of a few of them."""
     window = cell.map.window
-    tried = sampled_cells(window, SIZED)
+    tried = representative_cells(window, "sample", SIZED)
     boxes = sum(1 for index in tried for _ in cell.of_cell(index).boxes())
     return int(window.lattice.cell_count * (64 * boxes / len(tried) + 130))

@@ -6,7 +6,7 @@ the medium around the sheet. `clacad.optics.material.catalogue` finds a material
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, pi
 from typing import overload
 
@@ -75,6 +75,8 @@ class Material:
     extinction : tuple of (wavelength in metres, k)
         Imaginary part of the index where it is known, by ascending wavelength; else empty.
     extinction_source : str
+    warmer : float, K
+        Temperature above that of the data; it changes the index by dn/dT, the same at all wavelengths.
 
     Raises
     ------
@@ -92,6 +94,7 @@ class Material:
     thermal: ThermalNumbers = ThermalNumbers()
     extinction: tuple[tuple[float, float], ...] = ()
     extinction_source: str = ""
+    warmer: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a table entry that cannot be evaluated."""
@@ -136,7 +139,28 @@ class Material:
         wavelength = np.asarray(wavelength_m, np.float64)
         _within(wavelength, self.range_m, f"the index of {self.name} is known")
         n = np.asarray(dispersion_formulas.index(self.formula, self.coefficients, wavelength * MICROMETRES))
+        if self.warmer:
+            n = np.asarray(n + self.index_change)
         return float(n) if n.ndim == 0 else n
+
+    @property
+    def index_change(self) -> float:
+        """Change of the index by `warmer`: 0 at the temperature of the data.
+
+        Raises
+        ------
+        ValueError
+            If no dn/dT is published for the material.
+        """
+        if self.warmer == 0.0:
+            return 0.0
+        if self.thermal.dn_dt is None:
+            raise ValueError(f"{self.name}: no change of the index with temperature is published")
+        return self.thermal.dn_dt[0] * self.warmer
+
+    def heated(self, kelvin: float) -> Material:
+        """The material at a temperature `kelvin` higher."""
+        return replace(self, warmer=self.warmer + kelvin)
 
     @property
     def abbe_number(self) -> float | None:

@@ -13,7 +13,6 @@ import numpy as np
 
 from clacad.base.types import Ints
 from clacad.optics.aperture import equivalent_widths, first_zeros
-from clacad.sheet.bundle import central_cell
 from clacad.sheet.feasibility.as_rows import FactRow, describe
 from clacad.sheet.feasibility.bodies import body_facts, body_range, connectedness, whole_body_range
 from clacad.sheet.feasibility.derived_numbers import (
@@ -36,6 +35,7 @@ from clacad.sheet.feasibility.lenses import (
 from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
 from clacad.sheet.like_cell import cell_of_array, like_cell
 from clacad.sheet.own_steps import highest_step
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import (
     aperture_slope,
     focal_ratio,

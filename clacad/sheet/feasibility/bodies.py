@@ -7,8 +7,9 @@ import numpy as np
 from clacad.sheet.feasibility.convex_extremes import Heights, border, least
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, BorderFacts, two
 from clacad.sheet.feasibility.lenses import thickness_over_cell
-from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.pieces_and_holes import BorderJoint, count_pieces_and_holes
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Window, column, face_height, lens_height
 
 
@@ -55,7 +56,7 @@ def whole_body_range(window: Window, body: Body) -> tuple[float, float]:
     if window.uniform:
         return body_range(window, body)
     number = window.bodies.index(body)
-    sheets = [like_cell(window, cell) for cell in outer_cells(window)]
+    sheets = [like_cell(window, cell) for cell in representative_cells(window, "displaced")]
     low, high = zip(*(body_range(sheet, sheet.bodies[number]) for sheet in sheets), strict=True)
     return min(low), max(high)
 

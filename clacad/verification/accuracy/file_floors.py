@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.light.compare import rms_between
 from clacad.mesh import Mesh
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Window
-from clacad.verification.accuracy.file_rounding import EXACT, Holding, outermost_cell, rounded
+from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
 
 RAYS = 4096
 SMALL = 64
@@ -142,7 +144,7 @@ class Probe:
     def __init__(self, window: Window, rays: Rays, truth: TraceResult) -> None:
         self.window, self.rays = window, rays
         self.truth = truth
-        self.cell = outermost_cell(window)
+        self.cell = representative_cells(window, "rounding")[0]
         self._meshes: dict[int, Mesh] = {}
 
     def held(self, quads: int, holding: Holding, normals: str) -> TraceResult:
@@ -164,9 +166,7 @@ class Probe:
 
     def error(self, found: TraceResult) -> float:
         """Rms angle (radians) to the exact trace, over the rays ALIVE in both through the same lenslets."""
-        both = self._shared(found, self.truth)
-        angle = angle_between(found.direction[both], self.truth.direction[both])
-        return float(np.sqrt(np.mean(angle**2))) if both.any() else float("nan")
+        return rms_between(found.direction, self.truth.direction, self._shared(found, self.truth))
 
     def moved(self, found: TraceResult, exact: TraceResult) -> float:
         """Rms angle (radians) between two traces, by the median, which rays that change facets do not affect."""
@@ -184,11 +184,7 @@ class Probe:
 def probe(window: Window, rays: Rays, truth: TraceResult) -> Probe:
     """Probe with the first `RAYS` rays of a traced bundle."""
     few = Rays(rays.position[:RAYS], rays.direction[:RAYS])
-    part = TraceResult(
-        truth.position[:RAYS], truth.direction[:RAYS], truth.fate[:RAYS], truth.optical_path[:RAYS], truth.cell[:RAYS],
-        truth.order[:RAYS], truth.surface[:RAYS], truth.flux[:RAYS],
-    )  # fmt: skip
-    return Probe(window, few, part)
+    return Probe(window, few, truth.rows(slice(RAYS)))
 
 
 def floors(seen: Probe, confirm: bool = True) -> list[Floor]:

@@ -65,18 +65,6 @@ def rounded(mesh: Mesh, cell: tuple[int, int], holding: Holding) -> Mesh:
     return replace(mesh, bodies=tuple(bodies))
 
 
-def outermost_cell(window: Window) -> tuple[int, int]:
-    """Kept cell far from the middle of the sheet, where coordinates are rounded most."""
-    lattice = window.lattice
-    n1, n2 = lattice.count
-    if lattice.outline is not None:
-        ends = lattice.row(n2 // 2)[[0, -1]]
-    else:
-        ends = np.concatenate([lattice.row(0)[[0, -1]], lattice.row(n2 - 1)[[0, -1]]])
-    far = ends[int(np.argmax((lattice.centres(ends) ** 2).sum(axis=1)))]
-    return int(far[0]), int(far[1])
-
-
 def _held(window: Window, body: Body, part: BodyMesh, cell: tuple[int, int], holding: Holding) -> BodyMesh:
     """Mesh of one body as stored in a file."""
     tiled = []

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.optics.law import angle_between
+from clacad.light.compare import AngleSummary
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.accuracy_row import AccuracyRow
@@ -103,17 +103,8 @@ def row(
 
 def statistics(found: Floats, truth: Floats, asked: Floats) -> tuple[float, float, float, float, float]:
     """Angles (radians) of directions (n, 3) to the truth (rms, 95 %, max) and to the law (rms, max)."""
-    model, law = angle_between(found, truth), angle_between(found, asked)
-    law = law[np.isfinite(law)]
-    return _rms(model), _part(model, 95.0), _part(model, 100.0), _rms(law), _part(law, 100.0)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
-
-
-def _part(values: Floats, percent: float) -> float:
-    return float(np.percentile(values, percent)) if len(values) else float("nan")
+    model, law = AngleSummary.between(found, truth), AngleSummary.between(found, asked)
+    return *model, law.rms, law.worst
 
 
 def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
@@ -125,11 +116,12 @@ def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
         truth.cell[alive], truth.order[alive],
     )  # fmt: skip
     decided = error[np.isfinite(error)]
+    summary = AngleSummary.of(decided)
     return {
         "rays": float(len(alive)),
-        "rms": _rms(decided),
-        "p95": _part(decided, 95.0),
-        "max": _part(decided, 100.0),
+        "rms": summary.rms,
+        "p95": summary.p95,
+        "max": summary.worst,
         "undecided": float(len(error) - len(decided)),
         "digits": 50.0,
     }
@@ -228,14 +220,15 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     """Facets of one tessellation: facet and exact vertex normals, vertices in float64 and float32."""
     from clacad.formats.mesh.stl import stl_bytes
     from clacad.mesh import tessellate
+    from clacad.sheet.representative_cells import representative_cells
     from clacad.tracing.trace import trace
-    from clacad.verification.accuracy.file_rounding import EXACT, Holding, outermost_cell, rounded
+    from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
 
     window, rays = ladder.window, ladder.rays
     began = time.process_time()
     mesh = tessellate(window, quads=quads)
     prepare = time.process_time() - began
-    cell, rows = outermost_cell(window), []
+    cell, rows = representative_cells(window, "rounding")[0], []
     for kind, holding in (("f64", EXACT), ("f32", Holding("sheet"))):
         facets = rounded(mesh, cell, holding)
         for normals in ("facet", "vertex"):

@@ -79,14 +79,14 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
     from functools import partial
 
     from clacad.mesh import tessellate
-    from clacad.sheet.asked_focus import asked_directions
+    from clacad.sheet.asked_focus import RequestedLaw
     from clacad.sheet.bundle import bundle
     from clacad.tracing.trace import trace
     from clacad.verification.accuracy import measure_rungs
 
     lit = bundle(window, RAYS, design.check.field, design.check.field_centre)
     ladder = measure_rungs.TracedRays(
-        window, lit.rays, trace(window, lit.rays, path="size"), asked_directions(window, lit)
+        window, lit.rays, trace(window, lit.rays, path="size"), RequestedLaw.of(window).expected(lit)
     )
     known = measure_rungs.reference(ladder, ORACLE_RAYS)["rms"]
     rows, forecast = [], []

@@ -16,8 +16,9 @@ from clacad.base.digits import digits
 from clacad.base.text import count_text
 from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
-from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.own_steps import highest_step
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Window
 from clacad.verification.allowances import accepted
 from clacad.verification.check_kinds.light import FIELD, FRESNEL_NUMBER, ORDERS, RESIDUAL
@@ -74,7 +75,7 @@ def _in_outer_cells(built: Built) -> tuple[Check, ...]:
     worst: dict[tuple[str, str], Check] = {}
     highest = max((highest_step(window, body) for body in window.bodies), key=lambda step: step.height)
     fields = [min(whole.half_field)]
-    for cell in outer_cells(window):
+    for cell in representative_cells(window, "displaced"):
         like = like_cell(window, cell)
         facts = cell_feasibility(window, cell, *design.viewing_places).with_steps_of(whole)
         fields += facts.half_field if window.many_sizes else ()

@@ -14,8 +14,6 @@ from clacad.exporting.compare import rounding
 from clacad.exporting.compare_instances import levels as levels
 from clacad.exporting.compare_instances import owner as owner
 from clacad.mesh.saddle_bevel import in_corners
-from clacad.sheet.bundle import central_cell
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import distance_in_cell
 from clacad.sheet.window import WALL, Face, Window, lens_height
@@ -29,7 +27,6 @@ from clacad.tracing.triangles.telescopelet_facets import (
     on_land,
 )
 
-RANDOM_CELLS = 4
 CHORD = 0.75
 """Mean height of a chord over a second-order surface across a facet, over the height at the facet's middle."""
 
@@ -42,46 +39,6 @@ UNIT_ROOM = 1e-3
 Cell = tuple[int, int]
 Key = tuple[int, int, int]
 """Body, side (0 front, 1 back), number of the chosen cell."""
-
-
-def chosen_cells(window: Window) -> tuple[Cell, ...]:
-    """Cells of the sheet that are compared with the design, each once, the middle first.
-
-    They are the middle, the four corners, the middles of the four sides, and a few at random (seed 0).
-    """
-    lattice = window.lattice
-    middle = central_cell(window)
-    cells = _outermost(lattice, middle[1])
-    centres = lattice.centres(cells)
-    towards = [(x, y) for x in (-1, 1) for y in (-1, 1)] + [(1, 0), (-1, 0), (0, 1), (0, -1)]
-    picked = [middle]
-    for x, y in towards:
-        # corners: farthest along the diagonal; sides: farthest along the axis, nearest its middle
-        reach = centres @ np.array([x, y], dtype=np.float64)
-        aside = np.abs(centres @ np.array([-y, x], dtype=np.float64))
-        best = cells[int(np.lexsort((aside, -np.round(reach / lattice.circumradius, 6)))[0])]
-        picked.append((int(best[0]), int(best[1])))
-    whole = lattice.outline is None
-    for number in np.random.default_rng(0).integers(
-        0, lattice.cell_count if whole else len(cells), RANDOM_CELLS
-    ):
-        j, i = divmod(int(number), lattice.count[0])
-        one = lattice.row(j)[i] if whole else cells[number]
-        picked.append((int(one[0]), int(one[1])))
-    return tuple(dict.fromkeys(picked))
-
-
-def _outermost(lattice: Lattice, middle: int) -> Ints:
-    """Cells (n, 2), row by row, that include those farthest out along any axis or diagonal.
-
-    They are the first and last row and the ends of the others. With an outline, all cells are returned, or
-    the middle row of a sheet of more than 4,000,000 cells.
-    """
-    if lattice.outline is not None:
-        return lattice.cells() if lattice.cell_count <= 4_000_000 else lattice.row(middle)
-    last = lattice.count[1] - 1
-    rows = [lattice.row(j) if j in (0, last) else lattice.row(j)[[0, -1]] for j in range(last + 1)]
-    return np.concatenate(rows)
 
 
 @dataclass

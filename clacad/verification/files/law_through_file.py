@@ -2,38 +2,31 @@
 
 The same rays are traced through the file's own triangles or faces and through the exact surfaces. The file must meet
 the requirements on the design (section E of the contract: rms, bias, η, δ, confocality, throughput) within the
-design's limits. `clacad.sheet.light_against_law` describes each measurement.
+design's limits. `clacad.light` describes each measurement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.exporting.roles import Role
+from clacad.light.compare import Comparison
+from clacad.light.measure import Light, Send, measure
 from clacad.optics.law import Law, difference_of_laws
-from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.sheet.asked_focus import asked_directions, held_to_law
-from clacad.sheet.bundle import Bundle, bundle, field_points
-from clacad.sheet.light_against_law import (
-    FEWEST,
-    change_with_shift,
-    fitted_laws,
-    law_errors,
-    mean_error,
-    rms_error,
-    shift_of_array_2,
-)
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import bundle, field_points
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.light.law_checks import SHARE_DIRECTIONS, Tracer
+from clacad.verification.light.law_checks import SHARE_DIRECTIONS
 from clacad.verification.limit_sources import DESIGN_FILE, from_key, other
 
 if TYPE_CHECKING:
@@ -42,57 +35,68 @@ if TYPE_CHECKING:
 POINT_RAYS = 4096
 """Rays of each of the nine field points through triangles."""
 
-SHIFT_RAYS = 65536
-"""Most rays from which the shift is measured: the slopes of facets must cancel in it."""
-
 
 @dataclass(frozen=True, eq=False)
 class FileLight:
-    """Results of light through a file, radians.
+    """Results of light through a file.
 
     Attributes
     ----------
-    rays : Bundle
-    rms, worst : float
-        Over the rays ALIVE through the file, in the most densely lit cell.
-    bias : (9,)
-        Angle of the mean exit direction to the law, for nine directions of the field; NaN where too dark.
-    law, exact : Law or None
-        Fitted through the file and through the exact surfaces, over the rays ALIVE in both.
+    compared : Comparison
+        Light of the main bundle through the file and through the exact surfaces, in the most densely lit cell.
+    points : tuple of Light
+        Parallel light through the file, of nine directions of the field.
     shift : (2,)
         Shift of array 2 along the sheet's normal that minimizes the rms error to the law, file minus exact, per
         lens axis, over the distance between the lenses; NaN in an axis without power.
     middle, field : (float, float)
         ALIVE share in the middle of the field, and over the field, each as (through the file, closed form).
-    seen, truth : TraceResult
-        Of the main bundle, through the file and through the exact surfaces.
-    partner : float
-        The rms over the rays whose exit direction is nearer to the law than to that of a neighbouring lens.
-    strayed : float
-        Share of the other rays among those ALIVE through the file, for instance through a strip of a neighbour's
-        lens that lies in the cell.
+    half_order : float, radians
+        Half the angle between light through lens 2 of a cell and of its neighbour.
     """
 
-    rays: Bundle
-    rms: float
-    worst: float
-    bias: Floats
-    law: Law | None
-    exact: Law | None
+    compared: Comparison
+    points: tuple[Light, ...]
     shift: Floats
     middle: tuple[float, float]
     field: tuple[float, float]
-    seen: TraceResult
-    truth: TraceResult
-    partner: float
-    strayed: float
+    half_order: float
+
+    @property
+    def light(self) -> Light:
+        """Of the main bundle, through the file."""
+        return self.compared.light
+
+    @cached_property
+    def bias(self) -> Floats:
+        """Angle (9,) of the mean exit direction to the law, radians, for nine directions; NaN where too dark."""
+        return np.array([point.bias for point in self.points])
+
+    @property
+    def near(self) -> Bools:
+        """Rays (n,) whose exit direction is nearer to the law than to that of a neighbouring lens."""
+        return np.asarray(self.light.error < self.half_order)
+
+    @property
+    def partner(self) -> float:
+        """Rms error (radians) of the rays that are `near`."""
+        return self.light.rms_of(self.near)
+
+    @property
+    def strayed(self) -> float:
+        """Share of the other rays among those ALIVE through the file.
+
+        For instance through a strip of a neighbour's lens that lies in the cell.
+        """
+        known = self.light.known
+        return 1.0 - float(self.near[known].mean()) if known.any() else np.nan
 
 
 def measure_light(
-    design: Design, window: Window, send: Tracer, rays: int, point_rays: int = POINT_RAYS,
-    cell: tuple[int, int] | None = None, exact: Tracer | None = None,
+    design: Design, window: Window, send: Send, rays: int, point_rays: int = POINT_RAYS,
+    cell: tuple[int, int] | None = None, exact: Send | None = None,
 ) -> FileLight:  # fmt: skip
-    """Trace the rays of the checks through a file.
+    """Send the bundles of the checks through a file.
 
     Parameters
     ----------
@@ -107,52 +111,25 @@ def measure_light(
     exact : callable or None
         Bundle → TraceResult through the exact surfaces; None: through those of `window`.
     """
-    spec = design.check
+    spec, law, cells = design.check, RequestedLaw.of(window), thin_cells(window)
     main = bundle(window, rays, spec.field, spec.field_centre, cell=cell)
-    seen, truth = send(main), trace(window, main.rays, path="size") if exact is None else exact(main)
-    alive = seen.fate == Fate.ALIVE
-    asked = asked_directions(window, main)
-    error = law_errors(seen, asked)
-    both = alive & (truth.fate == Fate.ALIVE) & np.isfinite(asked).all(axis=1)
-    file, exactly = held_to_law(window, main, seen), held_to_law(window, main, truth)
-    law, true_law = fitted_laws(window.law, main.rays, file, exactly, both) or (None, None)
-    bias, middle = _field(design, window, send, point_rays, main.cell)
-    closed = float(share(thin_cells(window), main.rays.direction[:SHARE_DIRECTIONS]).mean())
-    near = error < half_order(window)
-    return FileLight(
-        main, rms_error(error), float(error.max()) if len(error) >= FEWEST else np.nan, bias, law, true_law,
-        _shift(window, main, seen, truth, both), middle, (float(alive.mean()), closed), seen, truth,
-        rms_error(error[near]), 1.0 - float(near.mean()) if len(near) else np.nan,
-    )  # fmt: skip
+    truth = trace(window, main.rays, path="size") if exact is None else exact(main)
+    compared = Comparison(measure(send, main, law), Light(main, truth, law))
+    directions = field_points(window, spec.field, spec.field_centre)
+    points = tuple(
+        measure(send, bundle(window, point_rays, 0.0, middle=direction, cell=main.cell), law)
+        for direction in directions
+    )
+    closed = float(share(cells, main.rays.direction[:SHARE_DIRECTIONS]).mean())
+    middle = points[0].share, float(share(cells, directions[:1])[0])
+    shift = compared.focus(window)
+    return FileLight(compared, points, shift, middle, (compared.light.share, closed), half_order(window))
 
 
 def half_order(window: Window) -> float:
     """Half the angle p/f2 (radians) between light through lens 2 of a cell and of its neighbour; inf without power."""
     focal = [abs(f) for f in window.thin.focal_length[1] if np.isfinite(f)]
     return 0.5 * min(window.lattice.pitch) / max(focal) if focal else np.inf
-
-
-def _field(
-    design: Design, window: Window, send: Tracer, rays: int, cell: tuple[int, int]
-) -> tuple[Floats, tuple[float, float]]:
-    """Bias (9,) at the points of the field, and the share (file, closed form) in its middle."""
-    found = []
-    middle = (np.nan, np.nan)
-    for number, direction in enumerate(field_points(window, design.check.field, design.check.field_centre)):
-        lit = bundle(window, rays, 0.0, middle=direction, cell=cell)
-        seen = held_to_law(window, lit, send(lit))
-        if number == 0:
-            passed = float((seen.fate == Fate.ALIVE).mean())
-            middle = passed, float(share(thin_cells(window), direction[None])[0])
-        found.append(mean_error(seen.direction, seen.fate, window.law.refract(direction[None])[0]))
-    return np.array(found), middle
-
-
-def _shift(window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, both: Bools) -> Floats:
-    """Shift of array 2 (2,), file minus exact, over the distance between the lenses; see `shift_of_array_2`."""
-    few = np.flatnonzero(both)[:SHIFT_RAYS]
-    change = change_with_shift(window, main.cell, Rays(main.rays.position[few], main.rays.direction[few]))
-    return shift_of_array_2(window, seen.direction[few], truth.direction[few], change)
 
 
 # -- judging ------------------------------------------------------------------------------------
@@ -200,10 +177,10 @@ def _law_rms(
     spec = asked.design.check
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
     source = from_key("law_rms") if spec.mesh_law_rms is None else DESIGN_FILE
-    if found.rms != found.rms:
+    if found.light.rms != found.light.rms:
         why = f"too little light gets through the file's {what}"
         return not_run("file_law_rms", why, limit=limit, unit="rad", **asked.common)
-    every = np.array([found.rms, *rms[1:]])
+    every = np.array([found.light.rms, *rms[1:]])
     worst = int(np.nanargmax(every))
     value = float(every[worst])
     where = (
@@ -213,7 +190,7 @@ def _law_rms(
     sentence += _other_rms(found, every)
     common: dict[str, Any] = {
         "unit": "rad",
-        "bundle": str(found.rays),
+        "bundle": str(found.light.lit),
         "limit_source": source,
         **asked.common,
     }
@@ -225,7 +202,9 @@ def _law_rms(
         "strayed": found.strayed,
     }
     if not (asked.role is Role.SCAN and value > limit and noise > 0.0):
-        return judge("file_law_rms", value, limit, sentence, detail={"worst": found.worst, **told}, **common)
+        return judge(
+            "file_law_rms", value, limit, sentence, detail={"worst": found.light.worst, **told}, **common
+        )
     rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
     sentence += (
         f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same noise "
@@ -272,16 +251,14 @@ def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:
 
 def _law_fitted(asked: Inspection, found: FileLight, what: str) -> list[Check]:
     """η and δ through the file, compared with those through the exact surfaces."""
-    law, exact, spec = found.law, found.exact, asked.design.check
+    laws, spec = found.compared.laws, asked.design.check
     names = ("file_law_eta", "file_law_delta")
-    if law is None or exact is None:
+    if laws is None:
         why = f"too little light gets through the file's {what} to fit a law"
         return [not_run(name, why, **asked.common) for name in names]
     text = "fitted over the same rays, {0} = {1:.6g}, {2:.6g} through the file's " + what
     text += " and {3:.6g}, {4:.6g} through the exact surfaces"
-    return fit_checks(
-        names, (law, exact), (spec.eta, spec.delta), text, bundle=str(found.rays), **asked.common
-    )
+    return fit_checks(names, laws, (spec.eta, spec.delta), text, bundle=str(found.light.lit), **asked.common)
 
 
 def fit_checks(
@@ -317,7 +294,7 @@ def _confocality(asked: Inspection, found: FileLight) -> Check:
         f"keep to the law as well as through the exact surfaces (x {found.shift[0]:+.4g}, y {found.shift[1]:+.4g})"
     )
     return judge("file_confocality", value, limit, sentence, unit="of separation", limit_source=from_key("confocality"),
-                 bundle=str(found.rays), detail={"shift": found.shift}, **asked.common)  # fmt: skip
+                 bundle=str(found.light.lit), detail={"shift": found.shift}, **asked.common)  # fmt: skip
 
 
 def _throughput(asked: Inspection, found: FileLight, what: str) -> Check:
@@ -328,4 +305,4 @@ def _throughput(asked: Inspection, found: FileLight, what: str) -> Check:
         f"{found.middle[1]:.3f}), {found.field[0]:.3f} over the field ({found.field[1]:.3f})"
     )
     return judge("file_throughput", value, asked.design.check.throughput, sentence, relation=">=", unit="of closed form",
-                 limit_source=other("throughput"), bundle=str(found.rays), **asked.common)  # fmt: skip
+                 limit_source=other("throughput"), bundle=str(found.light.lit), **asked.common)  # fmt: skip

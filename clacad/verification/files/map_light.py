@@ -21,7 +21,7 @@ from clacad.formats.maps.sag import (
     samples_per_cell,
     structured_faces,
 )
-from clacad.sheet.bundle import central_cell
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
 from clacad.storage.errors import ExportError
 from clacad.tracing.sampled_face import sampled_face

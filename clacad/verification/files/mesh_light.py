@@ -11,18 +11,20 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.formats.mesh.closed_stream import Measure
-from clacad.optics.law import Law, angle_between
+from clacad.light.compare import Comparison, rms_between
+from clacad.light.measure import Light
+from clacad.optics.law import Law
 from clacad.optics.rays import Fate
-from clacad.sheet.asked_focus import asked_directions
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle, launched
-from clacad.sheet.light_against_law import fitted_laws
 from clacad.sheet.like_cell import like_cell
+from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
 from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
 from clacad.verification.checks import RAYS_NEEDED, Check, judge, not_run
-from clacad.verification.files.cell_triangles import CellFacets, chosen_cells, telescopelet
+from clacad.verification.files.cell_triangles import CellFacets, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import (
@@ -112,11 +114,11 @@ def checks_of_light(
     likes = (like_cell(window, np.array(cell, dtype=np.int64), widest=False) for cell in gathered.cells)
     forecasts = np.array([forecast_rms(like, d) for like, d in zip(likes, off, strict=True)])
     evidence = MeshEvidence(
-        found, gathered.cells, rms, light.rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost.tolist()}, gathered
+        found, gathered.cells, rms, light.light.rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost.tolist()}, gathered
     )  # fmt: skip
     noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
     checks = light_checks(asked, light, rms=to_law.tolist(), cells=gathered.cells, noise=noise)
-    checks.append(_faithful_rms(asked, evidence, str(light.rays), clean))
+    checks.append(_faithful_rms(asked, evidence, str(light.light.lit), clean))
     return checks + _faithful_fit(asked, evidence, passed), evidence
 
 
@@ -131,11 +133,11 @@ def _by_cell(
     asked: Inspection, window: Window, gathered: CellFacets, light: FileLight, present: Sequence[str] | None
 ) -> Iterator[tuple[float, float, float]]:
     """For each cell: rms direction error (radians) to the exact surfaces and to the law, and the share of lost light."""
-    main, spec = light.rays, asked.design.check
+    main, spec = light.light.lit, asked.design.check
     for number, cell in enumerate(gathered.cells):
         asked.progress("tracing the triangles", number / len(gathered.cells))
         one, count = seen_cell(window, cell), len(main.rays)
-        lit, seen, truth = one.placed(main), light.seen, light.truth
+        lit, seen, truth = one.placed(main), light.light.seen, light.compared.exact.seen
         if number:
             count = min(asked.rays, CELL_RAYS)
             if window.uniform:
@@ -150,10 +152,10 @@ def _by_cell(
         if lost > LOST:
             ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
             lost = _lost(good, ideal.fate == Fate.ALIVE, alive, field=bool(window.thin.field))
-        law = asked_directions(one.like, lit)[alive]
+        law = RequestedLaw.of(one.like)
         yield (
-            _rms_between(seen.direction[both], truth.direction[:count][both]),
-            _rms_between(seen.direction[alive], law),
+            rms_between(seen.direction, truth.direction[:count], both),
+            Light(lit, seen, law, fewest=1).rms,
             lost,
         )
 
@@ -164,7 +166,7 @@ def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
     In a non-uniform sheet they are the tried cells, the worst by the exact surfaces first.
     """
     if window.uniform:
-        return chosen_cells(window)
+        return tuple((int(i), int(j)) for i, j in representative_cells(window, "file"))
     tried = tried_cells(window, field)
     cells = [worst_of(tried, field).cell, *(one.cell for one in tried)]
     return tuple(dict.fromkeys((int(i), int(j)) for i, j in cells))
@@ -202,13 +204,6 @@ def _lost(good: Bools, ideal: Bools, alive: Bools, *, field: bool = False) -> fl
     whole = min(good.sum(), ideal.sum()) if field else good.sum()
     kept = [alive.sum() / max(1, whole), (known & alive).sum() / max(1, known.sum())]
     return float(1.0 - min(kept))
-
-
-def _rms_between(one: Floats, other: Floats) -> float:
-    """Rms angle between directions (n, 3), radians; NaN for none."""
-    angle = angle_between(one, other)
-    angle = angle[np.isfinite(angle)]
-    return float(np.sqrt(np.mean(angle**2))) if len(angle) else np.nan
 
 
 def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> Bundle:
@@ -258,9 +253,9 @@ def _fits(
     lit = one.placed(bundle(one.like, asked.rays, angle, spec.field_centre))
     seen = trace_facets(held, lit.rays)
     ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
-    both = (ideal.fate == Fate.ALIVE) & (seen.fate == Fate.ALIVE)
-    laws = fitted_laws(one.like.law, lit.rays, seen, ideal, both, LEAST_FITTED) or (None, None)
-    return *laws, int(both.sum())
+    law = RequestedLaw(one.like.law)
+    found = Comparison(Light(lit, seen, law), Light(lit, ideal, law), LEAST_FITTED)
+    return *(found.laws or (None, None)), int(found.both.sum())
 
 
 def _faithful_fit(asked: Inspection, evidence: MeshEvidence, passed: int) -> list[Check]:

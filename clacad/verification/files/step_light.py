@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.light.measure import Light, Send
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet.asked_focus import asked_directions
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle
-from clacad.sheet.light_against_law import law_errors
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Face, Window, optical_tile
 from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, trace_facets
 from clacad.tracing.worst_cell import tried_cells, worst_of
 from clacad.verification.files.law_through_file import FileLight, measure_light
-from clacad.verification.light.law_checks import Tracer
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -57,7 +56,7 @@ def point_rays(window: Window) -> int:
 
 
 def light_of_cells(
-    design: Design, window: Window, send: Tracer, rays: int
+    design: Design, window: Window, send: Send, rays: int
 ) -> tuple[FileLight, list[float], list[tuple[int, int]]]:
     """Light through the cell by which a sheet is judged; in a non-uniform sheet through other cells too.
 
@@ -85,13 +84,13 @@ def light_of_cells(
     light = measure_light(
         design, worst.like, lambda lit: send(worst.placed(lit)), rays, POINT_RAYS, exact=worst.send
     )
-    rms, cells = [light.rms], [(int(worst.cell[0]), int(worst.cell[1]))]
+    rms, cells = [light.light.rms], [(int(worst.cell[0]), int(worst.cell[1]))]
     for one in tried:
         if one is worst:
             continue
         lit = bundle(one.like, CELL_RAYS, design.check.field)
-        error = law_errors(send(one.placed(lit)), asked_directions(one.like, lit))
-        rms.append(float(np.sqrt(np.mean(error**2))) if len(error) >= CELL_RAYS // 4 else np.inf)
+        found = Light(lit, send(one.placed(lit)), RequestedLaw.of(one.like), fewest=CELL_RAYS // 4)
+        rms.append(np.inf if found.rms != found.rms else found.rms)
         cells.append((int(one.cell[0]), int(one.cell[1])))
     return light, rms, cells
 

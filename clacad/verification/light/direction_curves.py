@@ -9,10 +9,11 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
-from clacad.optics.law import angle_between
+from clacad.light.measure import measure
 from clacad.optics.rays import Fate, TraceResult
-from clacad.sheet.asked_focus import asked_directions
-from clacad.sheet.bundle import Bundle, central_cell, launched, middle_direction
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import Bundle, launched, middle_direction
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 
@@ -112,7 +113,5 @@ def _map(
         window, np.tile(place[:, None] * along, (MAP, 1)), np.repeat(direction, MAP, axis=0), central_cell(window),
         direction[MAP // 2],
     )  # fmt: skip
-    result = send(lit)
-    error = angle_between(result.direction, asked_directions(window, lit))
-    error = np.where(result.fate == Fate.ALIVE, error, np.nan)
+    error = measure(send, lit, RequestedLaw.of(window)).error
     return place, thin_cells(window).slopes(direction)[:, axis], error.reshape(MAP, MAP)

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet.asked_focus import asked_directions
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
@@ -181,7 +181,7 @@ def _differences(window: Window, facets: FacetTraces, lit: Bundle) -> tuple[Floa
     truth = trace(window, lit.rays, path="size")
     chief, chief_known = _through_middle(window, lit)
     exact, held = facets.exact(lit.rays), facets.held(lit.rays)
-    law = asked_directions(window, lit)
+    law = RequestedLaw.of(window).expected(lit)
     good = chief_known & np.isfinite(law).all(axis=1)
     for result in (truth, exact, held):
         good &= result.fate == Fate.ALIVE

@@ -13,9 +13,10 @@ from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import size_text
 from clacad.exporting.quads_and_roles import Needed, masters
 from clacad.exporting.tessellations import Meshes
-from clacad.optics.law import angle_between
-from clacad.optics.law.law import law_in_axes
-from clacad.optics.rays import Fate
+from clacad.light.compare import Comparison, rms_between
+from clacad.light.measure import Light
+from clacad.optics.law import difference_of_laws
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import bundle
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
@@ -69,10 +70,9 @@ def converge(
 
     one = window.with_cells((1, 1))
     angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
+    law = RequestedLaw(window.law)
     lit = bundle(one, RAYS, angle, design.check.field_centre)
-    truth = trace(one, lit.rays, path="size")
-    good = truth.fate == Fate.ALIVE
-    into = lit.rays.direction
+    truth = Light(lit, trace(one, lit.rays, path="size"), law)
     errors, etas = [], []
     for k, number in enumerate(quads):
         progress("refining facets", k / len(quads))
@@ -80,14 +80,12 @@ def converge(
         for body in tessellate(one, quads=number).bodies:
             for rows in body.rows():
                 gatherer.look(np.asarray(rows, dtype=np.float64))
-        seen = trace_facets(telescopelet(one, gatherer.result, 0), lit.rays)
-        both = good & (seen.fate == Fate.ALIVE)
-        errors.append(
-            float(np.sqrt(np.mean(angle_between(seen.direction[both], truth.direction[both]) ** 2)))
-        )
-        law = law_in_axes(into[both], seen.direction[both], window.law)
-        exact = law_in_axes(into[both], truth.direction[both], window.law)
-        etas.append(max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0)))
+        seen = Light(lit, trace_facets(telescopelet(one, gatherer.result, 0), lit.rays), law)
+        found = Comparison(seen, truth)
+        if found.laws is None:
+            raise ValueError("too little light gets through the facets to fit a law")
+        errors.append(rms_between(seen.direction, truth.direction, found.both))
+        etas.append(difference_of_laws(*found.laws)[0])
     size = np.log(1.0 / np.array(quads, dtype=np.float64))
     slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]
     grader = Grader.of(Meshes(window), design)

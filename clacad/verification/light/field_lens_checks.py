@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.optics.law import angle_between
+from clacad.light.measure import Light
 from clacad.optics.parabasal import STEP
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle
-from clacad.sheet.light_against_law import rms_error
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import aperture_slope, half_field, share, thin_cells
 from clacad.sheet.window import Window
@@ -156,16 +156,17 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
     except DesignError as error:
         why = f"the same pair without a field lens cannot be built: {str(error).splitlines()[0]}"
         return not_run("field_law", why, limit=LAW, where="surfaces", required=False)
-    rms = []
     lit = [
         bundle(one, min(len(main.rays), 2 * RAYS), design.check.field, design.check.field_centre)
         for one in (window, plain)
     ]
-    seen = [trace(one, rays.rays, path="size") for one, rays in zip((window, plain), lit, strict=True)]
-    both = (seen[0].fate == Fate.ALIVE) & (seen[1].fate == Fate.ALIVE)
-    for rays, result in zip(lit, seen, strict=True):
-        expected = window.law.refract(rays.rays.direction[both])
-        rms.append(rms_error(angle_between(result.direction[both], expected)))
+    law = RequestedLaw(window.law)
+    light = [
+        Light(one, trace(sheet, one.rays, path="size"), law)
+        for sheet, one in zip((window, plain), lit, strict=True)
+    ]
+    both = light[0].known & light[1].known
+    rms = [one.rms_of(both) for one in light]
     ratio = rms[0] / rms[1] if rms[1] > 0.0 else np.nan
     sentence = (
         f"of the light that passes with and without the field lens the rms error is {1e3 * rms[0]:.4g} mrad with it, "

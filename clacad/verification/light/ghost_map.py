@@ -10,7 +10,8 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate
-from clacad.sheet.bundle import central_cell, launched, middle_direction
+from clacad.sheet.bundle import launched, middle_direction
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace

@@ -1,28 +1,25 @@
 """Checks by light: the law, its bias, η, δ and tilt by fit, spread, transmitted share, accounting.
 
-Rays are refracted exactly (Snell) at the surfaces. The error of a ray is the angle between its exit direction and
-`Law.refract`. Only ALIVE rays count, each once.
+Rays are refracted exactly (Snell) at the surfaces. `clacad.light` measures them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import degrees, hypot, inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.digits import digits
 from clacad.base.types import Floats
-from clacad.optics.law import Law, angle_between
-from clacad.optics.rays import Fate, TraceResult, fate_counts
-from clacad.sheet.asked_focus import held_to_law
-from clacad.sheet.bundle import Bundle, bundle, field_points, sent_together
+from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
+from clacad.optics.rays import Fate
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import bundle, field_points
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
-from clacad.sheet.light_against_law import FEWEST, rms_error
 from clacad.sheet.vignetting import fresnel_numbers, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, judge, not_run
@@ -31,9 +28,6 @@ from clacad.verification.limit_sources import from_key, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
-
-Tracer = Callable[[Bundle], TraceResult]
-"""Traces a bundle through the exact surfaces or through the triangles of a file."""
 
 FIT_SCALE = 0.1
 """Aperture and field of the bundle on which η and δ are fitted, over those of the main bundle."""
@@ -49,60 +43,25 @@ SHARE_DIRECTIONS = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class FieldPoint:
-    """Results of one direction of the field, traced over the whole cell.
-
-    direction, expected : (3,) unit
-        Direction before the sheet, and the exit direction of the law.
-    points : (k, 2) lengths
-        Where its ALIVE rays cross z = 0, from the cell's centre.
-    deviation : (k, 2) radians
-        Exit direction minus the law's, perpendicular to the law's direction.
-    bias, spread, rms, worst : radians
-        Angle of the mean exit direction to the law; rms angle about that mean; rms error; largest error.
-    share, closed_form : float
-        ALIVE rays over all rays, traced and in closed form.
-    counts : mapping
-        Rays of each fate.
-    """
-
-    direction: Floats
-    expected: Floats
-    points: Floats
-    deviation: Floats
-    bias: float
-    spread: float
-    rms: float
-    worst: float
-    share: float
-    closed_form: float
-    counts: Mapping[str, int]
-
-
-@dataclass(frozen=True, eq=False)
 class Optics:
     """Results of all measurements with light on one object (exact surfaces, or a file's triangles).
 
-    rms, worst : radians, over the ALIVE rays of the main bundle
-    point_rays : int
-        Rays of each field point.
+    main : Light
+        Over the cell and the cone of the field.
+    points : tuple of Light
+        Parallel light over the whole cell, from the middle of the field and eight directions of its rim.
+    closed_form : (9,)
+        Share of light of each of these directions, in closed form.
+    narrow : Light
+        Of the bundle on which η and δ are fitted.
     turn : Turn or None
         Turn of the lens meridians about the lens axis; None where no law could be fitted.
-    field_rms : tuple of (field angle, rms), radians
-        Rms by ring of the cone.
     """
 
-    main: Bundle
-    result: TraceResult
-    error: Floats
-    rms: float
-    worst: float
-    point_rays: int
-    points: tuple[FieldPoint, ...]
-    fit: Law | None
-    fit_bundle: Bundle
-    fit_rms: float
-    fit_sigma: Mapping[str, float]
+    main: Light
+    points: tuple[Light, ...]
+    closed_form: Floats
+    narrow: Light
     turn: Turn | None
 
 
@@ -120,118 +79,36 @@ class Turn:
     doubt: float
 
 
-def measure(
-    design: Design, window: Window, through: Tracer, rays: int, point_rays: int = POINT_RAYS
-) -> Optics:
-    """Trace the bundles of the checks through one object and gather the results.
+def optics_of(design: Design, window: Window, send: Send, rays: int, point_rays: int = POINT_RAYS) -> Optics:
+    """Send the bundles of the checks through one object and measure their light.
 
     Parameters
     ----------
     design : Design
         Gives the field and its middle.
     window : Window
-    through : callable
-        Bundle → TraceResult; the requested deviation of a sharp pair is removed from it.
+    send : callable
+        Bundle → TraceResult.
     rays : int
         Rays of the main bundle; the fit takes a quarter.
     point_rays : int
         Rays of each of the nine field points.
     """
-    spec = design.check
-
-    def send(lit: Bundle) -> TraceResult:
-        return held_to_law(window, lit, through(lit))
-
-    main = bundle(window, rays, spec.field, spec.field_centre)
-    result = send(main)
-    alive = result.fate == Fate.ALIVE
-    expected = window.law.refract(main.rays.direction)
-    error = np.where(alive, angle_between(result.direction, expected), np.nan)
-    known = error[np.isfinite(error)]
-    points = _field_points(window, field_points(window, spec.field, spec.field_centre), send, point_rays)
-    narrow = bundle(window, max(1024, rays // 4), FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
-    law, rms, sigma, turn = _fitted(window, narrow, send(narrow))
-    return Optics(
-        main=main,
-        result=result,
-        error=error,
-        rms=rms_error(known),
-        worst=float(known.max()) if len(known) else np.nan,
-        point_rays=point_rays,
-        points=points,
-        fit=law,
-        fit_bundle=narrow,
-        fit_rms=rms,
-        fit_sigma=sigma,
-        turn=turn,
-    )
-
-
-def _field_points(window: Window, directions: Floats, send: Tracer, rays: int) -> tuple[FieldPoint, ...]:
-    """Results of parallel light of each direction (k, 3)."""
-    lit = [bundle(window, rays, 0.0, middle=direction) for direction in directions]
-    return tuple(
-        _field_point(window, one, direction, *seen)
-        for one, direction, seen in zip(lit, directions, sent_together(lit, send), strict=True)
-    )
-
-
-def _field_point(
-    window: Window, lit: Bundle, direction: Floats, leaving: Floats, fate: NDArray[np.uint8]
-) -> FieldPoint:
-    """Results of parallel light of one direction (3,); NaN where too little light gets through."""
-    alive, rays = fate == Fate.ALIVE, len(fate)
-    out = leaving[alive]
-    expected = window.law.refract(direction[None])[0]
-    closed = float(share(thin_cells(window), direction[None])[0])
-    places = deviation = np.empty((0, 2))
-    bias = spread = rms = worst = np.nan
+    spec, law = design.check, RequestedLaw.of(window)
+    main = measure(send, bundle(window, rays, spec.field, spec.field_centre), law)
+    directions = field_points(window, spec.field, spec.field_centre)
+    beams = [bundle(window, point_rays, 0.0, middle=direction) for direction in directions]
     # the fewest rays that count scale with those traced, so the same field points are too dark
-    if len(out) >= max(8, FEWEST * rays // POINT_RAYS) and np.isfinite(expected).all():
-        u = np.array([1.0, 0.0, 0.0]) - expected[0] * expected
-        u = u / np.linalg.norm(u)
-        mean, error = out.mean(axis=0), angle_between(out, expected)
-        places, deviation = lit.points[alive], out @ np.stack([u, np.cross(expected, u)], axis=1)
-        bias = float(angle_between(mean, expected))
-        spread = float(np.sqrt(np.mean(angle_between(out, mean) ** 2)))
-        rms, worst = float(np.sqrt(np.mean(error**2))), float(error.max())
-    return FieldPoint(
-        direction,
-        expected,
-        places,
-        deviation,
-        bias,
-        spread,
-        rms,
-        worst,
-        float(alive.mean()),
-        closed,
-        fate_counts(fate),
-    )
+    points = measure_each(send, beams, law, max(8, FEWEST * point_rays // POINT_RAYS))
+    narrow = bundle(window, max(1024, rays // 4), FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
+    light = measure(send, narrow, law)
+    return Optics(main, points, share(thin_cells(window), directions), light, turn_of(light))
 
 
-def _fitted(
-    window: Window, narrow: Bundle, result: TraceResult
-) -> tuple[Law | None, float, Mapping[str, float], Turn | None]:
-    alive = result.fate == Fate.ALIVE
-    if alive.sum() < FEWEST:
-        return None, np.nan, {}, None
-    into, out = narrow.rays.direction[alive], result.direction[alive]
-    try:
-        fit = Law.fit(into, out, axes=window.law)
-    except ValueError:  # the exit directions do not depend on the incident ones: no law can be fitted
-        return None, np.nan, {}, None
-    return fit.law, fit.rms, fit.sigma, turn_of(into, out, window.law)
+def turn_of(light: Light) -> Turn | None:
+    """Measure the turn of the lens meridians about the lens axis; None where no law can be fitted.
 
-
-def turn_of(into: Floats, out: Floats, law: Law) -> Turn:
-    """Measure the turn of the lens meridians about the lens axis.
-
-    Parameters
-    ----------
-    into, out : (n, 3) directions
-    law : Law
-        Gives the axis and the meridians as requested, and which η belongs to which meridian.
+    The requested law gives the axis and the meridians, and which η belongs to which meridian.
 
     Notes
     -----
@@ -240,8 +117,11 @@ def turn_of(into: Floats, out: Floats, law: Law) -> Turn:
     first order. A lean of the axis is not: it shifts b alone, as δ does. Only squared slopes separate lean and δ,
     and aberration hides those.
     """
-    before, after = into @ law.rotation, out @ law.rotation
-    slope, exit_slope = (d[:, :2] / d[:, 2:] for d in (before, after))
+    if light.fit is None:
+        return None
+    law, good = light.law.law, light.alive
+    lens = (d[good] @ law.rotation for d in (light.lit.rays.direction, light.direction))
+    slope, exit_slope = (d[:, :2] / d[:, 2:] for d in lens)
     slope = slope - slope.mean(axis=0)
     system = np.column_stack([slope, np.ones(len(slope))])
     found = np.linalg.lstsq(system, exit_slope, rcond=None)[0]
@@ -258,27 +138,27 @@ def turn_of(into: Floats, out: Floats, law: Law) -> Turn:
 
 def law_checks(design: Design, seen: Optics, where: str = "surfaces") -> list[Check]:
     """Judge the law with the checks law_rms, law_bias, spread, eta, delta, tilt and accounting."""
-    spec, bundle_text = design.check, str(seen.main)
+    spec, main = design.check, seen.main
     lost = "too few rays reach their partner to say; lattice.aperture or a smaller field would help"
-    rms = seen.rms
+    rms = main.rms
     found = [
         judge(
             "law_rms", rms, spec.law_rms,
             lost if rms != rms else f"light leaves {1e3 * rms:.4g} mrad rms from the law, at worst "
-            f"{1e3 * seen.worst:.4g} mrad",
-            unit="rad", where=where, bundle=bundle_text, detail={"worst": seen.worst},
+            f"{1e3 * main.worst:.4g} mrad",
+            unit="rad", where=where, bundle=str(main.lit), detail={"worst": main.worst},
         )
     ]  # fmt: skip
     found += [_bias(spec.law_bias, seen, where), _spread(spec.law_rms, seen, where)]
     found += fit_checks(design, seen, where)
-    found.append(accounting(seen, where))
+    found.append(accounting(seen.main, where))
     return found
 
 
 def _bias(limit: float, seen: Optics, where: str) -> Check:
     """Judge the bias: the angle of the mean exit direction to the law, at the middle and rim of the field."""
     values = np.array([p.bias for p in seen.points])
-    text = f"9 directions, {seen.point_rays} Sobol rays each over the whole cell"
+    text = f"9 directions, {len(seen.points[0].seen)} Sobol rays each over the whole cell"
     if np.isnan(values).all():
         return not_run(
             "law_bias", "no field point passes enough light to say", limit=limit, unit="rad", where=where
@@ -309,7 +189,7 @@ def _spread(limit: float, seen: Optics, where: str) -> Check:
         f"parallel light in the middle of the field leaves within {1e3 * middle:.4g} mrad rms of its mean, whatever "
         f"part of the lens it meets; {1e3 * worst:.4g} mrad at the rim of the field"
     )
-    text = f"9 directions, {seen.point_rays} Sobol rays each over the whole cell"
+    text = f"9 directions, {len(seen.points[0].seen)} Sobol rays each over the whole cell"
     return judge(
         "spread", middle, limit, sentence, unit="rad", where=where, bundle=text, limit_source=from_key("law_rms"),
         detail={"by_field_point": values},
@@ -319,19 +199,20 @@ def _spread(limit: float, seen: Optics, where: str) -> Check:
 def fit_checks(design: Design, seen: Optics, where: str, names: tuple[str, str, str] = ("eta", "delta", "tilt"),
                subject: str = "") -> list[Check]:  # fmt: skip
     """Judge η, δ and the orientation by a fit with the requested axes fixed."""
-    spec, asked, law = design.check, design.law, seen.fit
-    bundle_text = str(seen.fit_bundle)
+    spec, asked, fit = design.check, design.law, seen.narrow.fit
+    bundle_text = str(seen.narrow.lit)
     common: dict[str, Any] = {"where": where, "bundle": bundle_text, "subject": subject}
-    if law is None:
+    if fit is None:
         why = "too few rays reach their partner to fit a law"
         return [not_run(name, why, **common) for name in names if name]
+    law = fit.law
     eta = np.array([law.eta_x / asked.eta_x - 1.0, law.eta_y / asked.eta_y - 1.0])
     delta = np.array([law.delta_x - asked.delta_x, law.delta_y - asked.delta_y])
     found = [
         judge(
             names[0], float(np.abs(eta).max()), spec.eta,
             f"measured eta = {law.eta_x:.6g}, {law.eta_y:.6g}; asked {asked.eta_x:.6g}, {asked.eta_y:.6g}", unit="relative",
-            detail={"measured": (law.eta_x, law.eta_y), "asked": (asked.eta_x, asked.eta_y), "sigma": seen.fit_sigma},
+            detail={"measured": (law.eta_x, law.eta_y), "asked": (asked.eta_x, asked.eta_y), "sigma": fit.sigma},
             **common,
         ),
         judge(
@@ -378,31 +259,31 @@ def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: M
     )  # fmt: skip
 
 
-def accounting(seen: Optics, where: str) -> Check:
+def accounting(light: Light, where: str) -> Check:
     """Judge that every ray has exactly one fate and that only INVALID rays hold a NaN."""
-    result = seen.result
+    result = light.seen
     valid = result.fate != Fate.INVALID
     nan = int((~np.isfinite(result.direction[valid])).any() + (~np.isfinite(result.position[valid])).any())
     counts = result.counts()
-    missing = len(seen.main.rays) - sum(counts.values())
+    missing = len(light.lit.rays) - sum(counts.values())
     good = missing == 0 and nan == 0
     listed = ", ".join(f"{name} {number}" for name, number in counts.items() if number)
     return Check(
         "accounting", "pass" if good else "fail", f"every ray has one fate: {listed}", float(missing + nan), 0.0,
-        where=where, bundle=str(seen.main), detail={"counts": counts},
+        where=where, bundle=str(light.lit), detail={"counts": counts},
     )  # fmt: skip
 
 
 def throughput_check(design: Design, window: Window, seen: Optics, where: str = "surfaces") -> Check:
     """Judge the share of light through corresponding lenslets, compared with the closed form of thin lenses."""
     cells = thin_cells(window)
-    alive = float((seen.result.fate == Fate.ALIVE).mean())
-    mean = float(share(cells, seen.main.rays.direction[:SHARE_DIRECTIONS]).mean())
-    middle = seen.points[0]
-    ratios = [a / b if b > 0.0 else np.nan for a, b in ((middle.share, middle.closed_form), (alive, mean))]
+    alive = seen.main.share
+    mean = float(share(cells, seen.main.lit.rays.direction[:SHARE_DIRECTIONS]).mean())
+    middle, closed_form = seen.points[0].share, float(seen.closed_form[0])
+    ratios = [a / b if b > 0.0 else np.nan for a, b in ((middle, closed_form), (alive, mean))]
     value = float(np.nanmin(ratios)) if not np.isnan(ratios).all() else np.nan
     sentence = (
-        f"{middle.share:.3f} of the light passes in the middle of the field (closed form {middle.closed_form:.3f}), "
+        f"{middle:.3f} of the light passes in the middle of the field (closed form {closed_form:.3f}), "
         f"{alive:.3f} over the field ({mean:.3f})"
     )
     wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
@@ -413,8 +294,8 @@ def throughput_check(design: Design, window: Window, seen: Optics, where: str = 
         sentence += f"{100.0 * lost[1]:.2g} % along y to neighbours (clacad wave)"
     return judge(
         "throughput", value, design.check.throughput, sentence, relation=">=", unit="of closed form", where=where,
-        bundle=str(seen.main),
-        detail={"middle": middle.share, "middle_closed_form": middle.closed_form, "mean": alive, "mean_closed_form": mean,
+        bundle=str(seen.main.lit),
+        detail={"middle": middle, "middle_closed_form": closed_form, "mean": alive, "mean_closed_form": mean,
                 "diffraction_keeps": kept},
     )  # fmt: skip
 

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.optics.law import Law
+from clacad.light.measure import Light
+from clacad.optics.rays import Rays
+from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import SeenCell, through_all, tried_cells, worst_of
 from clacad.verification.check_kinds.light import DELTA, ETA, TILT
@@ -26,7 +28,7 @@ from clacad.verification.light.law_checks import (
     Optics,
     confocality_check,
     law_checks,
-    measure,
+    optics_of,
     throughput_check,
     turn_of,
 )
@@ -52,16 +54,12 @@ def _named(seen: SeenCell, check: Check) -> Check:
 
 def _fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Optics:
     """Optics with η, δ and turn fitted to light of the field centres of all cells, each lit in its own field."""
-    rays, alive, direction = through_all(tried, FIT_SCALE * field)
-    window = tried[0].window
-    into, out = _as_in_the_middle(tried, rays.direction)[alive], direction[alive]
-    lit = replace(optics.fit_bundle, rays=rays, aperture=1.0)
-    try:
-        fit = Law.fit(into, out, axes=window.law)
-    except ValueError:  # too little light gets through, or its exit direction is constant
-        return replace(optics, fit=None, fit_bundle=lit, fit_rms=np.nan, fit_sigma={}, turn=None)
-    turn = turn_of(into, out, window.law)
-    return replace(optics, fit=fit.law, fit_bundle=lit, fit_rms=fit.rms, fit_sigma=fit.sigma, turn=turn)
+    rays, seen = through_all(tried, FIT_SCALE * field)
+    into = Rays(rays.position, _as_in_the_middle(tried, rays.direction))
+    narrow = Light(
+        replace(optics.narrow.lit, rays=into, aperture=1.0), seen, RequestedLaw(tried[0].window.law), fewest=0
+    )
+    return replace(optics, narrow=narrow, turn=turn_of(narrow))
 
 
 def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
@@ -89,20 +87,20 @@ def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
 def judge_light(
     design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS, *, remedies: bool = False
 ) -> tuple[list[Check], Optics]:
-    """Judge light through a window's exact surfaces by the limits of its design; rays as in `measure`.
+    """Judge light through a window's exact surfaces by the limits of its design; rays as in `optics_of`.
 
     remedies : whether the check `viewed` tries which changes reach its limit.
     """
     tried = tried_cells(window, design.check.field)
     seen = worst_of(tried, design.check.field)
-    optics = measure(design, seen.like, seen.send, rays, point_rays)
+    optics = optics_of(design, seen.like, seen.send, rays, point_rays)
     if len(tried) > 1:
         optics = _fitted_over_all(optics, tried, design.check.field)
     found = [
         *law_checks(design, optics), throughput_check(design, seen.like, optics), confocality_check(design, seen.like)
     ]  # fmt: skip
     if window.thin.field:
-        found += field_lens_checks(design, window, optics.main)
+        found += field_lens_checks(design, window, optics.main.lit)
     return [
         *(_named(seen, check) for check in found),
         viewed_check(design, window, remedies=remedies),

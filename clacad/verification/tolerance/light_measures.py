@@ -27,17 +27,19 @@ from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.effects.scatter import haze
-from clacad.optics.law import angle_between
-from clacad.optics.law.law import law_in_axes
-from clacad.sheet.bundle import bundle, field_about, middle_direction
+from clacad.light.measure import Light, Send, measure_each
+from clacad.optics.law import Law, difference_of_laws
+from clacad.optics.rays import Rays
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import Bundle, bundle, field_about, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
+from clacad.sheet.representative_cells import places_of_errors
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
-from clacad.verification.tolerance.misaligned import Errors, Telescopelet, telescopelet
+from clacad.verification.tolerance.misaligned import Errors, telescopelet
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -52,6 +54,12 @@ HAIR = 2e-3
 
 FIT_SCALE = 0.1
 """Aperture and field of the rays on which eta and delta are fitted, over those of the main rays, as in the checks."""
+
+FEWEST_OF_BEAM = 8
+"""Least number of rays of a parallel beam that must get through."""
+
+FEWEST_BY_BUNDLE: Mapping[str, int] = {"cone": 1, "narrow": 64}
+"""Least number of rays of the other bundles that must get through."""
 
 MEASURES: Mapping[str, str] = {
     "shift_x": "rad", "shift_y": "rad", "slip_xx": "", "slip_xy": "", "slip_yx": "", "slip_yy": "",
@@ -68,14 +76,12 @@ class Bench:
     """A design's window with the rays and reference values that all samples share.
 
     window : Window
-    rays : (position (n, 3), direction (n, 3))
-        About the cell's centre: the cone, the parallel beams, the narrow fit bundle, the parabasal rays.
-    parts : mapping
-        Name of a bundle to its rows.
+    law : RequestedLaw
+    bundles : mapping
+        Name to bundle, its rays about the cell's centre: the cone, the parallel beams, the narrow fit bundle, the
+        parabasal rays.
     places : (m, 2) lengths
         Traced cells: the middle one and the farthest ones, nominal centres of cell 1.
-    `asked` : (n, 3)
-        Exit directions of all rays by the requested law.
     chief : (2,) slopes
         Nominal exit slopes of the chief ray, lens frame.
     per_decentre : (2, 2) 1/length
@@ -86,10 +92,9 @@ class Bench:
     """
 
     window: Window
-    rays: tuple[Floats, Floats]
-    parts: Mapping[str, slice]
+    law: RequestedLaw
+    bundles: Mapping[str, Bundle]
     places: Floats
-    asked: Floats
     chief: Floats
     per_decentre: Floats
     closed_form: float
@@ -101,15 +106,13 @@ class Bench:
         spread, share_, rms, bias = [], [], [], []
         clear = 1.0 - self._haze(errors)
         for number, place in enumerate(self.places):
-            cell = telescopelet(self.window, errors, place)
-            out, alive = self._sent(cell, errors)
-            spread.append(self._spread(out, alive))
-            cone = self.parts["cone"]
-            share_.append(float(alive[cone].mean()) * clear)
-            rms.append(_rms(angle_between(out[cone], self.asked[cone])[alive[cone]]))
-            bias.append(self._bias(out, alive))
+            light = self.light(errors, place)
+            spread.append(light["beam"].spread)
+            share_.append(light["cone"].share * clear)
+            rms.append(light["cone"].rms)
+            bias.append(_worst([one.bias for name, one in light.items() if name.startswith("beam")]))
             if number == 0:
-                found |= self._fitted(out, alive)
+                found |= self._fitted(light["narrow"].fitted)
         kept = min(share_)
         x, y = self.window.unit * self.places[_first_worst(rms)]
         return found | {
@@ -118,49 +121,31 @@ class Bench:
             "law_rms_x": float(x), "law_rms_y": float(y),
         }  # fmt: skip
 
-    def _sent(self, cell: Telescopelet, errors: Errors) -> tuple[Floats, NDArray[np.bool_]]:
-        """Trace the field's light over cell 1 at its actual position: the light covers the whole sheet."""
+    def light(self, errors: Errors, place: Floats | None = None) -> dict[str, Light]:
+        """Light of each bundle through one cell of the sheet made with these errors; default the sheet's middle."""
+        bundles = list(self.bundles.values())
+        seen = measure_each(self._sender(errors, place), bundles, self.law)
+        return {
+            name: replace(one, fewest=FEWEST_BY_BUNDLE.get(name, FEWEST_OF_BEAM))
+            for name, one in zip(self.bundles, seen, strict=True)
+        }
+
+    def _sender(self, errors: Errors, place: Floats | None = None) -> Send:
+        """Sender through one cell, over cell 1 at its actual position: the light covers the whole sheet."""
+        cell = telescopelet(self.window, errors, place)
         aside = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
-        return cell.send(self.rays[0] + aside, self.rays[1])
+        return lambda lit: cell.send(Rays(lit.rays.position + aside, lit.rays.direction))
 
     def _haze(self, errors: Errors) -> float:
         rough = errors.get("roughness", 0.0) * self.window.unit
         return haze(self.window, rough, self.wavelength) if rough else 0.0
 
-    def _spread(self, out: Floats, alive: NDArray[np.bool_]) -> float:
-        rows = self.parts["beam"]
-        lit = out[rows][alive[rows]]
-        if len(lit) < 8:
-            return np.nan
-        return _rms(angle_between(lit, lit.mean(axis=0)))
-
-    def _bias(self, out: Floats, alive: NDArray[np.bool_]) -> float:
-        """Largest angle between mean exit direction and law over the parallel beams."""
-        worst = 0.0
-        for name, rows in self.parts.items():
-            if not name.startswith("beam"):
-                continue
-            lit = out[rows][alive[rows]]
-            if len(lit) < 8:
-                return np.nan
-            worst = max(worst, float(angle_between(lit.mean(axis=0), self.asked[rows][0])))
-        return worst
-
-    def _fitted(self, out: Floats, alive: NDArray[np.bool_]) -> dict[str, float]:
-        rows = self.parts["narrow"]
-        into, lit = self.rays[1][rows][alive[rows]], out[rows][alive[rows]]
+    def _fitted(self, law: Law | None) -> dict[str, float]:
         names = ("eta_x", "eta_y", "delta_x", "delta_y", "eta_error", "delta_error")
-        if len(lit) < 64:
+        if law is None:
             return dict.fromkeys(names, np.nan)
-        try:
-            law = law_in_axes(into, lit, self.window.law)
-        except ValueError:  # the exit directions do not depend on the incident ones
-            return dict.fromkeys(names, np.nan)
-        asked = self.window.law
-        eta, delta = (law.eta_x, law.eta_y), (law.delta_x, law.delta_y)
-        off_eta = max(abs(eta[0] / asked.eta_x - 1.0), abs(eta[1] / asked.eta_y - 1.0))
-        off_delta = max(abs(delta[0] - asked.delta_x), abs(delta[1] - asked.delta_y))
-        return dict(zip(names, (*eta, *delta, off_eta, off_delta), strict=True))
+        off = difference_of_laws(law, self.law.law)
+        return dict(zip(names, (law.eta_x, law.eta_y, law.delta_x, law.delta_y, *off), strict=True))
 
     def _chief_measures(self, errors: Errors) -> dict[str, float]:
         """Image shift, slip and power, computed from the chief ray and its neighbours."""
@@ -194,10 +179,7 @@ class Bench:
 
     def chief_slopes(self, errors: Errors, place: Floats | None = None) -> Floats:
         """Exit slopes (5, 2), lens frame, of the chief ray and its parabasal rays; NaN for a lost ray."""
-        rows = self.parts["chief"]
-        cell = telescopelet(self.window, errors, place)
-        aside = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
-        out, _ = cell.send(self.rays[0][rows] + aside, self.rays[1][rows])
+        out = self._sender(errors, place)(self.bundles["chief"]).direction
         turned = out @ self.window.thin.rotation
         return np.asarray(turned[:, :2] / turned[:, 2:])
 
@@ -219,16 +201,11 @@ def bench(
         Middle of the field along the sheet's x and y, in place of `check.field_centre`.
     """
     spec = design.check
-    rows = _bundles(window, spec, rays, None if incident is None else sloped(incident))
-    parts, start = {}, 0
-    for name, (position, _) in rows.items():
-        parts[name] = slice(start, start + len(position))
-        start += len(position)
-    position, direction = (np.concatenate([pair[k] for pair in rows.values()]) for k in (0, 1))
-    kept = float(share(thin_cells(window), rows["cone"][1][:64]).mean())
+    bundles = _bundles(window, spec, rays, None if incident is None else sloped(incident))
+    kept = float(share(thin_cells(window), bundles["cone"].rays.direction[:64]).mean())
     blank = Bench(
-        window, (position, direction), parts, places(window), window.law.refract(direction), np.zeros(2), np.eye(2),
-        kept, window.wavelength or DEFAULT_WAVELENGTH,
+        window, RequestedLaw.of(window), bundles, places_of_errors(window), np.zeros(2), np.eye(2), kept,
+        window.wavelength or DEFAULT_WAVELENGTH,
     )  # fmt: skip
     return replace(blank, chief=blank.chief_slopes({})[0], per_decentre=_per_decentre(blank))
 
@@ -239,10 +216,8 @@ def sloped(slopes: tuple[float, float]) -> Floats:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _bundles(
-    window: Window, spec: CheckSpec, rays: int, incident: Floats | None
-) -> dict[str, tuple[Floats, Floats]]:
-    """Positions about the cell's centre and directions, (n, 3) each, of the rays of every bundle, by bundle name."""
+def _bundles(window: Window, spec: CheckSpec, rays: int, incident: Floats | None) -> dict[str, Bundle]:
+    """Every bundle by its name, its rays about the cell's centre."""
     middle = middle_direction(window, spec.field_centre) if incident is None else incident
     bundles = {"cone": bundle(window, 4 * rays, spec.field, spec.field_centre, middle=incident)}
     for number, direction in enumerate(field_about(middle, spec.field)[[0, 1, 3, 5, 7]]):
@@ -250,9 +225,13 @@ def _bundles(
         bundles["beam" if number == 0 else f"beam {number}"] = bundle(window, count, 0.0, middle=direction)
     bundles["narrow"] = bundle(window, rays, FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE, incident)
     home = np.append(window.lattice.centres(np.array([bundles["cone"].cell]))[0], 0.0)
-    rows = {name: (b.rays.position - home, b.rays.direction) for name, b in bundles.items()}
-    rows["chief"] = _chief_rays(window, middle, rows["beam"][0][0, 2])
-    return rows
+    bundles = {
+        name: replace(one, rays=Rays(one.rays.position - home, one.rays.direction))
+        for name, one in bundles.items()
+    }
+    beam = bundles["beam"]
+    chief = _chief_rays(window, middle, beam.rays.position[0, 2])
+    return bundles | {"chief": replace(beam, rays=chief, points=np.zeros((len(chief), 2)))}
 
 
 def _per_decentre(table: Bench) -> Floats:
@@ -262,28 +241,13 @@ def _per_decentre(table: Bench) -> Floats:
     return np.stack([(up - down) / (2.0 * step) for up, down in ways], axis=1)
 
 
-def _chief_rays(window: Window, middle: Floats, low: float) -> tuple[Floats, Floats]:
+def _chief_rays(window: Window, middle: Floats, low: float) -> Rays:
     """The ray through the cell's middle, and four parabasal rays along lens x and y, from below the window."""
     u, v, _ = window.thin.rotation.T
     size = HAIR * window.lattice.circumradius
     at = np.array([0.0 * u, u, -u, v, -v]) * size
     start = at + middle * ((low - at[:, 2:]) / middle[2])
-    return start, np.broadcast_to(middle, start.shape).copy()
-
-
-def places(window: Window) -> Floats:
-    """Centres of the sheet's middle and of its farthest cells along the four diagonals, (m, 2)."""
-    lattice = window.lattice
-    if lattice.cell_count == 1:
-        return np.zeros((1, 2))
-    x0, x1, y0, y1 = lattice.extent()
-    if lattice.outline is None:
-        half = 0.5 * np.array([x1 - x0, y1 - y0]) - 0.5 * np.array(lattice.pitch)
-        signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
-        return np.concatenate([np.zeros((1, 2)), np.unique(signs * np.maximum(half, 0.0), axis=0)])
-    centres = lattice.centres(lattice.cells())
-    far = [centres[int(np.argmax(centres @ np.array(way)))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
-    return np.concatenate([np.zeros((1, 2)), np.array(far)])
+    return Rays(start, np.broadcast_to(middle, start.shape).copy())
 
 
 def _worst(values: list[float]) -> float:
@@ -295,10 +259,6 @@ def _first_worst(values: list[float]) -> int:
     """Index of the first value that is the largest within rounding, or NaN."""
     most = _worst(values)
     return next(k for k, value in enumerate(values) if value != value or value >= most * (1.0 - 1e-9))
-
-
-def _rms(angles: Floats) -> float:
-    return float(np.sqrt(np.mean(angles**2))) if len(angles) else float("nan")
 
 
 def _norm(matrix: Floats) -> float:

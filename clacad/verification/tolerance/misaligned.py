@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats
-from clacad.optics.rays import Fate, Rays
+from clacad.base.types import Floats
+from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.surface import Surface, resized
 from clacad.sheet.feasibility import thicker
 from clacad.sheet.plate import Plate
@@ -58,13 +58,13 @@ class Telescopelet:
     faces: list[tuple[Face, int, Motion]]
     centre: Floats
 
-    def send(self, position: Floats, direction: Floats) -> tuple[Floats, Bools]:
-        """Trace rays given about the cell's centre; exit directions (n, 3), and which stayed in this telescopelet.
+    def send(self, rays: Rays) -> TraceResult:
+        """Trace rays given about the cell's centre; ALIVE are those that stay in this telescopelet, else WALL.
 
         Directions are NaN where a ray ended on the way. A ray counts if it hits every lens face in the optical zone
         of this cell, where the lens is not buried in land, and leaves forwards.
         """
-        result = trace_sequence(self.seq, Rays(position, direction), record=True)
+        result = trace_sequence(self.seq, rays, record=True)
         through = result.fate == Fate.ALIVE
         good = through.copy()
         assert result.hits is not None  # recorded
@@ -77,7 +77,11 @@ class Telescopelet:
             good &= in_optical_tile(self.window, x, y)
             if face.land is not None:
                 good &= face.side * (face.land - before[:, 2]) >= 0.0
-        return np.where(through[:, None], result.direction, np.nan), good
+        return replace(
+            result,
+            direction=np.where(through[:, None], result.direction, np.nan),
+            fate=np.where(through & ~good, np.uint8(Fate.WALL), result.fate),
+        )
 
 
 def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -> Telescopelet:
