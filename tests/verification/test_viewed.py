@@ -13,6 +13,7 @@ from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.allowances import accepted
 from clacad.verification.checks import passed
+from clacad.verification.light.law_checks import Lit
 from clacad.verification.light.viewed_check import viewed_check
 
 SHEET = {
@@ -33,7 +34,8 @@ def mean_share(distance, width=20.0, separation=10.0, pitch=0.5):
 
 
 def viewed_of(design):
-    check, *_ = accepted([viewed_check(design, prescribe(design))], design)
+    window = prescribe(design)
+    check, *_ = accepted(viewed_check(Lit(design, window, window, None)), design)
     return check
 
 
@@ -103,7 +105,8 @@ NAMED = re.compile(r"(lattice\.aperture|pair\.field_lens) = (\{.*?\}|true)|a vie
 
 def remedies(design):
     """Keys and values that the check names."""
-    check = viewed_check(design, prescribe(design), remedies=True)
+    window = prescribe(design)
+    (check,) = viewed_check(Lit(design, window, window, None, remedies=True))
     assert check.state == "fail"
     found = {}
     for key, value, distance in NAMED.findall(check.sentence):

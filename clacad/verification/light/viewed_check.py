@@ -12,6 +12,7 @@ from clacad.design.sections import AimedAt
 from clacad.sheet.window import Window
 from clacad.verification.check_kinds.light import VIEWED
 from clacad.verification.checks import Check
+from clacad.verification.light.law_checks import Lit
 from clacad.verification.light.viewed import thin_share, viewed, viewer_of
 
 if TYPE_CHECKING:
@@ -29,31 +30,25 @@ STEPS = 6
 """Most steps of a tenth that rays need beyond the distance for ideal lenses."""
 
 
-def viewed_check(design: Design, window: Window, *, remedies: bool = False) -> Check:
+def viewed_check(lit: Lit) -> Iterator[Check]:
     """Judge the share of the viewer's light that obeys the law.
 
     Below the limit a stated viewer fails and an assumed one warns.
-
-    Parameters
-    ----------
-    design : Design
-    window : Window
-    remedies : bool
-        Whether to try which changes reach the limit, and name them; this takes some tenths of a second.
     """
+    design, window = lit.design, lit.window
     found = viewed(window, viewer_of(design))
     stated, limit = design.check.viewer is not None, design.check.viewed
     eye = _eye(design, found.viewer)
     sentence = _share_of(found.traced, eye)
     if not found.traced >= limit:
         sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %); the rest meets other lenslets"
-        sentence += f"; {_remedy_text(design, window, found.viewer)}" if remedies else ""
+        sentence += f"; {_remedy_text(design, window, found.viewer)}" if lit.remedies else ""
     check = VIEWED.judge(
         found.traced, limit, sentence, required=stated,
         bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0",
         detail={"viewer": found.viewer, "thin": found.thin, "stated": stated, "eye": eye},
     )  # fmt: skip
-    return replace(check, state="warn") if check.state == "fail" and not stated else check
+    yield replace(check, state="warn") if check.state == "fail" and not stated else check
 
 
 def headline(checks: Sequence[Check]) -> str:
