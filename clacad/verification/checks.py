@@ -31,8 +31,8 @@ FAMILIES = (
 )
 """Modules that declare kinds of checks, in the order in which stages run their functions."""
 
-Stage = Literal["cell", "part"]
-"""Stage of the design rules: in one cell, or of the whole part."""
+Stage = Literal["cell", "part", "light", "sheet"]
+"""Design rules in one cell or of the whole part; light through one cell or through the whole sheet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,16 +210,6 @@ class Check:
             "sentence": self.sentence, "detail": plain(dict(self.detail)),
             **({"alias": self.kind.former} if self.kind.former else {}),
         }  # fmt: skip
-
-
-def judge(id: str, value: float, limit: float, sentence: str, **rest: Any) -> Check:
-    """Check of the kind with an id; see `CheckKind.judge`."""
-    return kinds()[id].judge(value, limit, sentence, **rest)
-
-
-def not_run(id: str, why: str, **rest: Any) -> Check:
-    """Check of the kind with an id; see `CheckKind.not_run`."""
-    return kinds()[id].not_run(why, **rest)
 
 
 RAYS_NEEDED = "rays_needed"

@@ -21,7 +21,7 @@ from clacad.sheet.feasibility import describe, feasibility
 from clacad.verification.check_kinds.shape import EDGE, GRAPH, SAG
 from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
-from clacad.verification.light.law_checks import confocality_check
+from clacad.verification.light.law_checks import Lit, confocality_check
 from clacad.verification.limit_sources import DEFAULT
 
 ROOT = Path(__file__).parents[2]
@@ -132,7 +132,10 @@ def test_what_is_nothing_beside_its_limit_is_shown_as_0(value, limit, relation, 
 def test_no_rounding_is_told_of_a_sheet_that_is_confocal():
     design = load(ROOT / "designs" / "slab.toml")
     window = prescribe(design)
-    checks = [*design_checks(design, window, feasibility(window)), confocality_check(design, window)]
+    checks = [
+        *design_checks(design, window, feasibility(window)),
+        *confocality_check(Lit(design, window, window, None)),
+    ]
     told = checks_text([check for check in checks if check.id in ("residual", "confocality")])
     assert "along the axis ray the recipe leaves 0 mrad" in told
     assert "would have to move by 0 of the distance" in told

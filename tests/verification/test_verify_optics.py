@@ -19,11 +19,12 @@ from clacad.verification.checks import passed
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.confocality import confocality
 from clacad.verification.light.law_checks import (
+    Lit,
     accounting,
     confocality_check,
     law_checks,
     optics_of,
-    throughput_check,
+    throughput,
 )
 from clacad.verification.light.through_window import judge_light
 
@@ -134,7 +135,7 @@ def angled(name):
 def by_light(design, window):
     claimed = replace(window, law=design.law)
     seen = optics_of(design, claimed, lambda lit: trace(claimed, lit.rays), RAYS, POINT_RAYS)
-    return {c.id: c for c in law_checks(design, seen)}
+    return {c.id: c for c in law_checks(Lit(design, claimed, claimed, seen))}
 
 
 @pytest.mark.daily_cases("one virtual focus")
@@ -194,7 +195,8 @@ def test_meridians_that_differ_fail_by_their_difference_not_by_a_defect_within_i
     wrong = replace(
         window, bodies=(window.bodies[0], replace(second, front=bent(second.front), back=bent(second.back)))
     )
-    found, check = confocality(wrong), confocality_check(thin, wrong)
+    (check,) = confocality_check(Lit(thin, wrong, wrong, None))
+    found = confocality(wrong)
     assert found.defect < 0.02
     assert check.state == "fail"
     assert check.value == pytest.approx(abs(found.shift[0] - found.shift[1]) / found.distance)
@@ -238,7 +240,8 @@ def test_without_light_nothing_is_green():
     """Remove the input of the traced checks, the light: they do not run, and the report does not pass."""
     window = prescribe(BASE)
     none = optics_of(BASE, window, lambda lit: replace_fate(trace(window, lit.rays)), RAYS, POINT_RAYS)
-    checks = [*law_checks(BASE, none), throughput_check(BASE, window, none)]
+    lit = Lit(BASE, window, window, none)
+    checks = [*law_checks(lit), *throughput(lit)]
     states = {c.id: c.state for c in checks}
     assert {states[name] for name in ("law_rms", "law_bias", "spread", "eta", "delta", "tilt")} == {"not run"}
     assert states["throughput"] == "fail"
@@ -256,7 +259,7 @@ def test_a_ray_lost_or_a_nan_that_lives_fails_the_accounting():
     direction = seen.direction.copy()
     direction[7] = np.nan
     for result in (replace(seen, direction=direction), seen.rows(slice(-1))):
-        assert accounting(replace(optics.main, seen=result), "surfaces").state == "fail"
+        assert accounting(replace(optics.main, seen=result)).state == "fail"
 
 
 # -- confocality: thick lenses by the 2 × 2 matrices of paraxial optics -----------------------------
@@ -316,7 +319,9 @@ def test_a_meridian_without_power_is_no_defect():
     )
     assert np.isnan(found.shift[1])
     assert found.defect < 1e-9
-    assert confocality_check(BASE.replace({"law.eta": [-1.0, -1.0]}), prescribe(BASE)).state == "pass"
+    window = prescribe(BASE)
+    (check,) = confocality_check(Lit(BASE.replace({"law.eta": [-1.0, -1.0]}), window, window, None))
+    assert check.state == "pass"
 
 
 # -- bundles ----------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from clacad.sheet.feasibility import feasibility
 from clacad.verification.allowances import accepted
 from clacad.verification.checks import passed, wrong
 from clacad.verification.design.design_rules import design_checks
+from clacad.verification.light.law_checks import Lit
 from clacad.verification.light.through_window import judge_light
 from clacad.verification.light.viewed_check import viewed_check
 from clacad.verification.run import judge_window
@@ -38,7 +39,8 @@ def mean_share(distance, width=20.0, separation=10.0, pitch=0.5):
 
 
 def viewed_of(design):
-    check, *_ = accepted([viewed_check(design, prescribe(design))], design)
+    window = prescribe(design)
+    check, *_ = accepted(viewed_check(Lit(design, window, window, None)), design)
     return check
 
 

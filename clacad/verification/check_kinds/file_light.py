@@ -118,7 +118,7 @@ FILE_TARGET = CheckKind("file_target", "CL355", "rad", where="file", rule="--tar
     do="Export with a finer setting.",
 )
 
-CONVERGENCE = CheckKind("convergence", "CL353", where="mesh").explained(
+CONVERGENCE = CheckKind("convergence", "CL353", "order", relation="in", where="mesh").explained(
     means="Whether light through facets approaches the exact surfaces as they shrink, at the rate physics "
     "predicts.",
     why="A wrong order means that mesh or tracer is wrong, however small the error.",

@@ -24,10 +24,18 @@ from clacad.sheet.bundle import bundle, field_points
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
-from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.check_kinds.file_light import (
+    FILE_CONFOCALITY,
+    FILE_LAW_BIAS,
+    FILE_LAW_DELTA,
+    FILE_LAW_ETA,
+    FILE_LAW_RMS,
+    FILE_THROUGHPUT,
+)
+from clacad.verification.checks import Check, CheckKind
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.light.law_checks import SHARE_DIRECTIONS
-from clacad.verification.limit_sources import DESIGN_FILE, from_key, other
+from clacad.verification.limit_sources import DESIGN_FILE
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -176,10 +184,10 @@ def _law_rms(
     """Rms direction error to the law of the worst measured cell; for a scan, without the part its facets cause."""
     spec = asked.design.check
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
-    source = from_key("law_rms") if spec.mesh_law_rms is None else DESIGN_FILE
+    source = FILE_LAW_RMS.limit_source if spec.mesh_law_rms is None else DESIGN_FILE
     if found.light.rms != found.light.rms:
         why = f"too little light gets through the file's {what}"
-        return not_run("file_law_rms", why, limit=limit, unit="rad", **asked.common)
+        return FILE_LAW_RMS.not_run(why, limit=limit, unit="rad", **asked.common)
     every = np.array([found.light.rms, *rms[1:]])
     worst = int(np.nanargmax(every))
     value = float(every[worst])
@@ -189,7 +197,6 @@ def _law_rms(
     sentence = f"through the file's {what} light leaves {1e3 * value:.4g} mrad rms from the law ({where})"
     sentence += _other_rms(found, every)
     common: dict[str, Any] = {
-        "unit": "rad",
         "bundle": str(found.light.lit),
         "limit_source": source,
         **asked.common,
@@ -202,8 +209,8 @@ def _law_rms(
         "strayed": found.strayed,
     }
     if not (asked.role is Role.SCAN and value > limit and noise > 0.0):
-        return judge(
-            "file_law_rms", value, limit, sentence, detail={"worst": found.light.worst, **told}, **common
+        return FILE_LAW_RMS.judge(
+            value, limit, sentence, detail={"worst": found.light.worst, **told}, **common
         )
     rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
     sentence += (
@@ -211,7 +218,7 @@ def _law_rms(
         f"are worse), {1e3 * rest:.4g} is left"
     )
     detail = {"with_noise": value, "noise": noise, **told}
-    check = judge("file_law_rms", rest, limit, sentence, detail=detail, **common)
+    check = FILE_LAW_RMS.judge(rest, limit, sentence, detail=detail, **common)
     return replace(check, state="warn") if check.state == "pass" else check
 
 
@@ -237,14 +244,14 @@ def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:
     limit = asked.design.check.law_bias
     if np.isnan(found.bias).all():
         why = f"no field point passes enough light through the {what}"
-        return not_run("file_law_bias", why, limit=limit, unit="rad", **asked.common)
+        return FILE_LAW_BIAS.not_run(why, limit=limit, unit="rad", **asked.common)
     worst = int(np.nanargmax(found.bias))
     value = float(found.bias[worst])
     place = "in the middle" if worst == 0 else f"at the rim, {45 * (worst - 1)} deg from +x,"
-    return judge(
-        "file_law_bias", value, limit,
+    return FILE_LAW_BIAS.judge(
+        value, limit,
         f"{place} of the field the mean direction through the file's {what} is {1e3 * value:.4g} mrad from the law",
-        unit="rad", limit_source=from_key("law_bias"), bundle="9 directions over the whole cell",
+        bundle="9 directions over the whole cell",
         detail={"by_field_point": found.bias}, **asked.common,
     )  # fmt: skip
 
@@ -252,21 +259,25 @@ def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:
 def _law_fitted(asked: Inspection, found: FileLight, what: str) -> list[Check]:
     """η and δ through the file, compared with those through the exact surfaces."""
     laws, spec = found.compared.laws, asked.design.check
-    names = ("file_law_eta", "file_law_delta")
+    kinds = (FILE_LAW_ETA, FILE_LAW_DELTA)
     if laws is None:
         why = f"too little light gets through the file's {what} to fit a law"
-        return [not_run(name, why, **asked.common) for name in names]
+        return [kind.not_run(why, **asked.common) for kind in kinds]
     text = "fitted over the same rays, {0} = {1:.6g}, {2:.6g} through the file's " + what
     text += " and {3:.6g}, {4:.6g} through the exact surfaces"
-    return fit_checks(names, laws, (spec.eta, spec.delta), text, bundle=str(found.light.lit), **asked.common)
+    return fit_checks(kinds, laws, (spec.eta, spec.delta), text, bundle=str(found.light.lit), **asked.common)
 
 
 def fit_checks(
-    names: tuple[str, str], laws: tuple[Law, Law], limits: tuple[float, float], text: str, **common: Any
+    kinds: tuple[CheckKind, CheckKind],
+    laws: tuple[Law, Law],
+    limits: tuple[float, float],
+    text: str,
+    **common: Any,
 ) -> list[Check]:
     """Compare η (relative) and δ (slope) of one fitted law with another.
 
-    names : of the check of η and of that of δ
+    kinds : of the check of η and of that of δ
     laws : the judged law and the reference
     limits : of η and of δ
     text : with fields for the name and the four numbers
@@ -275,25 +286,35 @@ def fit_checks(
     found, wanted = ((one.eta_x, one.eta_y) for one in laws)
     shift, wanted_shift = ((one.delta_x, one.delta_y) for one in laws)
     return [
-        judge(names[0], eta, limits[0], text.format("eta", *found, *wanted), unit="relative",
-              limit_source=from_key("eta"), detail={"measured": found, "exact": wanted}, **common),
-        judge(names[1], delta, limits[1], text.format("delta", *shift, *wanted_shift), unit="slope",
-              limit_source=from_key("delta"), detail={"measured": shift, "exact": wanted_shift}, **common),
-    ]  # fmt: skip
+        kinds[0].judge(
+            eta,
+            limits[0],
+            text.format("eta", *found, *wanted),
+            detail={"measured": found, "exact": wanted},
+            **common,
+        ),
+        kinds[1].judge(
+            delta,
+            limits[1],
+            text.format("delta", *shift, *wanted_shift),
+            detail={"measured": shift, "exact": wanted_shift},
+            **common,
+        ),
+    ]
 
 
 def _confocality(asked: Inspection, found: FileLight) -> Check:
     limit = asked.design.check.confocality
     if np.isnan(found.shift).all():
-        return not_run(
-            "file_confocality", "too little light gets through the file to say", limit=limit, **asked.common
+        return FILE_CONFOCALITY.not_run(
+            "too little light gets through the file to say", limit=limit, **asked.common
         )
     value = float(np.nanmax(np.abs(found.shift)))
     sentence = (
         f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the file to "
         f"keep to the law as well as through the exact surfaces (x {found.shift[0]:+.4g}, y {found.shift[1]:+.4g})"
     )
-    return judge("file_confocality", value, limit, sentence, unit="of separation", limit_source=from_key("confocality"),
+    return FILE_CONFOCALITY.judge(value, limit, sentence,
                  bundle=str(found.light.lit), detail={"shift": found.shift}, **asked.common)  # fmt: skip
 
 
@@ -304,5 +325,5 @@ def _throughput(asked: Inspection, found: FileLight, what: str) -> Check:
         f"{found.middle[0]:.3f} of the light passes the file's {what} in the middle of the field (closed form "
         f"{found.middle[1]:.3f}), {found.field[0]:.3f} over the field ({found.field[1]:.3f})"
     )
-    return judge("file_throughput", value, asked.design.check.throughput, sentence, relation=">=", unit="of closed form",
-                 limit_source=other("throughput"), bundle=str(found.light.lit), **asked.common)  # fmt: skip
+    return FILE_THROUGHPUT.judge(value, asked.design.check.throughput, sentence,
+                 bundle=str(found.light.lit), **asked.common)  # fmt: skip

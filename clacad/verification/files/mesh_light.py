@@ -23,7 +23,8 @@ from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
 from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
-from clacad.verification.checks import RAYS_NEEDED, Check, judge, not_run
+from clacad.verification.check_kinds.file_light import FAITHFUL_DELTA, FAITHFUL_ETA, FAITHFUL_RMS
+from clacad.verification.checks import RAYS_NEEDED, Check
 from clacad.verification.files.cell_triangles import CellFacets, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
 from clacad.verification.files.inspection import Inspection
@@ -34,7 +35,7 @@ from clacad.verification.files.law_through_file import (
     light_checks,
     measure_light,
 )
-from clacad.verification.limit_sources import derived, other
+from clacad.verification.limit_sources import OWN_KEY, derived, other
 
 CELL_RAYS = 4096
 RAYS_A_FACET, MOST_RAYS = 32, 65536
@@ -218,17 +219,17 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
     if np.isnan(rms).any() or not np.isfinite(evidence.forecast).all():
         dark = [str(c) for c, r in zip(evidence.cells, rms, strict=True) if np.isnan(r)]
         if np.isnan(rms).all():
-            return not_run("faithful_rms", "no ray gets through the file's triangles", **common)
+            return FAITHFUL_RMS.not_run("no ray gets through the file's triangles", **common)
         why = f"no ray gets through the triangles over the cells {', '.join(dark)}"
-        return Check("faithful_rms", "fail", why, None, bundle=bundle_text, **common)
+        return FAITHFUL_RMS.check("fail", why, bundle=bundle_text, limit_source=OWN_KEY, **common)
     worst = int(np.argmax(rms / evidence.forecast))
     limit = times * min(float(evidence.forecast[worst]), clean) + 1e-9
     sentence = (
         f"through the triangles light leaves {1e3 * rms[worst]:.4g} mrad rms from where the exact surfaces send it "
         f"(cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast {1e3 * evidence.forecast[worst]:.4g}"
     )
-    check = judge(
-        "faithful_rms", float(rms[worst]), limit, sentence, bundle=bundle_text,
+    check = FAITHFUL_RMS.judge(
+        float(rms[worst]), limit, sentence, bundle=bundle_text,
         limit_source=derived(f"{times:g} × forecast of its slope errors"),
         detail={"by_cell": rms, "cells": evidence.cells, "lost": lost, "law_rms": evidence.law_rms}, **common,
     )  # fmt: skip
@@ -261,17 +262,17 @@ def _fits(
 def _faithful_fit(asked: Inspection, evidence: MeshEvidence, passed: int) -> list[Check]:
     """η and δ fitted through the file's triangles, compared with the design's own cut, by `passed` common rays."""
     law, exact, spec = evidence.law, evidence.law_design, asked.design.check
-    names = ("faithful_eta", "faithful_delta")
+    kinds = (FAITHFUL_ETA, FAITHFUL_DELTA)
     if 0 < passed < LEAST_FITTED:
         needed = rays_for(LEAST_FITTED, passed / asked.rays)
         why = (
             f"not enough rays: of {asked.rays} {passed} get through the file's triangles, and a fit of the law takes "
             f"{LEAST_FITTED}; --rays {needed} would do"
         )
-        return [not_run(name, why, detail={RAYS_NEEDED: needed}, **asked.common) for name in names]
+        return [kind.not_run(why, detail={RAYS_NEEDED: needed}, **asked.common) for kind in kinds]
     if law is None or exact is None:
         why = "no law can be fitted to the light that gets through the file's triangles"
-        return [not_run(name, why, **asked.common) for name in names]
+        return [kind.not_run(why, **asked.common) for kind in kinds]
     text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
-    checks = fit_checks(names, (law, exact), (spec.eta, spec.delta), text, **asked.common)
+    checks = fit_checks(kinds, (law, exact), (spec.eta, spec.delta), text, **asked.common)
     return [replace(check, detail={"measured": check.detail["measured"]}) for check in checks]

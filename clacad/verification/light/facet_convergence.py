@@ -23,7 +23,8 @@ from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.tracing.triangles.telescopelet_facets import trace_facets
-from clacad.verification.checks import Check, not_run
+from clacad.verification.check_kinds.file_light import CONVERGENCE
+from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gatherer, telescopelet
 from clacad.verification.limit_sources import derived
 
@@ -106,11 +107,13 @@ def converge(
 def convergence_check(found: Convergence | None, why: str = "") -> Check:
     """Judge the fitted order of the direction error; the order of η is reported with it."""
     common: dict[str, Any] = {
-        "where": "mesh", "unit": "order", "relation": "in", "required": False,
+        "required": False,
         "bundle": f"{RAYS} Sobol rays, seed 0, the same at every refinement", "limit_source": derived("facet slopes err as their size"),
     }  # fmt: skip
     if found is None:
-        return not_run("convergence", why, **common)
+        return CONVERGENCE.not_run(
+            why, unit=CONVERGENCE.unit, relation=CONVERGENCE.relation, where=CONVERGENCE.where, **common
+        )
     low, high = ORDERS["direction"]
     row = ", ".join(
         f"{int(q)}: {1e3 * d:.3g} mrad, eta {100 * e:.2g} %"
@@ -122,8 +125,8 @@ def convergence_check(found: Convergence | None, why: str = "") -> Check:
     )
     sentence += f"; {_masters_text(found)}"
     good = low <= found.order_direction <= high and found.fitted[-1] <= found.fitted[0]
-    return Check(
-        "convergence", "pass" if good else "fail", sentence, found.order_direction, f"{low:g} … {high:g}",
+    return CONVERGENCE.check(
+        "pass" if good else "fail", sentence, found.order_direction, f"{low:g} … {high:g}",
         detail={"quads": found.quads, "direction": found.direction, "eta": found.fitted, "order_eta": found.order_fitted,
                 "masters": {name: asdict(one) for name, one in found.masters.items()}},
         **common,

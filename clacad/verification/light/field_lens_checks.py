@@ -6,6 +6,7 @@ checks do not use how the faces were computed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import sqrt
 from typing import TYPE_CHECKING
 
@@ -22,14 +23,15 @@ from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import aperture_slope, half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
-from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.check_kinds.light import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, PUPIL
+from clacad.verification.checks import Check
 from clacad.verification.light.confocality import axis_start, field_onto_axis
-from clacad.verification.limit_sources import other
+from clacad.verification.light.law_checks import Lit
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
-FOCUS, PUPIL, SHARE, LAW = 0.01, 0.02, 0.95, 1.2
+FOCUS, MOVED, SHARE, LAW = 0.01, 0.02, 0.95, 1.2
 """Limits: face from focus over f1; du/dt over s; share over that of thin lenses; rms error over that without a field lens."""
 
 PART = 0.9
@@ -39,24 +41,22 @@ SLOPE = 1e-4
 """Change of slope for the finite difference du/dt."""
 
 RAYS = 4096
-FIXED = other("fixed: what a field lens is for")
 
 
-def field_lens_checks(design: Design, window: Window, main: Bundle) -> list[Check]:
-    """Judge the field lens of a window; `main` holds the test rays of the design."""
-    found = []
-    for name, check, limit, unit in (
-        ("field_focus", _focus, FOCUS, "of f1"),
-        ("pupil", _pupil, PUPIL, "of separation"),
-    ):
+def field_lens_checks(lit: Lit) -> Iterator[Check]:
+    """Judge the field lens of a window; no checks where it has none."""
+    if not lit.window.thin.field:
+        return
+    for kind, check, limit in ((FIELD_FOCUS, _focus, FOCUS), (PUPIL, _pupil, MOVED)):
         try:
-            found.append(check(window, name, limit, unit))
+            yield check(lit.window)
         except ValueError as error:
-            found.append(not_run(name, str(error), limit=limit, where="surfaces, parabasal"))
-    return [*found, _throughput(window), _law(design, window, main)]
+            yield kind.not_run(str(error), limit=limit, where=kind.where)
+    yield _throughput(lit.window)
+    yield _law(lit.design, lit.window, lit.optics.main.lit)
 
 
-def _focus(window: Window, name: str, limit: float, unit: str) -> Check:
+def _focus(window: Window) -> Check:
     """Distance of the field faces from the foci of the optics before them."""
     pair = window.thin
     start = axis_start(window, pair.rotation[:, 2])
@@ -73,7 +73,7 @@ def _focus(window: Window, name: str, limit: float, unit: str) -> Check:
             if part >= worst:
                 worst, where = part, f"face {number + 1}, {'xy'[axis]}"
     sentence = f"the field faces stand at most {worst:.3g} of f1 from the foci of lens 1 ({where})"
-    return judge(name, worst, limit, sentence, unit=unit, where="surfaces, parabasal", limit_source=FIXED)
+    return FIELD_FOCUS.judge(worst, FOCUS, sentence)
 
 
 def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: Floats, axis: int) -> float:
@@ -90,7 +90,7 @@ def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: 
     return float((at_vertex[1] - at_vertex[2]) / (slope[1] - slope[2]))
 
 
-def _pupil(window: Window, name: str, limit: float, unit: str) -> Check:
+def _pupil(window: Window) -> Check:
     """Shift over lens 2 of the ray through the middle of cell 1, per change of its slope."""
     turn, s = window.thin.rotation, window.thin.separation
     ax, ay = aperture_slope(window)
@@ -110,9 +110,7 @@ def _pupil(window: Window, name: str, limit: float, unit: str) -> Check:
         f"light through the middle of cell 1 moves over lens 2 by {moved[0]:.3g}, {moved[1]:.3g} of the separation a unit "
         "of slope (x, y); without a field lens it would be 1"
     )
-    return judge(
-        name, max(moved), limit, sentence, unit=unit, where="surfaces, parabasal", limit_source=FIXED
-    )
+    return PUPIL.judge(max(moved), MOVED, sentence)
 
 
 def _throughput(window: Window) -> Check:
@@ -137,10 +135,8 @@ def _throughput(window: Window) -> Check:
                 worst, at = ratio, passed
     sentence = f"at {PART:g} of the full field {at:.3f} of the light passes at worst, {worst:.3f} of what thin lenses pass"
     value = worst if worst < np.inf else np.nan
-    return judge(
-        "field_throughput", value, SHARE, sentence, relation=">=", unit="of closed form", where="surfaces",
-        bundle=f"4 directions, {RAYS} Sobol rays each over the whole cell", limit_source=FIXED,
-    )  # fmt: skip
+    text = f"4 directions, {RAYS} Sobol rays each over the whole cell"
+    return FIELD_THROUGHPUT.judge(value, SHARE, sentence, bundle=text)
 
 
 def _law(design: Design, window: Window, main: Bundle) -> Check:
@@ -155,7 +151,7 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
         plain = prescribe(type(design).from_dict({**design.given, "pair": without}))
     except DesignError as error:
         why = f"the same pair without a field lens cannot be built: {str(error).splitlines()[0]}"
-        return not_run("field_law", why, limit=LAW, where="surfaces", required=False)
+        return FIELD_LAW.not_run(why, limit=LAW, where=FIELD_LAW.where, required=False)
     lit = [
         bundle(one, min(len(main.rays), 2 * RAYS), design.check.field, design.check.field_centre)
         for one in (window, plain)
@@ -172,6 +168,4 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
         f"of the light that passes with and without the field lens the rms error is {1e3 * rms[0]:.4g} mrad with it, "
         f"{1e3 * rms[1]:.4g} mrad without"
     )
-    return judge(
-        "field_law", ratio, LAW, sentence, unit="of that without", where="surfaces", bundle=str(lit[0]), limit_source=FIXED
-    )  # fmt: skip
+    return FIELD_LAW.judge(ratio, LAW, sentence, bundle=str(lit[0]))

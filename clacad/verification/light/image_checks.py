@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import hypot, inf, isfinite, sqrt
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from clacad.optics.law.beam_shaping import spot_widths
 from clacad.sheet.window import Window
 from clacad.verification.check_kinds.light import IMAGE_POINT, SPOT
 from clacad.verification.checks import Check
+from clacad.verification.light.law_checks import Lit
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -46,16 +48,18 @@ def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | No
     return None
 
 
-def image_checks(design: Design, window: Window) -> list[Check]:
+def image_checks(lit: Lit) -> Iterator[Check]:
     """Judge the image of the point on the axis; no checks for a design that images no point."""
+    design, window = lit.design, lit.window
     asked = asked_image(design)
     if asked is None:
-        return []
+        return
     source, distance = asked
     found = image(window, source, ("surfaces",), RAYS)
     (one,) = found.rungs
     if not np.isfinite(one.found.point).all():
-        return [kind.not_run("no light of the asked point gets through") for kind in (IMAGE_POINT, SPOT)]
+        yield from (kind.not_run("no light of the asked point gets through") for kind in (IMAGE_POINT, SPOT))
+        return
     place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
     across = one.found.point[:2] - one.predicted.point[:2]
     off = hypot(*across.tolist(), float(place[2]) - distance)
@@ -64,7 +68,7 @@ def image_checks(design: Design, window: Window) -> list[Check]:
     width = found.width
     assert width is not None  # an imaging design has no table
     limit = max(*width, NEAR * abs(distance))
-    point = IMAGE_POINT.judge(
+    yield IMAGE_POINT.judge(
         off, limit,
         f"light of the asked point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g}, {place[1]:.3g}), {off:.3g} {unit} from "
         f"where the law has it ({distance:.6g})",
@@ -73,14 +77,13 @@ def image_checks(design: Design, window: Window) -> list[Check]:
     )  # fmt: skip
     narrow = _allowed(design, window, width, distance)
     worst = max(range(2), key=lambda k: one.found.spot[k] / narrow[k])
-    spot = SPOT.judge(
+    yield SPOT.judge(
         one.found.spot[worst], narrow[worst],
         f"there it is {one.found.spot[0]:.4g}, {one.found.spot[1]:.4g} {unit} wide (rms in x and y); cells alone leave "
         f"{width[worst] / sqrt(12.0):.4g}",
         unit=unit, bundle=text,
         detail={"spot": list(one.found.spot), "width": list(width)},
     )  # fmt: skip
-    return [point, spot]
 
 
 def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> Pair2:

@@ -5,7 +5,7 @@ Rays are refracted exactly (Snell) at the surfaces. `clacad.light` measures them
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import degrees, hypot, inf
 from typing import TYPE_CHECKING, Any
@@ -22,9 +22,20 @@ from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
 from clacad.sheet.vignetting import fresnel_numbers, share, thin_cells
 from clacad.sheet.window import Window
-from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.check_kinds.light import (
+    ACCOUNTING,
+    CONFOCALITY,
+    DELTA,
+    ETA,
+    LAW_BIAS,
+    LAW_RMS,
+    SPREAD,
+    THROUGHPUT,
+    TILT,
+)
+from clacad.verification.checks import Check, CheckKind
 from clacad.verification.light.confocality import confocality
-from clacad.verification.limit_sources import from_key, other
+from clacad.verification.limit_sources import other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -136,33 +147,55 @@ def turn_of(light: Light) -> Turn | None:
 # -- judging ------------------------------------------------------------------------------------
 
 
-def law_checks(design: Design, seen: Optics, where: str = "surfaces") -> list[Check]:
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """Light through a window, to be judged: what every function of these checks takes.
+
+    design : Design
+        Gives the limits.
+    window : Window
+        The whole sheet.
+    like : Window
+        Uniform equivalent of the cell whose light was measured.
+    optics : Optics
+    """
+
+    design: Design
+    window: Window
+    like: Window
+    optics: Optics
+
+
+def law_checks(lit: Lit) -> Iterator[Check]:
     """Judge the law with the checks law_rms, law_bias, spread, eta, delta, tilt and accounting."""
-    spec, main = design.check, seen.main
-    lost = "too few rays reach their partner to say; lattice.aperture or a smaller field would help"
+    spec, main = lit.design.check, lit.optics.main
     rms = main.rms
-    found = [
-        judge(
-            "law_rms", rms, spec.law_rms,
-            lost if rms != rms else f"light leaves {1e3 * rms:.4g} mrad rms from the law, at worst "
-            f"{1e3 * main.worst:.4g} mrad",
-            unit="rad", where=where, bundle=str(main.lit), detail={"worst": main.worst},
-        )
-    ]  # fmt: skip
-    found += [_bias(spec.law_bias, seen, where), _spread(spec.law_rms, seen, where)]
-    found += fit_checks(design, seen, where)
-    found.append(accounting(seen.main, where))
-    return found
+    sentence = f"light leaves {1e3 * rms:.4g} mrad rms from the law, at worst {1e3 * main.worst:.4g} mrad"
+    if rms != rms:
+        sentence = "too few rays reach their partner to say; lattice.aperture or a smaller field would help"
+    yield LAW_RMS.judge(rms, spec.law_rms, sentence, bundle=str(main.lit), detail={"worst": main.worst})
+    yield _bias(spec.law_bias, lit.optics)
+    yield _spread(spec.law_rms, lit.optics)
+    yield from _fit_checks(lit.design, lit.optics)
+    yield accounting(main)
 
 
-def _bias(limit: float, seen: Optics, where: str) -> Check:
+def _over_points(values: Floats, seen: Optics) -> dict[str, Any]:
+    """Fields of a check of parallel light from the points of the field."""
+    text = f"9 directions, {len(seen.points[0].seen)} Sobol rays each over the whole cell"
+    return {"bundle": text, "detail": {"by_field_point": values}}
+
+
+def _too_dark(kind: CheckKind, limit: float) -> Check:
+    why = "no field point passes enough light to say"
+    return kind.not_run(why, limit=limit, unit=kind.unit, where=kind.where)
+
+
+def _bias(limit: float, seen: Optics) -> Check:
     """Judge the bias: the angle of the mean exit direction to the law, at the middle and rim of the field."""
     values = np.array([p.bias for p in seen.points])
-    text = f"9 directions, {len(seen.points[0].seen)} Sobol rays each over the whole cell"
     if np.isnan(values).all():
-        return not_run(
-            "law_bias", "no field point passes enough light to say", limit=limit, unit="rad", where=where
-        )
+        return _too_dark(LAW_BIAS, limit)
     worst = int(np.nanargmax(values))
     sentence = f"the mean direction is at most {1e3 * values[worst]:.4g} mrad from the law, " + (
         "in the middle of the field"
@@ -171,63 +204,47 @@ def _bias(limit: float, seen: Optics, where: str) -> Check:
     )
     if np.isnan(values).any():
         sentence += f"; {int(np.isnan(values).sum())} of 9 field points are too dark to say"
-    return judge(
-        "law_bias", float(values[worst]), limit, sentence, unit="rad", where=where, bundle=text,
-        detail={"by_field_point": values},
-    )  # fmt: skip
+    return LAW_BIAS.judge(float(values[worst]), limit, sentence, **_over_points(values, seen))
 
 
-def _spread(limit: float, seen: Optics, where: str) -> Check:
+def _spread(limit: float, seen: Optics) -> Check:
     """Judge position independence: parallel rays leave parallel, regardless of where they hit."""
     values = np.array([p.spread for p in seen.points])
     if np.isnan(values).all():
-        return not_run(
-            "spread", "no field point passes enough light to say", limit=limit, unit="rad", where=where
-        )
+        return _too_dark(SPREAD, limit)
     middle, worst = float(values[0]), float(np.nanmax(values))
     sentence = (
         f"parallel light in the middle of the field leaves within {1e3 * middle:.4g} mrad rms of its mean, whatever "
         f"part of the lens it meets; {1e3 * worst:.4g} mrad at the rim of the field"
     )
-    text = f"9 directions, {len(seen.points[0].seen)} Sobol rays each over the whole cell"
-    return judge(
-        "spread", middle, limit, sentence, unit="rad", where=where, bundle=text, limit_source=from_key("law_rms"),
-        detail={"by_field_point": values},
-    )  # fmt: skip
+    return SPREAD.judge(middle, limit, sentence, **_over_points(values, seen))
 
 
-def fit_checks(design: Design, seen: Optics, where: str, names: tuple[str, str, str] = ("eta", "delta", "tilt"),
-               subject: str = "") -> list[Check]:  # fmt: skip
+def _fit_checks(design: Design, seen: Optics) -> Iterator[Check]:
     """Judge η, δ and the orientation by a fit with the requested axes fixed."""
     spec, asked, fit = design.check, design.law, seen.narrow.fit
-    bundle_text = str(seen.narrow.lit)
-    common: dict[str, Any] = {"where": where, "bundle": bundle_text, "subject": subject}
+    text = str(seen.narrow.lit)
     if fit is None:
         why = "too few rays reach their partner to fit a law"
-        return [not_run(name, why, **common) for name in names if name]
+        yield from (kind.not_run(why, where=kind.where, bundle=text) for kind in (ETA, DELTA, TILT))
+        return
     law = fit.law
     eta = np.array([law.eta_x / asked.eta_x - 1.0, law.eta_y / asked.eta_y - 1.0])
     delta = np.array([law.delta_x - asked.delta_x, law.delta_y - asked.delta_y])
-    found = [
-        judge(
-            names[0], float(np.abs(eta).max()), spec.eta,
-            f"measured eta = {law.eta_x:.6g}, {law.eta_y:.6g}; asked {asked.eta_x:.6g}, {asked.eta_y:.6g}", unit="relative",
-            detail={"measured": (law.eta_x, law.eta_y), "asked": (asked.eta_x, asked.eta_y), "sigma": fit.sigma},
-            **common,
-        ),
-        judge(
-            names[1], float(np.abs(delta).max()), spec.delta,
-            f"measured delta = {digits(law.delta_x)}, {digits(law.delta_y)}; asked {asked.delta_x:.6g}, {asked.delta_y:.6g}",
-            unit="slope",
-            detail={"measured": (law.delta_x, law.delta_y), "asked": (asked.delta_x, asked.delta_y)}, **common,
-        ),
-    ]  # fmt: skip
-    if names[2]:
-        found.append(_tilt(design, delta, seen.turn, names[2], common))
-    return found
+    yield ETA.judge(
+        float(np.abs(eta).max()), spec.eta,
+        f"measured eta = {law.eta_x:.6g}, {law.eta_y:.6g}; asked {asked.eta_x:.6g}, {asked.eta_y:.6g}", bundle=text,
+        detail={"measured": (law.eta_x, law.eta_y), "asked": (asked.eta_x, asked.eta_y), "sigma": fit.sigma},
+    )  # fmt: skip
+    yield DELTA.judge(
+        float(np.abs(delta).max()), spec.delta,
+        f"measured delta = {digits(law.delta_x)}, {digits(law.delta_y)}; asked {asked.delta_x:.6g}, {asked.delta_y:.6g}",
+        bundle=text, detail={"measured": (law.delta_x, law.delta_y), "asked": (asked.delta_x, asked.delta_y)},
+    )  # fmt: skip
+    yield _tilt(design, delta, seen.turn, text)
 
 
-def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: Mapping[str, Any]) -> Check:
+def _tilt(design: Design, delta: Floats, turn: Turn | None, lit: str) -> Check:
     """Judge the orientation of the lenses: the turn about their axis by light, the lean by the error of δ.
 
     A lean τ of the axis and δ act as one offset, δ + (1 − η)τ to first order. The limit of δ is therefore also a
@@ -237,7 +254,8 @@ def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: M
     weight = np.abs([1.0 - asked.eta_x, 1.0 - asked.eta_y])
     acts = weight > 1e-6
     if not acts.any():
-        return not_run(name, "with eta = 1 a tilt does nothing to light", required=False, **common)
+        why = "with eta = 1 a tilt does nothing to light"
+        return TILT.not_run(why, required=False, where=TILT.where, bundle=lit)
     lean, limits = np.abs(delta[acts]) / weight[acts], design.check.delta / weight[acts]
     value, limit = float(lean[np.argmax(lean / limits)]), float(limits[np.argmax(lean / limits)])
     text = f"theta and delta act alike: the error of delta is that of lenses which lean by {degrees(hypot(*lean)):.3g} deg"
@@ -252,14 +270,14 @@ def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: M
             "the same" if asked.eta_x == asked.eta_y else "too alike for light to show a turn of the lenses"
         )
         text = f"eta_x and eta_y are {alike}, so this is delta as an angle; {text}"
-    return judge(
-        name, degrees(value), degrees(limit), text, unit="deg", limit_source=from_key("delta"), required=measured,
+    return TILT.judge(
+        degrees(value), degrees(limit), text, required=measured, bundle=lit,
         detail={"lean": lean.tolist(), "turn": None if turn is None else turn.angle,
-                "doubt": None if turn is None else turn.doubt, "measured": measured}, **common,
+                "doubt": None if turn is None else turn.doubt, "measured": measured},
     )  # fmt: skip
 
 
-def accounting(light: Light, where: str) -> Check:
+def accounting(light: Light) -> Check:
     """Judge that every ray has exactly one fate and that only INVALID rays hold a NaN."""
     result = light.seen
     valid = result.fate != Fate.INVALID
@@ -268,14 +286,15 @@ def accounting(light: Light, where: str) -> Check:
     missing = len(light.lit.rays) - sum(counts.values())
     good = missing == 0 and nan == 0
     listed = ", ".join(f"{name} {number}" for name, number in counts.items() if number)
-    return Check(
-        "accounting", "pass" if good else "fail", f"every ray has one fate: {listed}", float(missing + nan), 0.0,
-        where=where, bundle=str(light.lit), detail={"counts": counts},
+    return ACCOUNTING.check(
+        "pass" if good else "fail", f"every ray has one fate: {listed}", float(missing + nan), 0.0,
+        bundle=str(light.lit), detail={"counts": counts},
     )  # fmt: skip
 
 
-def throughput_check(design: Design, window: Window, seen: Optics, where: str = "surfaces") -> Check:
+def throughput(lit: Lit) -> Iterator[Check]:
     """Judge the share of light through corresponding lenslets, compared with the closed form of thin lenses."""
+    window, seen = lit.like, lit.optics
     cells = thin_cells(window)
     alive = seen.main.share
     mean = float(share(cells, seen.main.lit.rays.direction[:SHARE_DIRECTIONS]).mean())
@@ -292,21 +311,22 @@ def throughput_check(design: Design, window: Window, seen: Optics, where: str = 
     if max(lost) >= WORTH_SAYING:
         sentence += f"; rays: waves may leave {kept:.3f} of that, for diffraction takes up to {100.0 * lost[0]:.2g} % along lens x and "
         sentence += f"{100.0 * lost[1]:.2g} % along y to neighbours (clacad wave)"
-    return judge(
-        "throughput", value, design.check.throughput, sentence, relation=">=", unit="of closed form", where=where,
+    yield THROUGHPUT.judge(
+        value, lit.design.check.throughput, sentence,
         bundle=str(seen.main.lit),
         detail={"middle": middle, "middle_closed_form": closed_form, "mean": alive, "mean_closed_form": mean,
                 "diffraction_keeps": kept},
     )  # fmt: skip
 
 
-def confocality_check(design: Design, window: Window) -> Check:
+def confocality_check(lit: Lit) -> Iterator[Check]:
     """Judge the axial slide of lens 2 that makes the pair afocal, over the distance between the lenses."""
-    limit = design.check.confocality
+    design, limit = lit.design, lit.design.check.confocality
     try:
-        found = confocality(window)
+        found = confocality(lit.like)
     except ValueError as error:
-        return not_run("confocality", str(error), limit=limit, where="surfaces, parabasal")
+        yield CONFOCALITY.not_run(str(error), limit=limit, where=CONFOCALITY.where)
+        return
     value, between = found.defect, found.astigmatism
     goal = "share a focal plane with lens 1" if design.pair.focus is None else "image as pair.focus asks"
     sentence = (
@@ -315,8 +335,8 @@ def confocality_check(design: Design, window: Window) -> Check:
     )
     if value > limit and design.pair.confocal != "exact":
         sentence += '; pair.confocal = "exact" would make it 0'
-    check = judge(
-        "confocality", value, limit, sentence, unit="of separation", where="surfaces, parabasal",
+    check = CONFOCALITY.judge(
+        value, limit, sentence,
         bundle="four differential rays about the axis ray",
         detail={"shift": found.shift, "distance": found.distance, "between_meridians": between, "power": found.power},
     )  # fmt: skip
@@ -324,8 +344,8 @@ def confocality_check(design: Design, window: Window) -> Check:
         text = (
             f"{sentence}; the two meridians differ by {between:.4g} of that distance, more than {MERIDIANS:g}"
         )
-        return replace(
+        check = replace(
             check, state="fail", value=between, limit=MERIDIANS, unit="of separation, between meridians", sentence=text,
             limit_source=other("fixed: no design may differ more between its meridians"),
         )  # fmt: skip
-    return check
+    yield check

@@ -19,20 +19,15 @@ from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import SeenCell, through_all, tried_cells, worst_of
 from clacad.verification.check_kinds.light import DELTA, ETA, TILT
-from clacad.verification.checks import Check
-from clacad.verification.light.field_lens_checks import field_lens_checks
-from clacad.verification.light.image_checks import image_checks
+from clacad.verification.checks import Check, found_by
 from clacad.verification.light.law_checks import (
     FIT_SCALE,
     POINT_RAYS,
+    Lit,
     Optics,
-    confocality_check,
-    law_checks,
     optics_of,
-    throughput_check,
     turn_of,
 )
-from clacad.verification.light.viewed_check import viewed_check
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -93,13 +88,6 @@ def judge_light(
     optics = optics_of(design, seen.like, seen.send, rays, point_rays)
     if len(tried) > 1:
         optics = _fitted_over_all(optics, tried, design.check.field)
-    found = [
-        *law_checks(design, optics), throughput_check(design, seen.like, optics), confocality_check(design, seen.like)
-    ]  # fmt: skip
-    if window.thin.field:
-        found += field_lens_checks(design, window, optics.main.lit)
-    return [
-        *(_named(seen, check) for check in found),
-        viewed_check(design, window),
-        *image_checks(design, window),
-    ], optics
+    lit = Lit(design, window, seen.like, optics)
+    of_cell = [_named(seen, check) for judge in found_by("light") for check in judge(lit)]
+    return [*of_cell, *(check for judge in found_by("sheet") for check in judge(lit))], optics

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.design.sections import AimedAt
-from clacad.sheet.window import Window
 from clacad.verification.check_kinds.light import VIEWED
 from clacad.verification.checks import Check
+from clacad.verification.light.law_checks import Lit
 from clacad.verification.light.viewed import viewed, viewer_of
 
 if TYPE_CHECKING:
@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 Point = tuple[float, float, float]
 
 
-def viewed_check(design: Design, window: Window) -> Check:
+def viewed_check(lit: Lit) -> Iterator[Check]:
     """Judge the share of the viewer's light that obeys the law.
 
     Below the limit a stated viewer fails and an assumed one warns.
     """
+    design, window = lit.design, lit.window
     found = viewed(window, viewer_of(design))
     stated, limit = design.check.viewer is not None, design.check.viewed
     eye = _eye(design, found.viewer)
@@ -34,7 +35,7 @@ def viewed_check(design: Design, window: Window) -> Check:
         bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0",
         detail={"viewer": found.viewer, "thin": found.thin, "stated": stated, "eye": eye},
     )  # fmt: skip
-    return replace(check, state="warn") if check.state == "fail" and not stated else check
+    yield replace(check, state="warn") if check.state == "fail" and not stated else check
 
 
 def headline(checks: Sequence[Check]) -> str:
