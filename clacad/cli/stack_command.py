@@ -20,6 +20,8 @@ from clacad.cli.option_values import (
     parse_distance,
     words_of,
 )
+from clacad.exporting.formats.indexed_meshes import GLB
+from clacad.exporting.formats.step import WORD as STEP
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -49,7 +51,7 @@ class StackSheets:
         "--files DIR|FILE",
         "Judge what was written of this stack: each sheet as its own master, and light through all.",
     )
-    formats: tuple[str, ...] = option("--format F,G", "step, glb.", ("step", "glb"), read=words_of)
+    formats: tuple[str, ...] = option("--format F,G", f"{STEP}, {GLB}.", (STEP, GLB), read=words_of)
     field: float | None = option(
         "--field E",
         "Slopes of the light, either way in x and y, e.g. '20 mrad'; default check.field of the first "
