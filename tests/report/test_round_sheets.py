@@ -31,7 +31,8 @@ def shown(request):
     """The window that `check` judges, and what the page says."""
     changes = {} if request.param == "plain" else {"lattice.aperture": {"point": [0, 0, -400]}}
     judged = judge(Design.from_dict(ROUND).replace(changes))
-    unlit = SimpleNamespace(fit=None, main="no rays")
+    dark = SimpleNamespace(fitted=None, lit="no rays")
+    unlit = SimpleNamespace(narrow=dark, main=dark)
     report = Report(judged.design, judged.window, judged.facts, (), unlit, ())
     like, words = of_worst_cell(report)
     return judged, Content(like, None, None, whole=judged.window, of_one_cell=words)
