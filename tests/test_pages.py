@@ -50,28 +50,6 @@ def test_every_room_is_on_the_map_of_the_house():
         assert rooms <= words, page
 
 
-def test_where_is_it_computed_has_twenty_answers():
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Where is it computed?")[2]
-    answers = re.findall(r"^\| .* \| .*`([\w/]+\.py)`.* \|$", text, re.M)
-    assert len(answers) >= 20
-    assert all((PACKAGE / answer).is_file() for answer in answers)
-
-
-def test_the_new_modules_of_the_changelog_exist():
-    """Rows of old → new: **package**: old → new, name, old → new and new; …"""
-    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `[\w]+` \| (\*\*.*) \|$", text, re.M)
-    assert rows
-    for package, modules in re.findall(r"\*\*([\w.]+)\*\*: ([^;|]+)", ";".join(rows)):
-        folder = PACKAGE / package.replace(".", "/")
-        for entry in modules.strip().split(", "):
-            for new in entry.split(" → ")[-1].split(" and "):
-                assert any((folder / f"{new.strip()}{end}").exists() for end in (".py", "/__init__.py")), (
-                    package,
-                    new,
-                )
-
-
 def python_of_the_readme() -> str:
     """The block of README.md that shows the Python interface."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")

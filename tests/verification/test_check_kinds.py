@@ -29,15 +29,13 @@ NOUNS = {
 """Ids that are also names of lengths, parts, formats or keys of a design and of JSON: these uses are free."""
 
 ELSEWHERE = {
-    "design/keys.py": "declares the keys of [check]: limits of checks are called as the checks are",
     "design/read.py": "reads a key of [check]",
-    "design/canonical_text.py": "writes a key of [check]",
     "explain/named_things.py": "describes the limits of a process profile",
     "exporting/light_forecast.py": "names the keys of [check] that a forecast exceeds, for the manifest",
     "exporting/quads_and_roles.py": "names the keys of [check] that a forecast exceeds, for the manifest",
     "exporting/compare.py": "states in the manifest what was compared",
     "exporting/step_record.py": "states in the manifest what was compared",
-    "exporting/fixtures/fixture_files.py": "states in the manifest what was compared",
+    "exporting/formats/parts.py": "states in the manifest what was compared",
     "exporting/manifest.py": "field of the manifest",
     "exporting/run.py": "field of the manifest",
     "stacking/assembly.py": "states in the manifest what was compared",
