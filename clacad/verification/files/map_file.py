@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import islice
 from math import inf
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.exporting.roles import Role
 from clacad.formats.maps.gds import GRID, grey_cell
 from clacad.formats.maps.gds_reading import layer_counts
 from clacad.formats.maps.mask import mask_misfit
@@ -105,13 +107,14 @@ def judge_map(asked: Inspection, window: Window, subject: Subject, format: str) 
     )
     found = Check("readable", "pass", f"{format}, {what}", **common)
     unit = "" if format in ("surface-table", "height-calibration") else "mm"
-    return [
-        found,
-        judge(
-            "shape", worst, room, sentence, unit=unit, limit_source=other("rounding of the format"), **common
-        ),
-        *(map_light(asked, window, subject.path, format, label) if label else ()),
-    ]
+    shape = judge(
+        "shape", worst, room, sentence, unit=unit, limit_source=other("rounding of the format"), **common
+    )
+    light = map_light(asked, window, subject.path, format, label) if label else ()
+    obeys = bool(light) and all(check.state == "pass" for check in light)
+    if subject.role is Role.SCAN and shape.state == "fail" and obeys:  # a measured surface is never exact
+        shape = replace(shape, state="warn")
+    return [found, shape, *light]
 
 
 def _compared(window: Window, subject: Subject, format: str) -> tuple[float, float, str, str]:
@@ -230,6 +233,8 @@ def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[fl
 def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple[float, int]:
     """Greatest distance of a point from the face, millimetres, and the number of points; inf for a false normal.
 
+    A plain cloud has no normals.
+
     Raises
     ------
     UnreadableFile
@@ -245,7 +250,9 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
         flat = ~(z == lens)
         normal = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), normal) * -face.side
         apart = np.abs(table[:, 2] - z * scale)
-        turned = np.abs(table[:, 3:] - normal).max(axis=1)
+        turned = np.abs(table[:, 3:] - normal[:, : table.shape[1] - 3]).max(
+            axis=1, initial=0.0
+        )  # 0 for a plain cloud
         if not (np.isfinite(apart).all() and window.lattice.contains(index).all() and (turned < 1e-6).all()):
             return inf, count
         worst, count = max(worst, float(apart.max(initial=0.0))), count + len(table)
