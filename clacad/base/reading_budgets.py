@@ -72,7 +72,7 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType({
     "brep": Budget("BREP, by the CAD kernel", 200 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),
     "tiff": Budget("height maps (TIFF)", 5 * GIGABYTE, 1 << 30, "pixels", None),
     "png": Budget("height maps (PNG)", 2 * GIGABYTE, 1 << 29, "pixels"),
-    "points": Budget("points with normals (xyz)", 10 * GIGABYTE, 100_000_000, "points", seconds_per_megabyte=4.0),
+    "points": Budget("points with or without normals (xyz)", 10 * GIGABYTE, 100_000_000, "points", seconds_per_megabyte=4.0),
     "grid-sag": Budget("grid sag (dat)", 200 * MEGABYTE, 4_100_000, "nodes", seconds_per_megabyte=4.0),
     "pose-table": Budget("tables of poses (CSV)", 4 * GIGABYTE, 40_000_000, "lines", seconds_per_megabyte=8.0),
     "surface-table": Budget("tables of surfaces and heights (JSON)", 64 * MEGABYTE, None, "", None),

@@ -13,11 +13,13 @@ from oracle.plain_mesh import facets, write_stl
 from clacad.design import Design
 from clacad.exporting.export_design import export
 from clacad.exporting.roles import Role
+from clacad.formats.maps.sag import read_points
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.telescopelet import interfaces
+from clacad.storage.errors import UnreadableFile
 from clacad.tracing.sampled_face import height_and_slope, meet_sampled, sampled_face
 from clacad.tracing.trace import trace, trace_sequence
 from clacad.verification import verify
@@ -255,6 +257,29 @@ def test_light_through_a_map_is_that_of_the_exact_faces(maps, pattern, monkeypat
     assert checks["file_law_rms"].value == pytest.approx(exact, rel=0.02)
     assert report.word == "passed as optical master"
     assert {c.state for c in checks.values()} <= {"pass", "not run"}
+
+
+@pytest.mark.parametrize(("made", "noise", "word"), [
+    ("right", 0.0, "passed as optical master"), ("right", 2e-5, "passed as scan"), ("wrong", 2e-5, "failed"),
+])  # fmt: skip
+def test_a_plain_cloud_of_points_is_judged_by_light(maps, tmp_path, monkeypatch, made, noise, word):
+    """Lines x y z, as a profilometer writes them, with heights off by up to 20 nm; declared a scan where they are."""
+    only_files(monkeypatch)
+    (path,) = maps[made].glob("*back.xyz")
+    points = np.loadtxt(path)[:, :3]
+    points[:, 2] += np.random.default_rng(0).uniform(-noise, noise, len(points))
+    np.savetxt(tmp_path / "cloud.xyz", points, fmt="%.9f", header="x y z")
+    report = verify(SLAB, tmp_path / "cloud.xyz", rays=RAYS, role="scan" if noise else None)
+    assert report.word == word
+    states = {c.id: c.state for c in report.checks if c.subject == "cloud.xyz"}
+    assert states["file_law_eta"] == ("pass" if made == "right" else "warn")
+
+
+def test_lines_of_points_that_are_neither_three_nor_six_numbers_are_named(tmp_path):
+    for number, text in enumerate(("0 0 1\n0 1\n", "0 0 1\n0 0 1 0 0 1\n", "1 2 3 4\n", "a b c\n")):
+        (tmp_path / f"{number}.xyz").write_text(text)
+        with pytest.raises(UnreadableFile, match="neither x y z nor x y z and a normal"):
+            list(read_points(tmp_path / f"{number}.xyz"))
 
 
 @pytest.mark.parametrize("pattern", ["*back.f32.tiff", "*back.u16.png", "*back.xyz"])

@@ -133,6 +133,8 @@ def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[fl
 def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple[float, int]:
     """Greatest distance of a point from the face, millimetres, and the number of points; inf for a false normal.
 
+    A plain cloud has no normals.
+
     Raises
     ------
     UnreadableFile
@@ -148,7 +150,8 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
         flat = ~(z == lens)
         normal = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), normal) * -face.side
         apart = np.abs(table[:, 2] - z * scale)
-        turned = np.abs(table[:, 3:] - normal).max(axis=1)
+        normals = normal[:, : table.shape[1] - 3]  # none in a plain cloud
+        turned = np.abs(table[:, 3:] - normals).max(axis=1, initial=0.0)
         if not (np.isfinite(apart).all() and window.lattice.contains(index).all() and (turned < 1e-6).all()):
             return inf, count
         worst, count = max(worst, float(apart.max(initial=0.0))), count + len(table)

@@ -331,7 +331,9 @@ def check_points(window: Window, face: Face, path: Path, scale: float, count: in
     FileDisagrees, UnreadableFile
     """
     assert face.array is not None
-    table = _six_numbers(path, _picked_lines(path, count))
+    table = _points_of(path, _picked_lines(path, count))
+    if table.shape[1] != 6:
+        raise FileDisagrees(f"{path.name}: points without normals")
     index, u, v = _located(window, face, table[:, 0] / scale, table[:, 1] / scale)
     z = face_height(window, face, u, v, index) * scale
     if not (np.abs(table[:, 2] - z) <= 2e-9 + 1e-8 * abs(window.lattice.pitch[0] * scale)).all():
@@ -358,7 +360,9 @@ def _picked_lines(path: Path, count: int) -> list[str]:
 
 
 def read_points(path: Path) -> Iterator[Floats]:
-    """Read a point file in blocks: tables (k ≤ 65536, 6) of x y z (millimetres) and outward unit normal.
+    """Read a point file in blocks, tables (k ≤ 65536, 6) of x y z (millimetres) and outward unit normal.
+
+    Tables of a plain cloud, without normals, are (k, 3). Empty lines and lines that begin with # are skipped.
 
     Raises
     ------
@@ -367,21 +371,29 @@ def read_points(path: Path) -> Iterator[Floats]:
         More bytes, points or seconds than are read.
     """
     spent = Spending("points", path)
+    columns = 0
     with path.open("rb") as stream:
-        lines = (line for line in spent.lines(stream) if not line.startswith(b"#"))
+        lines = (line for line in spent.lines(stream) if line.strip() and not line.startswith(b"#"))
         while block := list(islice(lines, 1 << 16)):
             spent.count(len(block))
-            yield _six_numbers(path, block)
+            table = _points_of(path, block)
+            columns = columns or table.shape[1]
+            if table.shape[1] != columns:
+                raise UnreadableFile(f"{path.name}: {_NO_POINT}")
+            yield table
 
 
-def _six_numbers(path: Path, lines: Sequence[str | bytes]) -> Floats:
-    """Lines of a point file as a table (k, 6)."""
+_NO_POINT = "a line that is neither x y z nor x y z and a normal, as the first line is"
+
+
+def _points_of(path: Path, lines: Sequence[str | bytes]) -> Floats:
+    """Lines of a point file as a table (k, 3) or (k, 6)."""
     try:
         table = np.array([[float(w) for w in line.split()] for line in lines])
     except ValueError as error:
-        raise UnreadableFile(f"{path.name}: a line that is not six numbers") from error
-    if table.ndim != 2 or table.shape[1] != 6:
-        raise UnreadableFile(f"{path.name}: a line that is not six numbers")
+        raise UnreadableFile(f"{path.name}: {_NO_POINT}") from error
+    if table.ndim != 2 or table.shape[1] not in (3, 6):
+        raise UnreadableFile(f"{path.name}: {_NO_POINT}")
     return table
 
 

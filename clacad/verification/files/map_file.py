@@ -7,10 +7,12 @@ design's structured faces: the best-fitting one is named.
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from math import inf
 
 from clacad.exporting.formats import registry
 from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading
+from clacad.exporting.roles import Role
 from clacad.formats.maps.sag import structured_faces
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError, UnreadableFile
@@ -69,11 +71,12 @@ def judge_map(asked: Inspection, window: Window, subject: Subject, kind: FileKin
     )
     found = READABLE.check("pass", f"{kind.word}, {what}", **common)
     source = other("rounding of the format")
-    return [
-        found,
-        SHAPE.judge(worst, room, sentence, unit=reading.unit, limit_source=source, **common),
-        *(map_light(asked, window, subject.path, kind, label) if label else ()),
-    ]
+    shape = SHAPE.judge(worst, room, sentence, unit=reading.unit, limit_source=source, **common)
+    light = map_light(asked, window, subject.path, kind, label) if label else ()
+    obeys = bool(light) and all(check.state == "pass" for check in light)
+    if subject.role is Role.SCAN and shape.state == "fail" and obeys:  # a measured surface is never exact
+        shape = replace(shape, state="warn")
+    return [found, shape, *light]
 
 
 def _compared(window: Window, subject: Subject, reading: Reading) -> tuple[float, float, str, str]:
