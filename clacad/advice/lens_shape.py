@@ -37,6 +37,9 @@ FARTHEST = 2.0
 JUDGEMENT, AXIS, FAULTS = 40, 20, 4
 """Work of judging a design, of its axis ray and of the errors at the centre of its field, in shares of thin lenses."""
 
+UNEQUAL = 5
+"""Work of judging a non-uniform sheet, in judgements of a uniform one: its outer cells are judged one by one."""
+
 
 @dataclass
 class Work:

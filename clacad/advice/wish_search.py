@@ -23,7 +23,7 @@ from clacad.advice.first_numbers import (
     wanted_pitch,
 )
 from clacad.advice.judged import Judged, judge
-from clacad.advice.lens_shape import FAULTS, JUDGEMENT, LensShapes, Work
+from clacad.advice.lens_shape import FAULTS, JUDGEMENT, UNEQUAL, LensShapes, Work
 from clacad.advice.wish import Wish
 from clacad.base.types import Progress, silent
 from clacad.design import Design, DesignError
@@ -300,7 +300,7 @@ class Search:
             if fault:
                 self.refused.append(f"{variant}: {fault} at {ratio:g} pitches")
                 return None
-            self.work.done += JUDGEMENT
+            self.work.done += JUDGEMENT * (1 if window.uniform else UNEQUAL)
             one = Tried(variant, ratio, PitchBound(self._rounded(bound), bound.why), judge(design))
         except DesignError as problem:
             self.refused.append(f"{variant}: {problem.mistakes[0].message}")

@@ -279,7 +279,8 @@ class Progress:
         began, used_before = self._expected_from
         used = processor_seconds_now() - used_before
         if used > self._expected:
-            return f" (longer than forecast: {used:.0f} s of processor time for {self._expected:.0f})"
+            spent, planned = (span_text(s, s).removeprefix("about ") for s in (used, self._expected))
+            return f" (longer than forecast: {spent} of processor time for {planned})"
         pace = (now - began) / used if used > ENOUGH else 1.0
         left = (self._expected - used) * pace
         return f" (of all, about {span_text(left, left).removeprefix('about ')} left)" if left >= 1.0 else ""

@@ -268,7 +268,7 @@ def far_field(found: Pupil, wavelength: float) -> FarField:
     light, turns = brightest(field)
     x, y = (marginal(field, k, float(spacing[k]), wavelength, float(wide[k])) for k in (0, 1))
     a, b = (section(field, k, turns, float(spacing[k]), wavelength, float(wide[k])) for k in (0, 1))
-    return FarField("pupil", (x, y), (a, b), light / flat, (found.side, found.side))
+    return FarField("pupil", (x, y), (a, b), min(light / flat, 1.0), (found.side, found.side))  # rounding
 
 
 def _spread(found: Pupil) -> Floats:

@@ -137,7 +137,7 @@ def section(
 
 def flatness(field: Complex) -> float:
     """Peak of a far field over that of an equal amplitude with a flat wave front; at most 1."""
-    return brightest(field)[0] / float(np.abs(field).sum()) ** 2
+    return min(brightest(field)[0] / float(np.abs(field).sum()) ** 2, 1.0)  # rounding
 
 
 def brightest(field: Complex) -> tuple[float, tuple[float, ...]]:

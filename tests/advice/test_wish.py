@@ -22,7 +22,7 @@ from clacad.advice.first_numbers import (
     upper_pitches,
 )
 from clacad.advice.judged import judge
-from clacad.advice.lens_shape import AXIS, FAULTS, JUDGEMENT, Work
+from clacad.advice.lens_shape import AXIS, FAULTS, JUDGEMENT, UNEQUAL, Work
 from clacad.advice.nearest_wish import nearest
 from clacad.advice.proposal import NoSuchSheet, design_for, not_met
 from clacad.advice.wish import KEYS, Wish, parse_wish, read_wish
@@ -313,6 +313,15 @@ def test_a_search_ends_by_the_work_done_and_not_by_the_clock(monkeypatch):
     assert [one.ratio for one in ended[0].tried] == [one.ratio for one in ended[1].tried]
     assert ended[0].over
     assert len(ended[0].tried) <= 2
+
+
+def test_a_judged_non_uniform_sheet_counts_as_several():
+    """A pitch of array 2 of its own: with work for one such judgement, one design is judged."""
+    wish = read_wish({"eta": -1, "width": 5, "form": "slab", "process": "moulding"})
+    search = Search(wish, "w", ["lattice.pitch_2=.51"], work=Work(UNEQUAL * JUDGEMENT))
+    search.run()
+    assert len(search.tried) == 1
+    assert search.over
 
 
 @pytest.mark.slow

@@ -62,7 +62,9 @@ def test_rays_of_a_wavelength_that_no_index_is_known_at_are_refused_with_the_ran
     assert not Path("o.npz").exists()
 
 
-@pytest.mark.parametrize("shape", ["(True, 3)", "(1.0, 3)", "(False, 3)", f"({LONG}, 3)", "[1, 3]"])
+@pytest.mark.parametrize(
+    "shape", ["(True, 3)", "(1.0, 3)", "(False, 3)", f"({LONG}, 3)", "[1, 3]", "(10**30, 3)"]
+)
 def test_rays_whose_header_states_no_whole_numbers_are_refused(
     place: Path, capsys: pytest.CaptureFixture[str], shape: str
 ) -> None:
@@ -71,6 +73,7 @@ def test_rays_whose_header_states_no_whole_numbers_are_refused(
     Path("x.npz").write_bytes(npz(**data))
     status, text = said(capsys, "trace", "t.toml", "x.npz", "-o", "o.npz")
     assert (status, "array 'position'" in text) == (2, True)
+    assert " at 0x" not in text
     assert not Path("o.npz").exists()
 
 
