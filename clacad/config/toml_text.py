@@ -1,5 +1,5 @@
-"""Parser from the text of a file to nested dictionaries, where every syntax error is described and located, and
-the files that it names.
+"""Parser from the text of a file to nested dictionaries, where every syntax error is described and located,
+and the files that it names.
 
 Design files and scene files are read in the same way; `what` is the word that messages use for the file.
 """

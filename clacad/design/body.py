@@ -110,7 +110,8 @@ VERTICES: Final = Points(2, MOST_VERTICES, bulges=True)
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """Outer shape of the sheet: a circle of diameter size[0], a rectangle size[0] by size[1], or a closed polygon.
+    """Outer shape of the sheet: a circle of diameter size[0], a rectangle size[0] by size[1], or a closed
+    polygon.
 
     For a polygon, `points` are the corners (x, y, bulge of the side that begins there), lengths; `size` is
     that of the box centred on the origin that contains it. The shape "dxf" is a drawing that could not be

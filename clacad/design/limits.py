@@ -42,8 +42,8 @@ class Allowed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckSpec:
-    """Section [check]: limits for checks of the built design and its files. Angles in radians, lengths in design
-    units.
+    """Section [check]: limits for checks of the built design and its files. Angles in radians, lengths in
+    design units.
 
     None means that the process profile gives the limit (`clearance edge neck radius sag part_height
     part_width materials pitch tool wall draft slope voxel layer aspect`), or that `law_rms` applies

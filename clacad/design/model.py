@@ -1,6 +1,7 @@
 """The design: a person's request, read and checked.
 
-Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; see `clacad.design.sections`.
+Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; see
+`clacad.design.sections`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Sections [law], [pair], [lattice] and [light] of a design file: each field is a key of the file.
 
-Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; the Euler angles are
-kept in degrees, as written, so that 90 degrees stays exact. `clacad explain pair.web` prints what a key means.
+Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; the Euler angles are kept
+in degrees, as written, so that 90 degrees stays exact. `clacad explain pair.web` prints what a key means.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class LawSpec:
     """Section [law]: the requested law of refraction, paper eqs (4), (5) and section 3.
 
     η_i = −f2_i/f1_i and δ_i = d_i/f1_i for i = x, y in the lens frame. `euler_degrees` are φ, θ, ψ as
-    written: R = Rz(ψ) Rx(θ) Rz(φ) for fixed axes, Rz(φ) Rx(θ) Rz(ψ) for moving ones. `varying` None: all cells
-    obey one law.
+    written: R = Rz(ψ) Rx(θ) Rz(φ) for fixed axes, Rz(φ) Rx(θ) Rz(ψ) for moving ones. `varying` None: all
+    cells obey one law.
     """
 
     eta: Pair2 = key(
@@ -93,8 +93,8 @@ class LawSpec:
 class FieldSpec:
     """Requested properties of the field lens.
 
-    `conic` None: 0 between the two plates of a slab, −n² on a plate in air. `gap` None: the larger of pitch/25
-    and 1.25 times the clearance limit.
+    `conic` None: 0 between the two plates of a slab, −n² on a plate in air. `gap` None: the larger of
+    pitch/25 and 1.25 times the clearance limit.
     """
 
     conic: float | None = key(CONIC, "conic constant of the faces of the field lens")
@@ -115,11 +115,11 @@ def _plano(pair: PairSpec, curved: str) -> str | None:
 class PairSpec:
     """Section [pair]: construction of a lenslet pair. Lengths in design units, wavelength in metres.
 
-    Two biconvex lenses, two plano-convex ones, or both faces of one slab. None means: of `separation`, given by
-    `thickness`; of `web`, 0, or the neck where there is a seam; of `conic`, the form's default; of `depth`
-    (1/κ of lens 1 and 2), sqrt(|R_x R_y|); of `index`, from `material`; of `vertex`, δ f1; of `offset`, traced on
-    non-uniform sheets; of `focus`, afocal. The given faces are 2 for a slab, else 4. A field lens has two more;
-    a slab that the field lens cuts in three has the faces of plano lenses.
+    Two biconvex lenses, two plano-convex ones, or both faces of one slab. None means: of `separation`, given
+    by `thickness`; of `web`, 0, or the neck where there is a seam; of `conic`, the form's default; of `depth`
+    (1/κ of lens 1 and 2), sqrt(|R_x R_y|); of `index`, from `material`; of `vertex`, δ f1; of `offset`,
+    traced on non-uniform sheets; of `focus`, afocal. The given faces are 2 for a slab, else 4. A field lens
+    has two more; a slab that the field lens cuts in three has the faces of plano lenses.
     """
 
     form: Literal["biconvex", "plano", "slab"] = key(
@@ -229,10 +229,11 @@ def _pitch_of_kind(lattice: LatticeSpec, pitch: Pair2 | None) -> Pair2 | float |
 class LatticeSpec:
     """Section [lattice]: number and positions of the pairs. Lengths in design units, `rotation_2` in radians.
 
-    A hexagonal pitch is the distance of centres, given twice; its count is cells per row, rows. None means: of
-    `seam_depth`, pitch/50; of `outline`, the lattice's own; of `pitch_2`, that of array 1. Lenses of array 2 with
-    a pitch or rotation of its own lie in the centres of their cells and keep the law's axes. Cell 2 is cell 1
-    displaced by the height of centre 2 over centre 1 times the slope `aperture`, or times that of a viewer's light.
+    A hexagonal pitch is the distance of centres, given twice; its count is cells per row, rows. None means:
+    of `seam_depth`, pitch/50; of `outline`, the lattice's own; of `pitch_2`, that of array 1. Lenses of array
+    2 with a pitch or rotation of its own lie in the centres of their cells and keep the law's axes. Cell 2 is
+    cell 1 displaced by the height of centre 2 over centre 1 times the slope `aperture`, or times that of a
+    viewer's light.
     """
 
     kind: Literal["square", "rectangular", "hexagonal"] = key(

@@ -1,8 +1,8 @@
 """Starter design files (`clacad new`): a commented template of each form, and the designs of the paper.
 
-Where both have one name, such as "slab", the commented template is used. The source of the paper's designs and
-scenes is the folder `designs` of the repository. An installed package contains them as its own folder of that
-name, created when the wheel is built. In a checkout they lie next to the package.
+Where both have one name, such as "slab", the commented template is used. The source of the paper's designs
+and scenes is the folder `designs` of the repository. An installed package contains them as its own folder of
+that name, created when the wheel is built. In a checkout they lie next to the package.
 """
 
 from __future__ import annotations

@@ -60,8 +60,8 @@ SIZES: Final[dict[str, tuple[int, str]]] = {
 class SheetSpec:
     """Section [sheet]: a sheet of the scene, and how exactly rays pass it.
 
-    `design` and `mesh` (triangles as written) are files, relative to the scene's folder; `set` is laid over the
-    design. A scene of several sheets lists them as [[sheet]], each with an `id` and a height `z`.
+    `design` and `mesh` (triangles as written) are files, relative to the scene's folder; `set` is laid over
+    the design. A scene of several sheets lists them as [[sheet]], each with an `id` and a height `z`.
     """
 
     id: str = keys.key(_NAME, "name of the sheet, for animation, --set, plan and forecast", "")
@@ -95,8 +95,8 @@ class Camera:
     """Section [camera]: pinhole, or an opening of finite diameter, in front of the sheet. Lengths in scene
     units.
 
-    `frame` None: given by `fov`, in radians; `focus` None: the target's distance. `samples` are rays per pixel;
-    where `noise` > 0 requires more, up to `most_samples`.
+    `frame` None: given by `fov`, in radians; `focus` None: the target's distance. `samples` are rays per
+    pixel; where `noise` > 0 requires more, up to `most_samples`.
     """
 
     position: Vector = keys.key(_POINT, "where the camera stands, z < 0", keys.REQUIRED)
@@ -131,8 +131,8 @@ class Camera:
 class Light:
     """Section [light]: light on the objects, radiance = colour · (ambient + key · max(0, n · l)).
 
-    `spectrum` is "rgb", "D65" or a wavelength in metres; directions of polarisation in degrees from the x axis,
-    before and behind the sheet.
+    `spectrum` is "rgb", "D65" or a wavelength in metres; directions of polarisation in degrees from the x
+    axis, before and behind the sheet.
     """
 
     ambient: float = keys.key(_SHARE, "light from everywhere", 0.35)
@@ -151,7 +151,9 @@ class Light:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """Section [background]: sky, linear in elevation from the second colour (horizon) to the first (zenith), and ground."""
+    """Section [background]: sky, linear in elevation from the second colour (horizon) to the first (zenith),
+    and ground.
+    """
 
     sky: tuple[Rgb, Rgb] = keys.key(
         Several(ColourValue(), ("zenith", "horizon")),
@@ -167,8 +169,8 @@ class Background:
 class EffectsSpec:
     """Section [effects]: effects to simulate.
 
-    Mode list: exactly `list`; mode auto: plus `force`, minus `without`. `angle` in radians; None: half a pixel,
-    never under 0.15 mrad.
+    Mode list: exactly `list`; mode auto: plus `force`, minus `without`. `angle` in radians; None: half a
+    pixel, never under 0.15 mrad.
     """
 
     mode: Literal["auto", "list", "none"] = keys.key(
