@@ -63,10 +63,10 @@ def nearest(search: Search) -> Iterator[str]:
     if not found and search.wish.viewing is not None:  # whatever was spent on eyes that no sheet serves
         words, plain = "leaving viewing out", replace(search.wish, viewing=None)
         search.progress(f"trying {words}", 1.0)
-        one = Search(plain, search.name, search.overrides, work=Work(MOST_WORK), first=True).run()
-        if one is not None:
+        without = Search(plain, search.name, search.overrides, work=Work(MOST_WORK), first=True).run()
+        if without is not None:
             found += 1
-            yield f"  {words} comes true: {one.variant}, pitch {one.pitch.value:g} mm{_warned(one)}"
+            yield f"  {words} comes true: {without.variant}, pitch {without.pitch.value:g} mm{_warned(without)}"
     if not found:
         yield "  none of the wishes near it that were tried comes true either"
 
