@@ -60,6 +60,13 @@ def nearest(search: Search) -> Iterator[str]:
             found += 1
             words, one = best
             yield f"  {words} comes true: {one.variant}, pitch {one.pitch.value:g} mm{_warned(one)}"
+    if not found and search.wish.viewing is not None:  # regardless of the work spent on the eye
+        words, plain = "leaving viewing out", replace(search.wish, viewing=None)
+        search.progress(f"trying {words}", 1.0)
+        unseen = Search(plain, search.name, search.overrides, work=Work(MOST_WORK), first=True).run()
+        if unseen is not None:
+            found += 1
+            yield f"  {words} comes true: {unseen.variant}, pitch {unseen.pitch.value:g} mm{_warned(unseen)}"
     if not found:
         yield "  none of the wishes near it that were tried comes true either"
 
@@ -105,8 +112,6 @@ def _rows(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
         if process != wish.process:
             material = workable_material(process, wish.material, wish.wavelength)
             yield _changed(wish, [{"process": process, "material": material}])
-    if wish.viewing is not None:
-        yield [("leaving viewing out", replace(wish, viewing=None))]
 
 
 def _for_the_eye(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:

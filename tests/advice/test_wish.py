@@ -144,6 +144,18 @@ def test_the_nearest_wish_of_a_row_is_found_in_three_trials(monkeypatch):
     assert tried == [1600, 800, 520]
 
 
+def test_where_no_eye_is_served_the_wish_without_one_is_tried_whatever_was_spent(monkeypatch):
+    def run(search):
+        search.work.done += search.work.most
+        judged = SimpleNamespace(warning=())
+        one = SimpleNamespace(variant="slab", pitch=SimpleNamespace(value=1.0), judged=judged)
+        return one if search.wish.viewing is None else None
+
+    search = Search(read_wish({"eta": -1, "width": 20, "viewing": 300, "euler": [0, 5, 0]}), "x")
+    monkeypatch.setattr(Search, "run", run)
+    assert list(nearest(search)) == ["  leaving viewing out comes true: slab, pitch 1 mm"]
+
+
 def test_the_help_of_a_wish_names_every_word():
     text = " ".join(clacad("new", "--help").out.split())
     listed = text[text.index("Find a design that does this") : text.index("--list")]
