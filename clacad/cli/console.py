@@ -143,14 +143,16 @@ class Progress:
         return f"{stage}  {100.0 * fraction:.0f} %  {elapsed:.0f} s, {left:.0f} s left{self._left(now)}"
 
     def _left(self, now: float) -> str:
-        """What is left of all by the forecast, or that it takes longer; nothing where no forecast was made, or less than a
-        second is left.
+        """What is left of all by the forecast, or that it takes longer; nothing where no forecast was made, or the
+        difference is less than a second.
         """
         if not self._expected > 0.0:
             return ""
         began, used_before = self._expected_from
         used = processor_seconds_now() - used_before
         if used > self._expected:
+            if used < self._expected + 1.0:
+                return ""
             return f" (longer than forecast: {used:.0f} s of processor time for {self._expected:.0f})"
         pace = (now - began) / used if used > ENOUGH else 1.0
         left = (self._expected - used) * pace
