@@ -60,13 +60,13 @@ def nearest(search: Search) -> Iterator[str]:
             found += 1
             words, one = best
             yield f"  {words} comes true: {one.variant}, pitch {one.pitch.value:g} mm{_warned(one)}"
-    if not found and search.wish.viewing is not None:  # whatever was spent on eyes that no sheet serves
+    if not found and search.wish.viewing is not None:  # regardless of the work spent on the eye
         words, plain = "leaving viewing out", replace(search.wish, viewing=None)
         search.progress(f"trying {words}", 1.0)
-        without = Search(plain, search.name, search.overrides, work=Work(MOST_WORK), first=True).run()
-        if without is not None:
+        unseen = Search(plain, search.name, search.overrides, work=Work(MOST_WORK), first=True).run()
+        if unseen is not None:
             found += 1
-            yield f"  {words} comes true: {without.variant}, pitch {without.pitch.value:g} mm{_warned(without)}"
+            yield f"  {words} comes true: {unseen.variant}, pitch {unseen.pitch.value:g} mm{_warned(unseen)}"
     if not found:
         yield "  none of the wishes near it that were tried comes true either"
 

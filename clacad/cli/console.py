@@ -279,6 +279,8 @@ class Progress:
         began, used_before = self._expected_from
         used = processor_seconds_now() - used_before
         if used > self._expected:
+            if used < self._expected + 1.0:
+                return ""
             spent, planned = (span_text(s, s).removeprefix("about ") for s in (used, self._expected))
             return f" (longer than forecast: {spent} of processor time for {planned})"
         pace = (now - began) / used if used > ENOUGH else 1.0

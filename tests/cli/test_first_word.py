@@ -136,6 +136,8 @@ def test_what_is_left_is_longer_on_a_busy_machine_and_a_forecast_that_was_short_
     assert "about 60 s left" in progress._left(wall[0])
     wall[0], used[0] = 300.0, 32.0
     assert progress._left(wall[0]) == " (longer than forecast: 25 s of processor time for 20 s)"
+    progress._expected = 24.5
+    assert progress._left(wall[0]) == ""  # the same number of seconds twice is no news
 
 
 def test_a_stage_that_says_nothing_of_itself_is_said_again_until_the_end(monkeypatch, capsys):
