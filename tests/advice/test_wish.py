@@ -364,6 +364,16 @@ def test_the_list_groups_the_designs_of_the_paper_and_says_what_differs(tmp_path
     assert any("law.euler = [26.57, 0.0, 0.0]" in line for line in under)
 
 
+def test_the_commands_named_next_are_complete(tmp_path):
+    """Each of them runs as it is printed: where files are written, -o is stated."""
+    said = clacad("new", "w", "--template", "slab", cwd=tmp_path).out.partition("next: ")[2].splitlines()
+    lines = [line.strip().removeprefix("clacad ").split() for line in said]
+    assert [words[0] for words in lines] == ["check", "export"]
+    assert all("-o" in words for words in lines if words[0] == "export")
+    ended = clacad(*lines[1], "--dry-run", cwd=tmp_path)
+    assert ended.status == 0, ended.err
+
+
 # --- the command --------------------------------------------------------------------------------------------
 
 
