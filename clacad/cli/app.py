@@ -284,8 +284,6 @@ def trace(
     mesh: Annotated[Path | None, typer.Option("--mesh", metavar="FILE", help="Rung mesh: triangles as written.")] = None,
     quads: Annotated[int, typer.Option("--quads", min=1, max=2048, help="Rung mesh without a file: quads per cell side.")] = 16,
     normals: Annotated[str, typer.Option("--normals", help="Rung mesh: facet or vertex.")] = "facet",
-    search: Annotated[str, typer.Option("--search", help="Rung mesh from a file: tree, or embree (extra: "
-                                        "clacad[pictures]).")] = "tree",
     overwrite: Replace = False,
     set: Set = None,
     json: Json = False,
@@ -296,7 +294,7 @@ def trace(
     from clacad.cli.trace_command import TraceRequest, trace_file
 
     request = TraceRequest(
-        rays, out, rung, tuple(e for e in effects.split(",") if e), mesh, quads, normals, overwrite, search
+        rays, out, rung, tuple(e for e in effects.split(",") if e), mesh, quads, normals, overwrite
     )
     return trace_file(design, set or [], request, json=json, quiet=quiet)
 

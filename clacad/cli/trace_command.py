@@ -47,7 +47,6 @@ class TraceRequest:
     quads: int
     normals: str
     overwrite: bool
-    search: str = "tree"
 
 
 class RayFile:
@@ -202,8 +201,6 @@ def _refuse_options(request: TraceRequest) -> None:
     """
     if request.rung not in ("law", "thin", "surfaces", "mesh"):
         raise BadRays(f"--rung {request.rung}: it is one of law, thin, surfaces, mesh")
-    if request.search not in ("tree", "embree"):
-        raise BadRays(f"--search {request.search}: it is tree or embree")
     if request.normals not in ("facet", "vertex"):
         raise BadRays(f"--normals {request.normals}: it is facet or vertex")
     if request.rung != "mesh":
@@ -211,7 +208,6 @@ def _refuse_options(request: TraceRequest) -> None:
         given = {
             "--mesh": request.mesh is not None,
             "--normals vertex": request.normals == "vertex" and not facets,
-            "--search embree": request.search == "embree",
         }
         for option in (name for name, on in given.items() if on):
             raise BadRays(f"{option}: it is for --rung mesh, not {request.rung}")
@@ -239,13 +235,6 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
 
         options["normals"] = request.normals
         options["mesh"] = tessellate(window, quads=request.quads) if request.mesh is None else request.mesh
-        if request.mesh is not None and request.search == "embree":
-            from clacad.tracing.triangles.triangle_soup import read_soup
-
-            try:
-                options["mesh"] = read_soup(request.mesh, window, "embree")
-            except ValueError as error:
-                raise BadRays(str(error)) from error
     return options
 
 
