@@ -123,7 +123,8 @@ def _body_squares(corners: Floats) -> Squares | None:
     heights = [_range(corners[lens[side], :, 2]) for side in (~up, up)]
     place = (corners[..., :2] - low) * per
     split, climb, off, plane, odd = _halved(place, corners, normal, facet, where, bins)
-    odd[over_bins(np.flatnonzero(walls), i0, across, int(bins[0]))[1]] = True
+    rim = ((end < HAIR) | (begin > bins - HAIR)).any(axis=1)  # rays so near the grid's border are left anyway
+    odd[over_bins(np.flatnonzero(walls & ~rim), i0, across, int(bins[0]))[1]] = True
     table = [*low, *per, *bins.astype(float), 0.0, 0.0, *heights[0], *heights[1], *split, *climb, off]
     return Squares(np.array([table]), _sums(odd, bins), plane)
 
