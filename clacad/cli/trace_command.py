@@ -32,9 +32,6 @@ class Trace(OfDesign):
     mesh: Path | None = option("--mesh FILE", "Rung mesh: triangles as written.")
     quads: int = option("--quads N", "Rung mesh without a file: quads per cell side.", 16, least=1, most=2048)
     normals: str = option("--normals WORD", "Rung mesh: facet or vertex.", "facet")
-    search: str = option(
-        "--search WORD", "Rung mesh from a file: tree, or embree (extra: clacad[pictures]).", "tree"
-    )
     overwrite: bool = overwrite_option()
 
 
@@ -103,8 +100,6 @@ def _refuse_options(request: Trace) -> None:
     """
     if request.rung not in ("law", "thin", "surfaces", "mesh"):
         raise BadOption(f"--rung {request.rung}: it is one of law, thin, surfaces, mesh")
-    if request.search not in ("tree", "embree"):
-        raise BadOption(f"--search {request.search}: it is tree or embree")
     if request.normals not in ("facet", "vertex"):
         raise BadOption(f"--normals {request.normals}: it is facet or vertex")
     if request.rung != "mesh":
@@ -112,7 +107,6 @@ def _refuse_options(request: Trace) -> None:
         given = {
             "--mesh": request.mesh is not None,
             "--normals vertex": request.normals == "vertex" and not facets,
-            "--search embree": request.search == "embree",
         }
         for option in (name for name, on in given.items() if on):
             raise BadOption(f"{option}: it is for --rung mesh, not {request.rung}")
@@ -140,13 +134,6 @@ def _options(window: Any, request: Trace) -> dict[str, Any]:
 
         options["normals"] = request.normals
         options["mesh"] = tessellate(window, quads=request.quads) if request.mesh is None else request.mesh
-        if request.mesh is not None and request.search == "embree":
-            from clacad.tracing.triangles.triangle_soup import read_soup
-
-            try:
-                options["mesh"] = read_soup(request.mesh, window, "embree")
-            except ValueError as error:
-                raise BadOption(str(error)) from error
     return options
 
 

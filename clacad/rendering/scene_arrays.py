@@ -17,7 +17,7 @@ from clacad.base.types import Floats, Ints
 from clacad.rendering.photographs import read_picture
 from clacad.scene import Background, Light, Scene, SceneObject, chess_knight
 from clacad.scene.chess_knight import turned
-from clacad.tracing.triangles.median_tree import Tree, behind_one_another, grow
+from clacad.tracing.triangles.hierarchy import Hierarchy, joined, mesh_tree
 
 FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
 """Kinds of primitive."""
@@ -39,7 +39,7 @@ class Primitive:
     pattern: float = 1.0
     outline: Floats | None = None
     image: Floats | None = None
-    tree: Tree | None = None
+    tree: Hierarchy | None = None
 
     @property
     def bound(self) -> tuple[float, float, float, float]:
@@ -60,7 +60,7 @@ class Primitive:
                 )
             else:
                 assert self.tree is not None
-                low, high = self.tree.low[0], self.tree.high[0]
+                low, high = self.tree.box[0, :3], self.tree.box[0, 3:]
             middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
         else:
             radius = math.hypot(a, b, c)
@@ -87,14 +87,13 @@ class SceneArrays:
     pattern : (n,)
         Side of a tile, width of a pair of stripes.
     piece : (n, 2) ints
-        First and end row of the primitive's own data: corners in `outline`, pixels, or triangles of the
-        forest.
+        First and end row of the primitive's own data: corners in `outline`, pixels, or trees of the forest.
     outline : (k, 2)
         Corners of prisms.
     pixels : (k, 3), picture : (n, 2) ints
         Linear light of pictures, row by row; height and width.
-    forest : Tree, root : (n,) ints
-        All meshes in one tree; root of each.
+    forest : Hierarchy
+        All meshes, each in its tree.
     cluster : (m, 2) ints, cluster_bound : (m, 4)
         First and end primitive of each object, and a sphere round it.
     ambient, key : float
@@ -114,8 +113,7 @@ class SceneArrays:
     outline: Floats
     pixels: Floats
     picture: Ints
-    forest: Tree
-    root: Ints
+    forest: Hierarchy
     cluster: Ints
     cluster_bound: Floats
     ambient: float
@@ -150,8 +148,6 @@ def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> 
     trees = tuple(one.tree for one in flat if one.tree is not None)
     ends = np.cumsum([len(cluster) for cluster in clusters], dtype=np.int64)
     starts = np.concatenate([[0], ends[:-1]]).astype(np.int64) if len(ends) else np.zeros(0, np.int64)
-    forest, roots, facets = behind_one_another(trees)
-    which = np.cumsum([one.tree is not None for one in flat]) - 1
     bounds = np.array([one.bound for one in flat]).reshape(-1, 4)
     return SceneArrays(
         kind=np.array([one.kind for one in flat], dtype=np.int64),
@@ -162,12 +158,11 @@ def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> 
         paint=np.array([one.paint for one in flat], dtype=np.int64),
         colours=np.array([one.colours for one in flat], dtype=np.float64).reshape(-1, 2, 3),
         pattern=np.array([one.pattern for one in flat], dtype=np.float64),
-        piece=_pieces(flat, outlines, images, facets),
+        piece=_pieces(flat, outlines, images),
         outline=np.concatenate(outlines) if flat else np.zeros((0, 2)),
         pixels=np.concatenate([i.reshape(-1, 3) for i in images]) if flat else np.zeros((0, 3)),
         picture=np.array([i.shape[:2] for i in images], dtype=np.int64).reshape(-1, 2),
-        forest=forest,
-        root=np.array([0 if one.tree is None else roots[k] for one, k in zip(flat, which)], dtype=np.int64),
+        forest=joined(trees),
         cluster=np.stack([starts, ends], axis=-1) if len(ends) else np.zeros((0, 2), np.int64),
         cluster_bound=np.array([_around(bounds[a:b]) for a, b in zip(starts, ends)]).reshape(-1, 4),
         ambient=light.ambient,
@@ -178,15 +173,13 @@ def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> 
     )
 
 
-def _pieces(
-    flat: list[Primitive], outlines: list[Floats], images: list[Floats], facets: tuple[int, ...]
-) -> Ints:
-    found, corner, pixel, mesh = [], 0, 0, iter(facets)
+def _pieces(flat: list[Primitive], outlines: list[Floats], images: list[Floats]) -> Ints:
+    found, corner, pixel, mesh = [], 0, 0, 0
     for one, outline, image in zip(flat, outlines, images, strict=True):
         rows = image.shape[0] * image.shape[1]
         if one.tree is not None:
-            first = next(mesh)
-            found.append((first, first + len(one.tree.corners)))
+            found.append((mesh, mesh + 1))
+            mesh += 1
         else:
             found.append((corner, corner + len(outline)) if len(outline) else (pixel, pixel + rows))
         corner, pixel = corner + len(outline), pixel + rows
@@ -260,7 +253,7 @@ def _screen(scene: Scene, thing: SceneObject, frame: Floats, at: Floats) -> Prim
     return Primitive(SCREEN, frame, at, size, both, paint)
 
 
-def _mesh(scene: Scene, thing: SceneObject) -> Tree:
+def _mesh(scene: Scene, thing: SceneObject) -> Hierarchy:
     """The tree of a mesh object; cached, because every frame of a movie needs it."""
     assert thing.file is not None  # the scene's rules require it
     path = scene.file(thing.file)
@@ -276,13 +269,13 @@ def _mesh(scene: Scene, thing: SceneObject) -> Tree:
     return _TREES[key]
 
 
-def _grown(scene: Scene, thing: SceneObject) -> Tree:
+def _grown(scene: Scene, thing: SceneObject) -> Hierarchy:
     from clacad.formats.mesh.scene_object import standing_corners
 
-    return grow(standing_corners(scene, thing))
+    return mesh_tree(standing_corners(scene, thing))
 
 
 KEPT_TREES = 4
 """Largest number of cached trees."""
 
-_TREES: dict[tuple[str, int, int, tuple[float, ...], str], Tree] = {}
+_TREES: dict[tuple[str, int, int, tuple[float, ...], str], Hierarchy] = {}

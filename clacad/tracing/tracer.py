@@ -40,8 +40,8 @@ from clacad.tracing.which_path import (
 if TYPE_CHECKING:
     from clacad.optics.law import Law
     from clacad.tracing.light_sums import LightSums
-    from clacad.tracing.triangles.facet_grid import Triangles
     from clacad.tracing.triangles.ready_facets import AnyMesh
+    from clacad.tracing.triangles.squares import Triangles
     from clacad.tracing.triangles.tiles import Normals
 
 
@@ -119,12 +119,13 @@ class Tracer:
         if self.facets is not None and not self.window.uniform:
             from clacad.tracing.triangles.own_sheet import told
 
-            found = _through_facets(self.facets, rays, faces, self.threads)
-            return told(self.window, self.facets.layout.bodies, rays, found, record)
+            layout, found_in = self.facets.layout, self.facets.found_in
+            found = _compiled(layout, rays, faces, self.threads, found_in)
+            return told(self.window, layout.bodies, rays, found, record)
         if self.facets is not None:
             if self._tiles_in_numpy(len(rays), faces):
                 return _by_numpy(self.facets.layout, rays, "surfaces", recorded)
-            return _through_facets(self.facets, rays, recorded, self.threads)
+            return _compiled(self.facets.layout, rays, recorded, self.threads, self.facets.found_in)
         layout, single = lay_out(self.window), self.precision == "float32"
         if single or compiled_suits(self.rung, self.path, len(rays), faces, layout):
             if self.rung == "surfaces":
@@ -223,21 +224,6 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
         for same, indices in colours(layout, rays, rows):
             trace_surfaces(layout, ledger, same, indices)
     return ledger.closed()
-
-
-def _through_facets(facets: Facets, rays: Rays, recorded: int, threads: int | None) -> TraceResult:
-    """Rung "mesh": straight paths by Embree where it is selected, the rest by the package's own trees."""
-    layout, found_in = facets.layout, facets.found_in
-    if not facets.embree or recorded or rays.wavelength is not None:
-        return _compiled(layout, rays, recorded, threads, found_in)
-    from clacad.tracing.triangles.embree import trace_straight
-
-    result, decided = trace_straight(layout, facets.embree, rays)
-    rest = np.flatnonzero(~decided)
-    if len(rest):
-        own = _compiled(layout, Rays(rays.position[rest], rays.direction[rest]), 0, threads, found_in)
-        _enter(result, rest, own)
-    return result
 
 
 def _enter(result: TraceResult, rows: Rows, own: TraceResult) -> None:

@@ -36,7 +36,7 @@ from clacad.rendering.screen_measure import measure
 from clacad.rendering.sheet_passage import geometry_alone
 from clacad.scene import Scene, SceneError
 from clacad.scene.chess_knight import turned
-from clacad.tracing.triangles.median_tree import grow, nearest_triangle
+from clacad.tracing.triangles.hierarchy import mesh_tree, nearest_triangle
 
 PLAIN = {
     "format": 1,
@@ -111,7 +111,7 @@ def test_a_turn_is_about_fixed_x_then_y_then_z():
 def test_a_tree_finds_the_triangle_that_trying_all_finds():
     rng = np.random.default_rng(3)
     corners = rng.normal(size=(500, 1, 3)) + 0.15 * rng.normal(size=(500, 3, 3))
-    tree = grow(corners)
+    tree = mesh_tree(corners)
     start, direction = random_rays(400)
     distance, which = nearest_triangle(tree, 0, start, direction, np.full(400, np.inf))
     for i in range(len(start)):

@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from viewscenes import ROOT, view_data, view_scene
 
-from clacad.formats.mesh.readers import read_mesh
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering import view_through
 from clacad.rendering.camera import aim, offsets, rays
 from clacad.rendering.sheet_passage import geometry_alone
 from clacad.rendering.view import radiance, set_up
 from clacad.scene import Scene
-from clacad.tracing.triangles import embree
-from clacad.tracing.triangles.embree import first_triangle
-from clacad.tracing.triangles.median_tree import grow, nearest_triangle
 
 
 def crowded(count, pixels=120, rung="surfaces"):
@@ -89,37 +85,3 @@ def test_an_opaque_surround_and_things_before_the_sheet_are_drawn_alike_by_all_w
     assert (np.abs(plain - fast).max(axis=-1) > 1e-9).mean() < 1e-3
     assert not plain[:, :3].any()
     assert plain[30, 57].max() > 0.0
-
-
-@pytest.fixture(scope="module")
-def knight():
-    return grow(np.concatenate([*read_mesh(str(ROOT / "designs" / "chess-knight.stl")).chunks()]))
-
-
-def test_embree_and_the_tree_find_the_same_triangles_at_the_same_distance(knight):
-    pytest.importorskip("embreex")
-    rng = np.random.default_rng(3)
-    n, middle = 6000, 0.5 * (knight.low[0] + knight.high[0])
-    start = middle + [0, 0, -30.0] + rng.uniform(-0.3, 0.3, (n, 3))
-    ray = (middle + rng.uniform(-0.6, 0.6, (n, 3)) - start) * rng.uniform(0.01, 100.0, (n, 1))
-    limit = np.where(rng.random(n) < 0.1, 30.0 / np.linalg.norm(ray, axis=1), np.inf)
-    found = first_triangle(knight, 0, len(knight.corners), 0, start, ray, limit)
-    expected = nearest_triangle(knight, 0, start, ray, limit)
-    assert (expected[1] >= 0).mean() > 0.1
-    same = found[1] == expected[1]
-    assert same.mean() > 0.9995  # float32 may take a neighbour at an edge
-    np.testing.assert_allclose(found[0][same], expected[0][same], rtol=1e-13)
-    met = (found[1] >= 0) & (expected[1] >= 0)
-    apart = np.abs(found[0][met] - expected[0][met]) * np.linalg.norm(ray[met], axis=1)
-    assert np.quantile(apart, 0.999) < 1e-6
-
-
-def test_without_embree_the_tree_answers(knight, monkeypatch):
-    monkeypatch.setattr(embree, "installed", lambda: False)
-    middle = 0.5 * (knight.low[0] + knight.high[0])
-    middle[1] = 0.9 * knight.low[0, 1] + 0.1 * knight.high[0, 1]  # the foot
-    start = np.tile(middle - [0.013, 0.007, 30.0], (embree.MANY, 1))
-    ray = np.tile([0.0, 0.0, 1.0], (embree.MANY, 1))
-    found = first_triangle(knight, 0, len(knight.corners), 0, start, ray, np.full(len(start), np.inf))
-    assert (found[1] == found[1][0]).all()
-    assert found[1][0] >= 0

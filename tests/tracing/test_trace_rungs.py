@@ -241,7 +241,7 @@ def test_a_mesh_and_its_normals_are_refused_where_no_facets_are_traced(rung):
         trace(biconvex(), one, rung=rung, normals="vertex")
 
 
-@pytest.mark.parametrize("option", ["--mesh sheet.stl", "--normals vertex", "--search embree"])
+@pytest.mark.parametrize("option", ["--mesh sheet.stl", "--normals vertex"])
 def test_the_command_line_refuses_options_of_facets_on_other_rungs(tmp_path, capsys, option):
     rays, design = tmp_path / "rays.npz", str(Path(__file__).parents[2] / "designs" / "slab.toml")
     np.savez(rays, position=[[0.0, 0.0, -1.0]], direction=[[0.0, 0.0, 1.0]])

@@ -44,7 +44,6 @@ HEAVY = {
     "matplotlib",
     "trimesh",
     "manifold3d",
-    "embreex",
     "PIL",
     "jinja2",
 }

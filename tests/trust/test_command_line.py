@@ -331,14 +331,14 @@ def test_doctor_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.Monkey
     there = doctor._installed
     monkeypatch.setattr(doctor, "_occ", lambda: iter(()))
     monkeypatch.setattr(
-        doctor, "_installed", lambda name: {"numba": None, "embreex": None, "numpy": "1.26.4"}.get(name, there(name))
+        doctor, "_installed", lambda name: {"numba": None, "gdstk": None, "numpy": "1.26.4"}.get(name, there(name))
     )  # fmt: skip
     monkeypatch.setenv("CLACAD_THREADS", "many")
     findings = {f.name: f for f in doctor.examine(tmp_path / "nowhere")}
-    states = {name: findings[name].state for name in ("numba", "embreex", "numpy", "threads", "folder")}
+    states = {name: findings[name].state for name in ("numba", "gdstk", "numpy", "threads", "folder")}
     assert states == {
         "numba": "fail",
-        "embreex": "absent",
+        "gdstk": "absent",
         "numpy": "fail",
         "threads": "fail",
         "folder": "fail",

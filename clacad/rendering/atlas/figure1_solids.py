@@ -20,7 +20,7 @@ from clacad.rendering.picture_files import encode
 from clacad.rendering.scene_arrays import MESH, Primitive, set_stage, stage_of
 from clacad.scene import Scene
 from clacad.sheet.window import Window
-from clacad.tracing.triangles.median_tree import grow
+from clacad.tracing.triangles.hierarchy import mesh_tree
 
 CLEAR = 0.45
 """Share of the background that shows through one lit surface."""
@@ -38,7 +38,7 @@ def solid_picture(scene: Scene) -> Bytes:
     corners = np.concatenate([body.vertices[body.triangles] for body in mesh.bodies]) / scale
     background = tables(set_stage(scene))
     glass = tables(stage_of(
-        [[Primitive(MESH, np.eye(3), np.zeros(3), (0, 0, 0, 0), (tint, tint), tree=grow(corners))]],
+        [[Primitive(MESH, np.eye(3), np.zeros(3), (0, 0, 0, 0), (tint, tint), tree=mesh_tree(corners))]],
         replace(scene.light, ambient=0.25, key=0.9), scene.background,
     ))  # fmt: skip
     view = aim(scene.camera)

@@ -38,9 +38,9 @@ from clacad.rendering.compiled.scene_tables import (
     TOWARDS_LIGHT,
     Tables,
 )
-from clacad.rendering.compiled.triangle_tree import DEPTH, in_tree
 from clacad.rendering.scene_arrays import FLOOR, LIT, MESH
-from clacad.tracing.compiled.records import Ray
+from clacad.tracing.compiled.records import DEPTH, Ray
+from clacad.tracing.triangles.compiled_search import nearest
 
 
 class Pad(NamedTuple):
@@ -248,7 +248,7 @@ def _object(tables: Tables, c: int, count: int, pad: Pad) -> None:
         if prim[k, KIND] == MESH:
             for q in range(count):
                 ray = Ray(local[0, q], local[1, q], local[2, q], local[3, q], local[4, q], local[5, q])
-                t, f = in_tree(store, int(prim[k, PIECE]), ray, least[q], pad.some[3])
+                t, f = nearest(tables.trees, int(prim[k, PIECE]), ray, least[q], pad.some[3])
                 if f >= 0:
                     least[q], which[q], facet[q] = t, k, f
             continue

@@ -42,6 +42,7 @@ from clacad.rendering.scene_arrays import (
     STRIPES,
 )
 from clacad.tracing.compiled.records import Ray
+from clacad.tracing.triangles.compiled_search import normal_of
 
 
 @exact
@@ -95,7 +96,7 @@ def painted(tables: Tables, k: int, facet: int, ray: Ray, distance: float) -> tu
         c = COLOUR if stripe - 2.0 * math.floor(0.5 * stripe) == 0.0 else COLOUR + 3
     light = world[AMBIENT]
     if world[KEY] != 0.0:
-        nx, ny, nz = normal(prim, store, k, facet, lx, ly, lz)
+        nx, ny, nz = normal(tables, k, facet, lx, ly, lz)
         sx = nx * prim[k, TURN + 0] + ny * prim[k, TURN + 1] + nz * prim[k, TURN + 2]
         sy = nx * prim[k, TURN + 3] + ny * prim[k, TURN + 4] + nz * prim[k, TURN + 5]
         sz = nx * prim[k, TURN + 6] + ny * prim[k, TURN + 7] + nz * prim[k, TURN + 8]
@@ -107,10 +108,9 @@ def painted(tables: Tables, k: int, facet: int, ray: Ray, distance: float) -> tu
 
 
 @exact
-def normal(
-    prim: Floats, store: Floats, k: int, facet: int, x: float, y: float, z: float
-) -> tuple[float, float, float]:
+def normal(tables: Tables, k: int, facet: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Unit normal in the primitive's frame, of either sign."""
+    prim = tables.prim
     kind, a, b, c = prim[k, KIND], prim[k, SIZE], prim[k, SIZE + 1], prim[k, SIZE + 2]
     nx, ny, nz = 0.0, 0.0, 1.0
     if kind == FLOOR:
@@ -129,12 +129,9 @@ def normal(
         else:
             nx, ny, nz = x, -slope * radius, z
     elif kind == PRISM:
-        nx, ny, nz = prism_normal(store, int(prim[k, PIECE]), int(prim[k, END]), a, x, y, z)
+        nx, ny, nz = prism_normal(tables.store, int(prim[k, PIECE]), int(prim[k, END]), a, x, y, z)
     elif kind == MESH:
-        cx, cy, cz = store[facet], store[facet + 1], store[facet + 2]
-        ax, ay, az = store[facet + 3] - cx, store[facet + 4] - cy, store[facet + 5] - cz
-        bx, by, bz = store[facet + 6] - cx, store[facet + 7] - cy, store[facet + 8] - cz
-        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        nx, ny, nz = normal_of(tables.trees, facet)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     return nx / length, ny / length, nz / length
 

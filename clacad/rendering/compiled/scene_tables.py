@@ -8,6 +8,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.rendering.scene_arrays import CONE, FLOOR, MESH, PRISM, SCREEN, SPHERE, SceneArrays
+from clacad.tracing.triangles.hierarchy import ROOT, Hierarchy
 
 # Columns of `Tables.prim`.
 KIND, PAINT, PATTERN, PIECE, END, ROWS, COLUMNS, SIZE, BOUND, ORIGIN, TURN, COLOUR = (
@@ -20,15 +21,12 @@ AMBIENT, KEY, TOWARDS_LIGHT, ZENITH, HORIZON, GROUND = 0, 1, 2, 5, 8, 11
 # Columns of `Tables.cluster`.
 FIRST, PAST, CENTRE, EXTENT = 0, 1, 2, 5
 
-NODE, FACET = 8, 9
-"""Numbers of a tree node (low, high, first, count) and of a triangle in `Tables.store`."""
-
 BLOCK = 256
 """Rays of a block: its columns stay in the first-level cache."""
 
 
 class Tables(NamedTuple):
-    """A `SceneArrays` in four plain arrays: compiled code passes few arrays quickly and many slowly.
+    """A `SceneArrays` in plain arrays: compiled code passes few arrays quickly and many slowly.
 
     Attributes
     ----------
@@ -39,30 +37,26 @@ class Tables(NamedTuple):
     prim : (n, 35)
         A primitive a row, columns as named above; BOUND: low and high corner of a box round it, scene frame.
     store : (k,)
-        Corners of prisms, pixels, nodes and triangles; indices into it are absolute.
+        Corners of prisms and pixels; indices into it are absolute.
+    trees : Hierarchy
+        Meshes; the piece of a primitive is its number there.
     """
 
     world: Floats
     cluster: Floats
     prim: Floats
     store: Floats
+    trees: Hierarchy
 
 
 def tables(stage: SceneArrays) -> Tables:
     """Lay a stage out for compiled code."""
-    forest, n = stage.forest, len(stage.kind)
-    sizes = [stage.outline.size, stage.pixels.size, NODE * len(forest.first), forest.corners.size]
-    corner0, pixel0, node0, facet0 = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    leaf = forest.count > 0
-    child = np.where(leaf, facet0 + FACET * forest.first, node0 + NODE * forest.first)
-    nodes = np.column_stack([forest.low, forest.high, child, forest.count])
-    store = np.concatenate([part.ravel() for part in (stage.outline, stage.pixels, nodes, forest.corners)])
+    n, pixel0 = len(stage.kind), stage.outline.size
+    store = np.concatenate([stage.outline.ravel(), stage.pixels.ravel()])
     piece = np.zeros((n, 2))
-    for kind, start, width in ((PRISM, corner0, 2), (SCREEN, pixel0, 3)):
+    for kind, start, width in ((PRISM, 0, 2), (SCREEN, pixel0, 3), (MESH, 0, 1)):
         rows = stage.kind == kind
         piece[rows] = start + width * stage.piece[rows]
-    meshes = stage.kind == MESH
-    piece[meshes] = (node0 + NODE * stage.root[meshes])[:, None]
     boxes = np.array([_box(stage, k) for k in range(n)]).reshape(-1, 2, 3)
     prim = np.column_stack(
         [stage.kind, stage.paint, stage.pattern, piece, stage.picture, stage.size, boxes.reshape(-1, 6), stage.origin,
@@ -70,7 +64,8 @@ def tables(stage: SceneArrays) -> Tables:
     )  # fmt: skip
     world = np.concatenate([[stage.ambient, stage.key], stage.towards_light, stage.sky.ravel(), stage.ground])
     cluster = np.column_stack([stage.cluster, _round(stage, boxes)])
-    return Tables(world, np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH), store)
+    cluster, prim = np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH)
+    return Tables(world, cluster, prim, store, stage.forest)
 
 
 def _round(stage: SceneArrays, boxes: Floats) -> Floats:
@@ -107,7 +102,7 @@ def _box(stage: SceneArrays, k: int) -> Floats:
             outline = stage.outline[stage.piece[k, 0] : stage.piece[k, 1]]
             low, high = np.append(outline.min(axis=0), -a), np.append(outline.max(axis=0), a)
         else:
-            low, high = stage.forest.low[stage.root[k]], stage.forest.high[stage.root[k]]
+            low, high = stage.forest.box[stage.forest.tree[stage.piece[k, 0], ROOT]].reshape(2, 3)
         half, middle = 0.5 * (high - low), 0.5 * (high + low)
     turn = stage.rotation[k]
     centre, reach = turn @ middle + stage.origin[k], np.abs(turn) @ half

@@ -24,7 +24,7 @@ from clacad.rendering.scene_arrays import (
     STRIPES,
     SceneArrays,
 )
-from clacad.tracing.triangles.embree import first_triangle
+from clacad.tracing.triangles.hierarchy import nearest_triangle
 
 UNTURNED = np.eye(3)
 
@@ -83,8 +83,7 @@ def _nearest(
             if (stage.rotation[k] != UNTURNED).any():
                 local, ray = local @ stage.rotation[k], ray @ stage.rotation[k]
             if stage.kind[k] == MESH:
-                own = int(stage.piece[k, 0]), int(stage.piece[k, 1]), int(stage.root[k])
-                t, facet = first_triangle(stage.forest, *own, local, ray, distance[rows])
+                t, facet = nearest_triangle(stage.forest, int(stage.piece[k, 0]), local, ray, distance[rows])
                 triangle[rows[facet >= 0]] = facet[facet >= 0]
                 closer = facet >= 0
             else:
@@ -264,7 +263,7 @@ def _normal(stage: SceneArrays, k: int, local: Floats, triangle: Ints) -> Floats
         first, end = stage.piece[k]
         normal = _prism_normal(local, a, stage.outline[first:end])
     elif kind == MESH:
-        corner = stage.forest.corners[triangle]
+        corner = stage.forest.corner[triangle]
         normal = doubled_normals(corner)
     else:
         normal[:, 2] = 1.0

@@ -40,10 +40,9 @@ from clacad.tracing.compiled.straight_path_slots import (
     lanes,
 )
 from clacad.tracing.compiled.walk import walk_ray
-from clacad.tracing.triangles.compiled_grid import straight_through
 from clacad.tracing.triangles.compiled_squares import ROWS, store_sheet_block, suits_squares, through_squares
-from clacad.tracing.triangles.facet_grid import FacetGrid
 from clacad.tracing.triangles.hierarchy import Hierarchy
+from clacad.tracing.triangles.squares import Squares
 from clacad.tracing.triangles.tiles import Tiles
 
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
@@ -188,30 +187,20 @@ def blank_row(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
 
 @owning
 def trace_chunk_of_triangles(
-    trees: Hierarchy, grid: FacetGrid, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
+    trees: Hierarchy, squares: Squares, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
 ) -> int:  # fmt: skip
     """Trace the rays `chosen` through triangles from any source; arguments as in `trace_chunk`."""
-    scratch, waiting, count = new_scratch(), np.empty(len(chosen), dtype=np.intp), 0
-    plain = len(grid.walled) > 0 and len(trees.corner_normal) == 0 and len(out.hits) == 0
-    rest = chosen
-    if plain and suits_squares(grid, sheet.lattice):
-        rest = np.empty(len(chosen), dtype=np.intp)
-        rest = rest[: _through_squares(grid, sheet, chosen, start, ray, out, rest)]
-    for row in rest:
-        decided = False
-        if plain and blank_row(row, start, ray, out):
-            reaches, launched = launch_ray(sheet, start, ray, row)
-            decided = reaches and straight_through(trees, grid, sheet, launched, row, out)
-        if not decided:
-            waiting[count] = row
-            count += 1
-    _walk(None, trees, sheet, waiting[:count], start, ray, out, scratch)
-    return count
+    waiting, rest = np.empty(len(chosen), dtype=np.intp), chosen
+    plain = len(trees.corner_normal) == 0 and len(out.hits) == 0
+    if plain and suits_squares(squares, sheet.lattice):
+        rest = waiting[: _through_squares(squares, sheet, chosen, start, ray, out, waiting)]
+    _walk(None, trees, sheet, rest, start, ray, out, new_scratch())
+    return len(rest)
 
 
 @making
 def _through_squares(
-    grid: FacetGrid, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
+    squares: Squares, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
 ) -> int:  # fmt: skip
     """Trace rays where facets halve the bins of the grid; undecided rows go to `left`, and their count is
     returned.
@@ -221,7 +210,7 @@ def _through_squares(
         block = chosen[first : first + BLOCK]
         load_block(block, start, ray, s)
         launch_block(sheet.lattice, sheet.bodies[0], s, len(block))
-        through_squares(grid, sheet, s, len(block))
+        through_squares(squares, sheet, s, len(block))
         store_sheet_block(s, block, len(sheet.faces) - 1, out)
         count = queue_undecided(s, block, left, count)
     return count

@@ -14,7 +14,7 @@ from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.threads import CHUNK, in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
-from clacad.tracing.triangles.facet_grid import Triangles
+from clacad.tracing.triangles.squares import Triangles
 from clacad.tracing.triangles.tiles import Tiles
 
 FIRST = np.arange(CHUNK)
@@ -55,7 +55,7 @@ def trace_compiled(
     def one(rows: Rows | range) -> None:
         chosen, (position, direction, out) = piece(rows, *whole) if isinstance(rows, range) else (rows, whole)
         if isinstance(facets, Triangles):
-            trace_chunk_of_triangles(facets.trees, facets.grid, sheet, chosen, position, direction, out)
+            trace_chunk_of_triangles(facets.trees, facets.squares, sheet, chosen, position, direction, out)
             return
         if single:
             left = np.empty_like(chosen)

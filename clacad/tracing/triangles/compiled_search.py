@@ -1,6 +1,7 @@
 """Compiled search of triangles from any source: the first one a ray meets, in a tree of boxes.
 
-The search knows nothing of sheets: the walk of `compiled_hierarchy` and the judge of a file's facets call it.
+The search knows nothing of sheets: the walk of `compiled_hierarchy`, the judge of a file's facets and pictures
+of scenes call it.
 """
 
 from __future__ import annotations
@@ -9,10 +10,10 @@ from math import inf, nan
 
 import numpy as np
 
-from clacad.base.compiled import exact, owning
+from clacad.base.compiled import exact, inlined, least, owning
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled.records import DEPTH, Ray, Vector
-from clacad.tracing.triangles.hierarchy import LEAF, Hierarchy
+from clacad.tracing.triangles.hierarchy import COUNT, FIRST, LEVELS, ROOT, Hierarchy
 
 INWARDS, OUTWARDS, BOTH = 1, 2, 3
 """Results of `ways_through`: the direction in which triangles are passed."""
@@ -20,24 +21,40 @@ INWARDS, OUTWARDS, BOTH = 1, 2, 3
 BEFORE = -1e-300
 """A facet at the very start of a ray counts."""
 
+ROUNDED = 1e-12
+"""Share of distances to the sides of boxes that rounding may change."""
+
 UPRIGHT = 1e-300
 """Slope used in place of 0, whose reciprocal times a distance of 0 from a box's side would be NaN."""
 
 
 @exact
-def _enters(box: Floats, x: float, y: float, z: float, inverse: Vector, far: float) -> float:
-    """Distance at which a ray enters a box, or inf, with a rounding tolerance.
+def _most(a: float, b: float) -> float:
+    """Return the greater of two numbers, a where b is NaN: one machine instruction."""
+    return b if b > a else a
 
-    `inverse` is of its direction.
+
+@inlined
+def _entered(box: Floats, k: int, ray: Ray, inverse: Vector, near: float, far: float) -> float:
+    """Distance at which a ray enters box k, inf where it is not in it between two distances.
+
+    `inverse` is of the ray's direction.
     """
-    il, im, iz = inverse
-    a, b = (box[0] - x) * il, (box[3] - x) * il
-    c, d = (box[1] - y) * im, (box[4] - y) * im
-    e, f = (box[2] - z) * iz, (box[5] - z) * iz
-    near = max(min(a, b), max(min(c, d), min(e, f)))
-    leave = min(max(a, b), min(max(c, d), max(e, f)))
-    slack = 1e-12 * (abs(near) + abs(leave))
-    return near - slack if near <= leave + 2.0 * slack and near <= far else inf
+    a, b = (box[k, 0] - ray.x) * inverse[0], (box[k, 3] - ray.x) * inverse[0]
+    c, d = (box[k, 1] - ray.y) * inverse[1], (box[k, 4] - ray.y) * inverse[1]
+    e, f = (box[k, 2] - ray.z) * inverse[2], (box[k, 5] - ray.z) * inverse[2]
+    begin = _most(least(a, b), _most(least(c, d), least(e, f)))
+    end = least(_most(a, b), least(_most(c, d), _most(e, f)))
+    end += ROUNDED * abs(end)
+    return begin if (begin <= end) & (begin <= far) & (end >= near) else inf
+
+
+@exact
+def inverse_of(ray: Ray) -> Vector:
+    """Reciprocals of a direction, finite for the components 0."""
+    u, v, w = ray.L, ray.M, ray.N
+    u, v, w = u if u != 0.0 else UPRIGHT, v if v != 0.0 else UPRIGHT, w if w != 0.0 else UPRIGHT
+    return 1.0 / u, 1.0 / v, 1.0 / w
 
 
 @exact
@@ -68,76 +85,123 @@ def hit(corner: Floats, origin: Vector, ray: Ray) -> tuple[float, float, float, 
 
 
 @exact
-def _tree(trees: Hierarchy, b: int) -> tuple[int, int, int, int]:
-    """The tree of body b: first box, first triangle, triangles, boxes that are no leaves."""
-    root = trees.tree[b, 0]
-    nodes = (trees.tree[b + 1, 0] if b + 1 < len(trees.tree) else len(trees.box)) - root
-    return root, trees.tree[b, 1], trees.tree[b, 2], (nodes - 1) // 2
-
-
-@exact
-def _next_leaf(
-    trees: Hierarchy, b: int, place: Vector, inverse: Vector, far: float, stack: Ints, waiting: int
+def next_leaf(
+    trees: Hierarchy, b: int, ray: Ray, inverse: Vector, near: float, far: float, stack: Ints, waiting: int
 ) -> tuple[int, int, int]:
-    """Range of triangles (first, end) of the next leaf that a ray enters before `far`; 0, 0 at the end.
+    """Range of triangles (first, end) of the next leaf that a ray enters between two distances; 0, 0 at the end.
 
-    place : a point of the ray in the frame of the boxes; `inverse` is of its direction
+    Of two boxes the one whose middle lies nearer along the ray comes first.
+
+    ray : in the frame of the boxes; `inverse` is of its direction
     waiting : boxes on the stack; the number that remain is returned last
     """
-    root, first, count, inner = _tree(trees, b)
+    root, first, count = trees.tree[b, ROOT], trees.tree[b, FIRST], trees.tree[b, COUNT]
+    levels = trees.tree[b, LEVELS]
+    inner = (1 << levels) - 1
+    far += ROUNDED * abs(far)
     while waiting > 0:
         waiting -= 1
         node = stack[waiting]
-        if not _enters(trees.box[root + node], place[0], place[1], place[2], inverse, far) < inf:
+        if not _entered(trees.box, root + node, ray, inverse, near, far) < inf:
             continue
-        if node >= inner:
-            start = (node - inner) * LEAF
-            return first + start, first + min(start + LEAF, count), waiting
-        stack[waiting], stack[waiting + 1] = 2 * node + 2, 2 * node + 1
-        waiting += 2
+        while node < inner:
+            node = 2 * node + 1
+            left = _entered(trees.box, root + node, ray, inverse, near, far)
+            right = _entered(trees.box, root + node + 1, ray, inverse, near, far)
+            # branches, not selected numbers: the next boxes are loaded before these are computed
+            if left < inf:
+                if right < inf:
+                    if left <= right:
+                        stack[waiting] = node + 1
+                    else:
+                        stack[waiting] = node
+                        node += 1
+                    waiting += 1
+            elif right < inf:
+                node += 1
+            else:
+                break
+        else:
+            leaf = node - inner
+            return first + ((leaf * count) >> levels), first + (((leaf + 1) * count) >> levels), waiting
     return 0, 0, 0
 
 
 @exact
 def search(
-    trees: Hierarchy, b: int, origin: Vector, ray: Ray, least: float, most: float, stack: Ints
+    trees: Hierarchy, b: int, origin: Vector, ray: Ray, near: float, most: float, stack: Ints
 ) -> tuple[float, int]:
-    """Nearest triangle of body b at a distance between `least` and `most`: distance and number, inf and −1.
+    """Nearest triangle of body b at a distance between `near` and `most`: distance and number, inf and −1.
 
-    The ray is relative to `origin`, the centre of its cell; `stack` (DEPTH,) is scratch.
+    The ray is relative to `origin`, the centre of its cell; `stack` (DEPTH,) is scratch. Of triangles at one
+    distance the lowest is returned.
     """
-    inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
-    place = (origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z)
+    inverse = inverse_of(ray)
+    own = Ray(origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z, ray.L, ray.M, ray.N)
     best, which = most, -1
     stack[0] = 0
-    begin, end, waiting = _next_leaf(trees, b, place, inverse, best, stack, 1)
+    begin, end, waiting = next_leaf(trees, b, own, inverse, near, best, stack, 1)
     while begin < end:
         for k in range(begin, end):
             t = hit(trees.corner[k], origin, ray)[0]
-            if least < t < best:
+            if near < t and (t < best or (t == best and k < which)):
                 best, which = t, k
-        begin, end, waiting = _next_leaf(trees, b, place, inverse, best, stack, waiting)
+        begin, end, waiting = next_leaf(trees, b, own, inverse, near, best, stack, waiting)
     return (best, which) if which >= 0 else (inf, -1)
 
 
 @exact
 def ways_through(
-    trees: Hierarchy, b: int, origin: Vector, ray: Ray, least: float, most: float, stack: Ints
+    trees: Hierarchy, b: int, origin: Vector, ray: Ray, near: float, most: float, stack: Ints
 ) -> int:
     """Direction in which the ray passes the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0
     for none.
     """
-    inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
-    place = (origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z)
+    inverse = inverse_of(ray)
+    own = Ray(origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z, ray.L, ray.M, ray.N)
     found, stack[0] = 0, 0
-    begin, end, waiting = _next_leaf(trees, b, place, inverse, most, stack, 1)
+    begin, end, waiting = next_leaf(trees, b, own, inverse, near, most, stack, 1)
     while begin < end:
         for k in range(begin, end):
-            if least < hit(trees.corner[k], origin, ray)[0] < most:
+            if near < hit(trees.corner[k], origin, ray)[0] < most:
                 nx, ny, nz = normal_of(trees, k)
                 found |= OUTWARDS if nx * ray.L + ny * ray.M + nz * ray.N > 0.0 else INWARDS
-        begin, end, waiting = _next_leaf(trees, b, place, inverse, most, stack, waiting)
+        begin, end, waiting = next_leaf(trees, b, own, inverse, near, most, stack, waiting)
     return found
+
+
+@exact
+def nearest(trees: Hierarchy, b: int, ray: Ray, most: float, stack: Ints) -> tuple[float, int]:
+    """First triangle of mesh b that a ray of any direction meets, as `hierarchy.nearest_triangle`."""
+    inverse = inverse_of(ray)
+    best, which = most, -1
+    stack[0] = 0
+    begin, end, waiting = next_leaf(trees, b, ray, inverse, 0.0, best, stack, 1)
+    while begin < end:
+        for k in range(begin, end):
+            t = _to_triangle(trees.corner[k], ray)
+            if t > 0.0 and (t < best or (t == best and k < which)):
+                best, which = t, k
+        begin, end, waiting = next_leaf(trees, b, ray, inverse, 0.0, best, stack, waiting)
+    return best, which
+
+
+@exact
+def _to_triangle(corner: Floats, ray: Ray) -> float:
+    """Distance to the plane of a triangle where it is hit, else NaN."""
+    x, y, z, u, v, w = ray
+    cx, cy, cz = corner[0, 0], corner[0, 1], corner[0, 2]
+    ax, ay, az = corner[1, 0] - cx, corner[1, 1] - cy, corner[1, 2] - cz
+    bx, by, bz = corner[2, 0] - cx, corner[2, 1] - cy, corner[2, 2] - cz
+    px, py, pz = v * bz - w * by, w * bx - u * bz, u * by - v * bx
+    det = px * ax + py * ay + pz * az
+    sx, sy, sz = x - cx, y - cy, z - cz
+    f = (sx * px + sy * py + sz * pz) / det
+    qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
+    g = (u * qx + v * qy + w * qz) / det
+    if f >= 0.0 and g >= 0.0 and f + g <= 1.0:
+        return float((qx * bx + qy * by + qz * bz) / det)
+    return nan
 
 
 @exact
@@ -161,7 +225,6 @@ def first_facet(
     origin, stack = (0.0, 0.0, 0.0), np.empty(DEPTH, dtype=np.int64)
     for r in range(len(position)):
         u, v, w = direction[r, 0], direction[r, 1], direction[r, 2]
-        u, v = u if u != 0.0 else UPRIGHT, v if v != 0.0 else UPRIGHT
         ray = Ray(position[r, 0], position[r, 1], position[r, 2], u, v, w)
         t, which = search(trees, 0, origin, ray, BEFORE, inf, stack)
         while which >= 0:

@@ -41,7 +41,7 @@ from clacad.tracing.compiled.straight_path_slots import (
 )
 from clacad.tracing.triangles.compiled_hierarchy import LEVEL
 from clacad.tracing.triangles.compiled_tile_block import SquareGrid, half_bin, to_level
-from clacad.tracing.triangles.facet_grid import (
+from clacad.tracing.triangles.squares import (
     BIN,
     BINS_X,
     BINS_Y,
@@ -55,12 +55,12 @@ from clacad.tracing.triangles.facet_grid import (
     OFF,
     PER_X,
     PER_Y,
+    ROUNDED,
     SPLIT,
     UP_HIGH,
     UP_LOW,
-    FacetGrid,
+    Squares,
 )
-from clacad.tracing.triangles.squares import ROUNDED
 
 INSIDE_CELL = 1e-9
 """Least distance of a hit from the borders of its cell, as a share of a cell."""
@@ -75,7 +75,7 @@ ALIVE, GHOST = int(Fate.ALIVE), int(Fate.GHOST)
 
 
 @exact
-def suits_squares(grid: FacetGrid, lat: Floats) -> bool:
+def suits_squares(grid: Squares, lat: Floats) -> bool:
     """Whether there are squares at all, and nothing else in the path of light."""
     for row in grid.table:
         if not row[DOWN_HIGH] < row[UP_LOW]:
@@ -84,7 +84,7 @@ def suits_squares(grid: FacetGrid, lat: Floats) -> bool:
 
 
 @exact
-def through_squares(grid: FacetGrid, sheet: Packed, s: Floats, m: int) -> None:
+def through_squares(grid: Squares, sheet: Packed, s: Floats, m: int) -> None:
     """Trace a launched block straight through every body; uncertain rays lose their mark GOOD.
 
     Positions are then in the sheet frame; CI and CJ hold the last cell, CI0 and CJ0 the first.
@@ -162,7 +162,7 @@ def _squares_of(row: Floats, side: int) -> SquareGrid:
 
 
 @exact
-def _planes_of_bins(grid: FacetGrid, side: int, s: Floats, m: int) -> None:
+def _planes_of_bins(grid: Squares, side: int, s: Floats, m: int) -> None:
     """Load the planes over the present half bins of rays."""
     for i in range(m):
         h = int(s[HALF, i])
@@ -249,7 +249,7 @@ def _note_cells(sheet: Packed, s: Floats, m: int, array: int, first: bool) -> No
 
 
 @exact
-def _hold_among_squares(grid: FacetGrid, row: Floats, s: Floats, m: int, level: float) -> None:
+def _hold_among_squares(grid: Squares, row: Floats, s: Floats, m: int, level: float) -> None:
     """Require that rays stayed over halved bins up to a level."""
     held, start, wide = grid.odd, int(row[CORNER]), int(row[BINS_X]) + 1
     hair, high = max(2.0 * HAIR, ROUNDED * row[OFF]), int(row[BINS_Y]) + 1

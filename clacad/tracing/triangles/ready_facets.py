@@ -13,8 +13,7 @@ from clacad.tracing.layout import Layout
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
-    from clacad.tracing.triangles.embree import BodyTree
-    from clacad.tracing.triangles.facet_grid import Triangles
+    from clacad.tracing.triangles.squares import Triangles
     from clacad.tracing.triangles.tiles import Normals, Tiles
     from clacad.tracing.triangles.triangle_soup import TriangleSoup
 
@@ -32,13 +31,10 @@ class Facets:
     layout : Layout
         The window, with the bounds of the triangles.
     found_in : Tiles or Triangles
-    embree : tuple of BodyTree
-        One for each body where Embree is selected; else empty.
     """
 
     layout: Layout
     found_in: Tiles | Triangles
-    embree: tuple[BodyTree, ...] = ()
 
 
 def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) -> Facets:
@@ -95,11 +91,6 @@ def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
         mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
         layout, triangles = lay_out_soup(window, mesh, normals)
         return Facets(endless_layout(layout), triangles)
-    if not isinstance(mesh, TriangleSoup):
-        return Facets(*lay_out_mesh(window, mesh, normals))
-    layout, triangles = lay_out_soup(window, mesh, normals)
-    if mesh.search != "embree" or normals == "vertex":
-        return Facets(layout, triangles)
-    from clacad.tracing.triangles.embree import body_trees
-
-    return Facets(layout, triangles, body_trees(triangles.trees))
+    if isinstance(mesh, TriangleSoup):
+        return Facets(*lay_out_soup(window, mesh, normals))
+    return Facets(*lay_out_mesh(window, mesh, normals))

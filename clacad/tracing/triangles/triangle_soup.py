@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.sheet.window import Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out
-from clacad.tracing.triangles.facet_grid import Triangles, facet_grid
 from clacad.tracing.triangles.hierarchy import hierarchy
+from clacad.tracing.triangles.squares import Triangles, find_squares
 from clacad.tracing.triangles.tiles import Normals
-
-Search = Literal["tree", "embree"]
 
 UNITS = (1.0, 1000.0, 0.001, 25.4, 1.0 / 25.4)
 MATCH = 0.02
@@ -46,40 +44,29 @@ class TriangleSoup:
         Counter-clockwise seen from outside.
     normals : (t, 3, 3) or None
         Unit outward normals at the corners, where the file has them.
-    search : "tree" or "embree"
-        Search for the triangle a ray meets: clacad's own tree, or Embree. Embree needs facet normals, one
-        wavelength and nothing recorded; unclear rays go to the tree. The results are the same.
     """
 
     corners: Floats
     normals: Floats | None = None
-    search: Search = "tree"
 
 
-def read_soup(path: str | os.PathLike[str], window: Window, search: Search = "tree") -> TriangleSoup:
+def read_soup(path: str | os.PathLike[str], window: Window) -> TriangleSoup:
     """Read a mesh file (STL, 3MF, PLY, OBJ, GLB) in the window's units.
 
     Parameters
     ----------
     path : path
     window : Window
-    search : "tree" or "embree"
-        See `TriangleSoup`; the results agree to the last digits.
 
     Raises
     ------
     ValueError
-        The file states no unit and its size fits the window in none, or in more than one; or Embree is
-        requested and not installed.
+        The file states no unit and its size fits the window in none, or in more than one.
     """
     # readers are in the room of the formats' writers; the tracer needs them only when it is given a path
     from clacad.formats.mesh.readers import read_mesh
-    from clacad.tracing.triangles.embree import installed
 
-    found = read_mesh(path)
-    if search == "embree" and not installed():
-        raise UnusableMesh('search = "embree" needs the package embreex: pip install "clacad[pictures]"')
-    return replace(soup_of(found, window), search=search)
+    return soup_of(read_mesh(path), window)
 
 
 def soup_of(found: Any, window: Window) -> TriangleSoup:
@@ -142,7 +129,7 @@ def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[
     if normals == "vertex":
         trees = trees._replace(corner_normal=_upward(soup, np.concatenate(bodies)[rank]))
     plans = tuple(_bounded(plan, soup.corners[mine]) for plan, mine in zip(exact.bodies, bodies, strict=True))
-    return replace(exact, bodies=plans), Triangles(trees, facet_grid(trees))
+    return replace(exact, bodies=plans), Triangles(trees, find_squares(trees))
 
 
 def _upward(soup: TriangleSoup, which: Ints) -> Floats:
@@ -173,8 +160,11 @@ def _owners(layout: Layout, corners: Floats) -> NDArray[np.int64]:
 
 def _pieces(corners: Floats) -> Ints:
     """Number the connected pieces: triangles are joined where they share a corner exactly."""
-    points = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0  # one zero, not two
-    _, vertex = np.unique(points.view([("x", "f8"), ("y", "f8"), ("z", "f8")]).ravel(), return_inverse=True)
+    points = corners.reshape(-1, 3)
+    order = np.lexsort(points.T)
+    in_order = points[order]
+    vertex = np.zeros(len(points), dtype=np.int64)
+    vertex[order[1:]] = np.cumsum((in_order[1:] != in_order[:-1]).any(axis=1))
     triangles = vertex.reshape(-1, 3)
     label = np.arange(int(triangles.max()) + 1)
     while True:  # labels fall to the least of their piece; pointers halve the way at every round

@@ -1,4 +1,4 @@
-"""The grid of a stranger's triangles decides no ray otherwise than the trees do, and decides most of them."""
+"""Squares of triangles from any source decide no ray otherwise than the trees do, and decide most of them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from oracle.windows import biconvex, slab
 import clacad
 from clacad.tracing import tracer
 from clacad.tracing.triangles import triangle_soup as soups
-from clacad.tracing.triangles.facet_grid import NO_GRID, facet_grid
 from clacad.tracing.triangles.hierarchy import hierarchy
+from clacad.tracing.triangles.squares import NO_SQUARES, find_squares
 from clacad.tracing.triangles.triangle_soup import TriangleSoup
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -31,10 +31,10 @@ def soup(window, quads):
     return TriangleSoup(np.random.default_rng(1).permutation(corners).astype(np.float32).astype(float))
 
 
-def without_grid(window, triangles, rays):
+def without_squares(window, triangles, rays):
     """The same trace by the trees alone."""
     facets = tracer.facets_of(window, triangles, "facet")
-    found_in = facets.found_in._replace(grid=NO_GRID)
+    found_in = facets.found_in._replace(squares=NO_SQUARES)
     return tracer._compiled(facets.layout, rays, 0, 1, found_in)
 
 
@@ -43,7 +43,10 @@ def without_grid(window, triangles, rays):
 def test_rays_end_as_they_do_in_the_trees(name):
     window = WINDOWS[name]
     triangles, rays = soup(window, 6), all_directions(window, 2000, 3)
-    found, wanted = clacad.trace(window, rays, "mesh", mesh=triangles), without_grid(window, triangles, rays)
+    found, wanted = (
+        clacad.trace(window, rays, "mesh", mesh=triangles),
+        without_squares(window, triangles, rays),
+    )
     for column in ("fate", "cell", "order", "surface"):
         assert (getattr(found, column) == getattr(wanted, column)).all(), column
     alive = wanted.fate <= 1
@@ -73,7 +76,10 @@ def test_facets_that_are_no_whole_surface_are_met_as_in_the_trees(how):
     window = WINDOWS["paper base"]
     rays = beam(window, 20000, 0.03, 1.0)
     triangles = TriangleSoup(damaged(soup(window, 8).corners, how, 6))
-    found, wanted = clacad.trace(window, rays, "mesh", mesh=triangles), without_grid(window, triangles, rays)
+    found, wanted = (
+        clacad.trace(window, rays, "mesh", mesh=triangles),
+        without_squares(window, triangles, rays),
+    )
     for column in ("fate", "cell", "order", "surface"):
         assert (getattr(found, column) == getattr(wanted, column)).all(), column
     alive = wanted.fate <= 1
@@ -85,7 +91,7 @@ def test_facets_that_are_no_whole_surface_are_met_as_in_the_trees(how):
 def test_planes_of_squares_go_through_the_corners_of_their_facets():
     """Held to the corners themselves: the middle of every facet lies on the plane of the half that it is over."""
     trees = hierarchy([soup(slab(count=(3, 3)), 6).corners])[1]
-    grid = facet_grid(trees)
+    grid = find_squares(trees)
     low, per, bins = grid.table[0, :2], grid.table[0, 2:4], grid.table[0, 4:6].astype(int)
     single = np.diff(np.diff(grid.odd.reshape(bins[::-1] + 1), axis=0), axis=1)
     normal = np.cross(trees.corner[:, 1] - trees.corner[:, 0], trees.corner[:, 2] - trees.corner[:, 0])
@@ -104,29 +110,22 @@ def test_planes_of_squares_go_through_the_corners_of_their_facets():
     assert (plane[:, 2] > 0.0).all()
 
 
-def test_every_point_of_every_facet_is_over_a_bin_that_lists_it_or_in_the_hair_of_a_border():
-    trees = hierarchy([soup(slab(count=(3, 3)), 5).corners])[1]
-    grid = facet_grid(trees)
-    low, per, bins = grid.table[0, :2], grid.table[0, 2:4], grid.table[0, 4:6].astype(int)
-    rng = np.random.default_rng(2)
-    weights = rng.dirichlet((1.0, 1.0, 1.0), (len(trees.corner), 5))
-    normal = np.cross(trees.corner[:, 1] - trees.corner[:, 0], trees.corner[:, 2] - trees.corner[:, 0])
-    steep = np.abs(normal[:, 2]) < 0.05 * np.linalg.norm(normal, axis=1)
-    place = (np.einsum("kpc,kcd->kpd", weights, trees.corner)[..., :2] - low) * per
-    inner = (np.abs(place - np.rint(place)) > 1e-3).all(axis=2)
-    for facet, point in np.argwhere(inner & ~steep[:, None]):
-        i, j = place[facet, point].astype(int)
-        one = j * bins[0] + i
-        assert facet in grid.member[grid.start[one] : grid.start[one + 1]]
-
-
-def test_walls_are_counted_in_every_rectangle_of_bins():
-    trees = hierarchy([soup(biconvex(count=(3, 3), web=0.0006), 4).corners])[1]
-    grid = facet_grid(trees)
-    wide, high = grid.table[0, 4:6].astype(int)
-    held = grid.walled.reshape(high + 1, wide + 1)
+def test_bins_with_walls_off_the_rim_are_counted_in_every_rectangle_of_bins():
+    window = biconvex(euler=(0.0, 0.1, 0.0), count=(3, 3))
+    trees = hierarchy([np.concatenate(list(clacad.tessellate(window, quads=8).bodies[0].rows()))])[1]
+    grid = find_squares(trees)
+    low, per, (wide, high) = grid.table[0, :2], grid.table[0, 2:4], grid.table[0, 4:6].astype(int)
+    held = grid.odd.reshape(high + 1, wide + 1)
     single = held[1:, 1:] - held[:-1, 1:] - held[1:, :-1] + held[:-1, :-1]
-    assert set(np.unique(single)) <= {0, 1}
+    assert set(np.unique(single)) == {0, 1}
+    normal = np.cross(trees.corner[:, 1] - trees.corner[:, 0], trees.corner[:, 2] - trees.corner[:, 0])
+    walls = trees.corner[np.abs(normal[:, 2]) < 0.01 * np.linalg.norm(normal, axis=1)]
+    place = ((walls[..., :2] - low) * per) / (wide, high)
+    rim = ((place.max(axis=1) < 1e-6) | (place.min(axis=1) > 1.0 - 1e-6)).any(axis=1)
+    assert 0 < rim.sum() < len(walls)
+    walls = walls[~rim]
+    i, j = ((walls.mean(axis=1)[:, :2] - low) * per).clip(0, (wide - 1, high - 1)).astype(int).T
+    assert (single[j, i] == 1).all()
     rng = np.random.default_rng(3)
     for _ in range(50):
         (i0, i1), (j0, j1) = np.sort(rng.integers(0, wide, 2)), np.sort(rng.integers(0, high, 2))
@@ -156,6 +155,6 @@ def test_rays_of_a_view_are_decided_without_the_trees(monkeypatch):
     )  # fmt: skip
     layout, found_in = facets
     left = trace_chunk_of_triangles(
-        found_in.trees, found_in.grid, pack(layout), np.arange(4000), start, direction, out
+        found_in.trees, found_in.squares, pack(layout), np.arange(4000), start, direction, out
     )
     assert left < 0.01 * 4000
