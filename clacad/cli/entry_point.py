@@ -31,9 +31,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Without the program's name; default sys.argv[1:].
     """
     make_writable()
-    os.environ.setdefault(
-        "PYDANTIC_DISABLE_PLUGINS", "1"
-    )  # else it reads the list of all installed packages: 0.02 s
     given = list(sys.argv[1:] if arguments is None else arguments)
     interrupts = InterruptHandler()
     try:
@@ -80,9 +77,9 @@ def _answered(given: list[str], interrupts: InterruptHandler) -> int:
 
 def _status(given: list[str], interrupts: InterruptHandler) -> int:
     """Run the command; the exit status of its end, or of the error it raised."""
-    from clacad.cli.app import run
-
     try:
+        from clacad.cli.app import run
+
         status = run(given)
         sys.stdout.flush()
         return status

@@ -174,7 +174,7 @@ def test_an_edge_too_thin_is_told_of_the_keys_of_its_form_and_one_of_them_passes
 ])  # fmt: skip
 def test_no_lever_moves_what_a_design_states_as_its_intent(key, value):
     design = Design.from_dict(BICONVEX)
-    checks = [SimpleNamespace(id=id, state="fail") for id in kinds()]
+    checks = [SimpleNamespace(kind=kind, id=kind.id, state="fail") for kind in kinds().values()]
     section, name = key.split(".")
     stated = Design.from_dict(BICONVEX | {section: BICONVEX.get(section, {}) | {name: value}})
     assert key in {lever.key for lever in levers_of(design, checks)}

@@ -101,7 +101,7 @@ MUTATIONS = [
     Mutation("like a cell: partners in the middle's place", LIKE, "_pair(window.centres(k, index) - first)", "window.shifts[k]", ALIKE),
     Mutation("like a cell: never wider", LIKE, "max(scales) if widest", "1.0 if widest", ALIKE),
     Mutation("like a cell: always wider", LIKE, "if widest else 1.0", "if True else 1.0", ALIKE),
-    Mutation("like a cell: one direction", LIKE, "(2.0 * np.pi / SIDES)", "0.0", ALIKE),
+    Mutation("like a cell: one direction", "clacad/sheet/representative_cells.py", "(2.0 * np.pi / SIDES)", "0.0", ALIKE),
     Mutation("kernel: gradient transposed", OWN, "return xx * x + xy * y, yx * x + yy * y", "return xx * x + yx * y, xy * x + yy * y", ITS_KERNEL),
     Mutation("kernel: rows of hexagons as of squares", BLOCKS, "place = a + b // 2 if hexagonal else a", "place = a", ITS_KERNEL),
     Mutation("kernel: the table forgotten", BLOCKS, "if which >= 0:", "if which > 99:", ITS_KERNEL),

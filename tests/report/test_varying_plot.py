@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import clacad
 from clacad.report.varying_plot import varying
+from clacad.verification.check_kinds.light import LAW_RMS
 
 
 def test_a_sheet_of_differing_cells_is_drawn_with_its_worst_cell_and_one_of_equal_cells_is_not():
@@ -15,7 +16,7 @@ def test_a_sheet_of_differing_cells_is_drawn_with_its_worst_cell_and_one_of_equa
         "pair": {"form": "slab", "separation": 10.0, "material": "PMMA", "surface": "biconic"},
         "lattice": {"pitch": 0.5, "count": [20, 12], "outline": {"circle": 5}},
     })  # fmt: skip
-    check = SimpleNamespace(id="law_rms", where="surfaces", detail={"cell": [2, 5]})
+    check = SimpleNamespace(kind=LAW_RMS, id=LAW_RMS.id, where="surfaces", detail={"cell": [2, 5]})
     report = SimpleNamespace(design=asked, checks=[check])
     window = clacad.prescribe(asked)
     drawn = varying(report, window)
