@@ -358,7 +358,7 @@ def _rates() -> Iterator[Diagnosis]:
 
 def _readers() -> Iterator[Diagnosis]:
     """What each reader takes of a file; one that takes more is refused with exit status 3."""
-    from clacad.base.reading_budgets import BUDGETS, MEGABYTE
+    from clacad.base.untrusted_files import BUDGETS, MEGABYTE
 
     for name, budget in BUDGETS.items():
         said = [budget.files]

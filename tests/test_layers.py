@@ -37,6 +37,7 @@ ROOMS = [
     "advice",  # what verify will say, and which keys would change it
     "optimising",  # a search needs the walls that checks judge by
     "rendering",
+    "paper",  # the figures and movies of the paper, and what is measured in them
     "report",
     "explorer",
     "explain",

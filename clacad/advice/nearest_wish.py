@@ -10,7 +10,7 @@ from clacad.advice.candidate import round_to
 from clacad.advice.lens_shape import Work
 from clacad.advice.wish import KEYS, Wish, workable_material
 from clacad.advice.wish_search import Search, Tried, returned_share
-from clacad.base.digits import shown
+from clacad.base.text import shown
 from clacad.design.body import Outline
 from clacad.verification.checks import Check
 

@@ -1,18 +1,25 @@
-"""Answer to a wish: a design that passes, the reasons for its numbers, and its file; or why there is none."""
+"""Answer to a wish: a design that passes, the reasons for its numbers, and its file; or why there is none.
+
+The design file of a proposal, with comments.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import Any
 
 from clacad.advice.judged import Judged
-from clacad.advice.nearest_wish import binding, nearest
-from clacad.advice.trade_offs import Trade, sentences, trade_offs
+from clacad.advice.nearest_wish import binding, nearest, plain_words
+from clacad.advice.trade_offs import Trade, rows_of, sentences, trade_offs
 from clacad.advice.wish import Wish, read_wish
 from clacad.advice.wish_search import Search, Tried
+from clacad.base.text import table
 from clacad.base.types import Progress, silent
+from clacad.config.edit_text import to_toml
 from clacad.design import Design
+from clacad.design.keys import ROOT, SECTIONS
 from clacad.verification.check_kinds.light import VIEWED
 
 
@@ -73,8 +80,6 @@ class Proposal:
     @property
     def text(self) -> str:
         """The commented design file."""
-        from clacad.advice.proposal_text import file_text
-
         return file_text(self.wish, self.judged, self.reasons, self.trades)
 
 
@@ -138,3 +143,43 @@ def design_for(
         raise NoSuchSheet("\n".join([*binding(search), *nearest(search)]))
     trades = trade_offs(asked, chosen.judged)
     return Proposal(asked, chosen, trades, len(search.tried) + len(trades) - 1)
+
+
+WIDTH = 118
+
+
+def file_text(wish: Wish, judged: Judged, reasons: Sequence[str], trades: Sequence[Trade]) -> str:
+    """Loadable TOML with comments."""
+    lines = ["#:schema clacad.schema.json"]
+    lines += _wrapped(f"Made for the wish {plain_words(wish)}.")
+    words = sorted({check.id for check in judged.warning})
+    end = f"passes, with a warning: {', '.join(words)}" if words else "passes, without a warning"
+    lines += _wrapped(f"Built, traced through one cell and judged by the checks of clacad verify: {end}.")
+    lines += ["#", "# Why these numbers:"]
+    for reason in reasons:
+        lines += _wrapped(reason, first="# * ", rest="#   ")
+    lines += ["#", "# What others would give, each built and traced:"]
+    lines += [f"#{row}" for row in table(rows_of(trades)).split("\n")]
+    return "\n".join([*lines, "", *_keys(judged.design.given)]) + "\n"
+
+
+def _wrapped(text: str, first: str = "# ", rest: str = "# ") -> list[str]:
+    return wrap(
+        text,
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _keys(given: Any) -> Iterator[str]:
+    """The keys as written, each with its meaning."""
+    section = ""
+    for line in to_toml(given).rstrip("\n").split("\n"):
+        if line.startswith("["):
+            section = line.strip("[]")
+        name = line.partition(" = ")[0]
+        known = SECTIONS.get(section, {}).get(name) if section else ROOT.get(name)
+        yield line if known is None or not line.partition(" = ")[1] else f"{line.ljust(34)} # {known.about}"

@@ -10,7 +10,7 @@ from clacad.advice.candidate import round_to
 from clacad.advice.first_numbers import MILLIMETRES, returning, sharpest_pitch
 from clacad.advice.judged import Judged, judge
 from clacad.advice.wish import Wish
-from clacad.base.digits import digits
+from clacad.base.text import digits
 from clacad.design import Design, DesignError
 from clacad.design.keys import LATTICE, PAIR
 from clacad.sheet.feasibility.pitch_for_eye import ARC_MINUTE

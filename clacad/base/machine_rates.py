@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from clacad.base.regular_file import read_regular
+from clacad.base.untrusted_files import read_regular
 
 FORMAT = 1
 KEPT = 12

@@ -8,8 +8,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from clacad.base.text import printable
-from clacad.base.whole_numbers import array_lengths
+from clacad.base.text import array_lengths, printable
 
 
 def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from clacad.base.arrays import distinct
 from clacad.base.types import Floats
-from clacad.base.unique_rows import distinct
 
 Function = Callable[[Floats], Floats]
 

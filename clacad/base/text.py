@@ -1,10 +1,19 @@
-"""Words and values as text: suggestions for misspelt words, and any value as plain JSON."""
+"""Words and values as text: suggestions for misspelt words, and any value as plain JSON.
+
+Numbers as text for people: values of a design, and a value with the limit it is compared with.
+
+Integers in untrusted text, with at most as many digits as always fit into 64 bits.
+"""
 
 from __future__ import annotations
 
+import operator
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from math import isfinite
-from typing import Any
+from decimal import Decimal
+from math import ceil, floor, isfinite, isinf, isnan, log10
+from numbers import Real
+from typing import Any, Final, NamedTuple
 
 DEEPEST = 64
 """Greatest nesting depth of files and of converted values: it ends self-referencing values."""
@@ -106,3 +115,182 @@ def printable(text: str) -> str:
     An untrusted file must not control the terminal. The length is kept, so that carets stay in place.
     """
     return "".join(" " if c == "\t" else c if c.isprintable() else "?" for c in text)
+
+
+ROUNDING = 1e-12
+"""Magnitude below which a number of a design, in a unit near its sizes,
+is the rounding error of an exact 0.
+"""
+
+NOTHING = 1e-8
+"""Fraction of its limit below which a value is shown as 0; JSON has the exact value."""
+
+SHOWN_IN = {"rad": (1000, "mrad")}
+"""Units that are shown in another unit: factor and name."""
+
+DIGITS = 5
+"""Significant digits of a value and its limit, unless more are needed to distinguish them."""
+
+NO_LIMIT = "no limit"
+"""Text of an infinite limit."""
+
+MOST = 17
+"""Significant digits that distinguish any two float64 numbers."""
+
+
+def digits(value: float, infinite: str = "unlimited", count: int = 6) -> str:
+    """Significant digits of a number of a design; a rounding error of 0 is written as 0.
+
+    infinite : text of +∞ (a radius: flat); −∞ and NaN are "none".
+    """
+    if not isfinite(value):
+        return infinite if value > 0.0 else "none"
+    return f"{value:.{count}g}" if abs(value) > ROUNDING else "0"
+
+
+def rounded_up(length: float) -> str:
+    """Four digits of a positive length, rounded up, with at least 1e-6 of the length to spare."""
+    digit = 10.0 ** (floor(log10(length)) - 3)
+    return f"{ceil(length / digit * (1.0 + 1e-6)) * digit:.4g}"
+
+
+class Shown(NamedTuple):
+    """A value and its limit as text, their unit, and a note on a limit that does not explain the state."""
+
+    value: str
+    limit: str
+    unit: str
+    note: str = ""
+
+
+def shown(
+    value: float | str | None,
+    limit: float | str | None,
+    relation: str = "<=",
+    unit: str = "",
+    state: str = "",
+) -> Shown:
+    """Write a value and its limit with as many digits as the comparison needs.
+
+    Parameters
+    ----------
+    value, limit : float, text or None
+        None is "–"; an infinite limit is "no limit". Angles in rad are shown in mrad.
+    relation : "<=", "<", ">=", ">" or a word
+        How the value is compared with the limit.
+    state : "pass", "fail", another, or ""
+        Verdict on the value. Where the limit is kept but the state is "fail", the note records it.
+
+    Returns
+    -------
+    Shown
+        The printed numbers fulfil `relation` exactly if value and limit do.
+    """
+    factor, name = SHOWN_IN.get(unit, (1, unit))
+    holds = HOLDS.get(relation)
+    if holds is None or not (_finite(value) and _finite(limit)):
+        unbound = _infinite(limit)
+        return Shown(
+            _text(value, factor, DIGITS), NO_LIMIT if unbound else _text(limit, factor, DIGITS), name
+        )
+    truth = holds(value, limit)
+    if 0.0 < abs(value) < NOTHING * abs(limit) and holds(0.0, limit) == truth:  # type: ignore[arg-type]
+        return shown(0, limit, relation, unit, state)
+    texts = next(
+        (found for count in range(DIGITS, MOST + 1)
+         if holds(*map(Decimal, found := (_text(value, factor, count), _text(limit, factor, count)))) == truth),
+        (_exactly(value, factor), _exactly(limit, factor)),
+    )  # fmt: skip
+    return Shown(*texts, name, {("fail", True): ELSEWHERE, ("pass", False): UNBOUND}.get((state, truth), ""))
+
+
+ELSEWHERE = " (kept; it failed for what the text says)"
+"""Note on a limit that is kept by a check that failed."""
+
+UNBOUND = " (for comparison)"
+"""Note on a limit that is not kept by a check that passed."""
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, Real) and isfinite(value)
+
+
+def _infinite(value: object) -> bool:
+    return isinstance(value, Real) and isinf(value)
+
+
+def bound(relation: str, limit: str, unit: str = "") -> str:
+    """Write a limit, as text of `shown`, with its relation and unit: "<= 3 mrad", "no limit"."""
+    return limit if limit == NO_LIMIT else f"{relation} {limit} {unit}".rstrip()
+
+
+def _exactly(value: Any, factor: int) -> str:
+    return str(Decimal(float(value)) * factor)
+
+
+HOLDS: Mapping[str, Callable[[Any, Any], bool]] = {
+    "<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt,
+}  # fmt: skip
+"""Relation between a value and its limit → comparison function."""
+
+
+def plainly(value: float | str | None, unit: str = "") -> tuple[str, str]:
+    """Write a value that has no limit: its text, and the unit it is shown in."""
+    factor, name = SHOWN_IN.get(unit, (1, unit))
+    return _text(value, factor, DIGITS), name
+
+
+def _text(value: float | str | None, factor: int, count: int) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, str):
+        return value
+    if not isfinite(value):
+        return "not known" if isnan(value) else "none"
+    return str(factor * value) if isinstance(value, int) else f"{factor * value:.{count}g}"
+
+
+MOST_DIGITS: Final = 18
+
+_WHOLE = re.compile(rf"-?[0-9]{{1,{MOST_DIGITS}}}", re.ASCII)
+
+
+def whole_number(text: str, *, signed: bool = False) -> int | None:
+    """Read an integer.
+
+    Parameters
+    ----------
+    text : str
+        Such as "12", without spaces.
+    signed : bool
+        Whether a minus sign is accepted, as in "-5".
+
+    Returns
+    -------
+    int or None
+        None for any other text, for digits other than 0 … 9, and for more than 18 digits.
+
+    Examples
+    --------
+    >>> whole_number("12"), whole_number("²"), whole_number(5000 * "5")
+    (12, None, None)
+    """
+    return int(text) if _WHOLE.fullmatch(text) and (signed or text[0] != "-") else None
+
+
+def array_lengths(shape: object) -> tuple[int, ...] | None:
+    """Read the lengths of an array from a file's header: integers >= 0 and below 2^63; otherwise None."""
+    if not isinstance(shape, tuple) or not all(
+        type(length) is int and 0 <= length < 2**63 for length in shape
+    ):
+        return None
+    return shape
+
+
+def beyond_64_bits(value: Any) -> bool:
+    """Whether a value, or one in its lists and tables, is an integer of more than 64 bits."""
+    if isinstance(value, dict):
+        return any(map(beyond_64_bits, value.values()))
+    if isinstance(value, list | tuple):
+        return any(map(beyond_64_bits, value))
+    return isinstance(value, int) and not -(2**63) <= value < 2**64

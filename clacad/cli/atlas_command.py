@@ -11,7 +11,7 @@ from clacad.cli.console import Console, table
 from clacad.cli.option_values import BadOption, words_of
 
 if TYPE_CHECKING:
-    from clacad.rendering.atlas.make_atlas import Atlas
+    from clacad.paper.make_atlas import Atlas
 
 
 def _rows(name: str, text: str) -> tuple[str, ...]:
@@ -47,8 +47,7 @@ class MakeAtlas:
 def run(request: MakeAtlas, console: Console) -> int:
     """Make the paper's figures and movies, measure their rows; exit 1 when one fails."""
     from clacad.design.starter_designs import shipped_designs
-    from clacad.rendering.atlas.make_atlas import AtlasRequest, make_atlas, prepare
-    from clacad.rendering.picture_cost import ATLAS, atlas_seconds
+    from clacad.paper.make_atlas import ATLAS, AtlasRequest, atlas_seconds, make_atlas, prepare
 
     scenes = shipped_designs() / "scenes" if request.scenes is None else request.scenes
     if not scenes.is_dir():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.base.whole_numbers import whole_number
+from clacad.base.text import whole_number
 from clacad.cli.command import Command, OfDesign, declared, dry_run_option, option, required
 from clacad.cli.console import Console, Progress, say
 from clacad.cli.option_values import (
@@ -243,8 +243,8 @@ def is_scene(path: Path) -> bool:
 def _export_scene(given: Export, console: Console) -> int:
     """Write a scene, sheet and all, for POV-Ray; of an animated scene the first frame."""
     from clacad.formats.pov.pov_scene import write_pov
+    from clacad.paper.make_atlas import manifest_of
     from clacad.prescription.prescribe import prescribe
-    from clacad.rendering.atlas.make_atlas import manifest_of
     from clacad.scene import load_scene
     from clacad.storage.atomic import Stage, safe_name
     from clacad.storage.errors import NotPossible

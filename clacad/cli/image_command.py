@@ -65,7 +65,7 @@ def run(request: ImagePoint, console: Console) -> int:
     except ValueError as error:
         raise BadOption(str(error)) from error
     if request.out is not None:
-        from clacad.imaging.through_focus import plot_png, plot_svg
+        from clacad.imaging.image_by_rays import plot_png, plot_svg
 
         plot = plot_svg if kind == "svg" else plot_png
         write_content(request.out, plot(found, design.name, design.unit), overwrite=request.overwrite)

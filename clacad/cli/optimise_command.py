@@ -101,7 +101,7 @@ def run(request: Optimise, console: Console) -> int:
         raise BadOption(f"--seconds {request.seconds:g}: it is a number of seconds above 0, such as 60")
     design = load_counted(request.design, request.set)
     from clacad.optimising import optimise, outlook
-    from clacad.optimising.optimised_text import design_text
+    from clacad.optimising.search import design_text
     from clacad.storage.atomic import write_file
 
     page, weights = _page(request), request.weights or ((1.0, 1.0),)
@@ -205,7 +205,7 @@ def _finished(found: Optimised, made: GainAsMade | None, request: Optimise, cons
 
 def _lines(found: Optimised, made: GainAsMade | None) -> list[str]:
     """The gain as text."""
-    from clacad.optimising.optimised_text import expected, gains, left_out
+    from clacad.optimising.search import expected, gains, left_out
 
     free = ", ".join(found.free)
     about = f"{found.design.name}: {found.unknowns} unknowns ({free}), {found.evaluations} evaluations"

@@ -7,7 +7,7 @@ from math import hypot, isfinite, pi, tan
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from clacad.base.whole_numbers import whole_number
+from clacad.base.text import whole_number
 
 if TYPE_CHECKING:
     from fractions import Fraction

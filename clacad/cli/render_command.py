@@ -168,7 +168,7 @@ def _adjusted(scene: Scene, request: Render) -> Scene:
     made = scene.replace(changes) if changes else scene
     if request.target is None:
         return made
-    from clacad.rendering.picture_target import within_target
+    from clacad.rendering.picture_cost import within_target
 
     return within_target(made, request.target)
 

@@ -158,7 +158,7 @@ def _target(path: Path, width: float) -> Target:
     from clacad.imaging.target import NoTarget, of_picture, of_points
 
     if path.suffix.lower() == ".csv":
-        from clacad.base.regular_file import require_regular
+        from clacad.base.untrusted_files import require_regular
 
         try:
             require_regular(path)
@@ -184,8 +184,7 @@ def _published(
     from clacad.config.design_error import DesignError
     from clacad.config.edit_text import to_toml
     from clacad.design import load
-    from clacad.imaging.shape import rendered, table_text
-    from clacad.imaging.shape_picture import plot_png
+    from clacad.imaging.shape import plot_png, rendered, table_text
     from clacad.prescription.prescribe import prescribe
     from clacad.storage.atomic import scratch_folder, write_set
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from clacad.base.digits import bound, shown
 from clacad.base.machine_rates import span_text
+from clacad.base.text import bound, shown
 from clacad.cli.console import size, table
 
 MARKS = {"pass": "ok", "fail": "FAIL", "warn": "warn", "not run": "not run"}
@@ -100,7 +100,7 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
 def holds_text(entry: Mapping[str, Any]) -> str:
     """Solids or objects in a file of a manifest, and the option that changes their number; "" for none."""
     from clacad.exporting.formats import step
-    from clacad.formats.step.step_mode import FUSED_CELLS
+    from clacad.formats.step.step_files import FUSED_CELLS
     from clacad.verification.files.delivery import fixture_names
 
     instanced = entry.get("mode") == "instanced"

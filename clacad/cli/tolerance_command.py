@@ -132,9 +132,9 @@ def _checkpoint(request: Tolerance | SweepDesign, kind: str) -> Path | None:
 
 def tolerance_text(study: Study) -> str:
     """Contributors of each measure, limits and yield."""
-    from clacad.base.digits import plainly
+    from clacad.base.text import plainly
     from clacad.verification.tolerance.study import RANKED
-    from clacad.verification.tolerance.study_plots import WORDS
+    from clacad.verification.tolerance.study_files import WORDS
 
     sides = (
         "± tolerance; two standard deviations" if study.distribution == "normal" else "± tolerance; uniform"
@@ -180,7 +180,7 @@ def _change(value: float) -> str:
 
 
 def _yield_text(study: Study) -> str:
-    from clacad.base.digits import bound, plainly
+    from clacad.base.text import bound, plainly
     from clacad.verification.tolerance.light_measures import MEASURES
 
     share, low, high = study.yields()

@@ -81,7 +81,7 @@ def _mesh_is_input(request: Trace) -> Iterator[None]:
 
 def _cost(request: Trace, rays: int, faces: int) -> tuple[str, float]:
     """Task and modelled seconds, for the forecast."""
-    from clacad.tracing.trace_cost import task, trace_seconds
+    from clacad.tracing.which_path import task, trace_seconds
 
     mesh = request.mesh
     size = mesh.stat().st_size if mesh is not None and mesh.is_file() else 0

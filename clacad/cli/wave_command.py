@@ -76,7 +76,7 @@ def _forecast_text(ahead: dict[str, float]) -> str:
 
 def wave_text(found: WaveReport) -> str:
     """Table of the numbers of waves and rays, angles in mrad along lens x and y."""
-    from clacad.waves.as_rows import HEAD, head, rows, sentences
+    from clacad.waves.wave_report import HEAD, head, rows, sentences
 
     return "\n".join(
         [

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.whole_numbers import whole_number
+from clacad.base.text import whole_number
 from clacad.config.mistakes import Mistake
 
 if TYPE_CHECKING:

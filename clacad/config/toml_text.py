@@ -14,10 +14,8 @@ from dataclasses import replace
 from errno import EFBIG, ENOENT
 from typing import Any, Final, NoReturn
 
-from clacad.base.reading_budgets import BUDGETS
-from clacad.base.regular_file import read_regular
-from clacad.base.text import DEEPEST, did_you_mean, near, plain
-from clacad.base.whole_numbers import beyond_64_bits
+from clacad.base.text import DEEPEST, beyond_64_bits, did_you_mean, near, plain
+from clacad.base.untrusted_files import BUDGETS, read_regular
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import Place, find, syntax_place
 from clacad.config.mistakes import Mistake

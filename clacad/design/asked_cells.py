@@ -14,7 +14,7 @@ from clacad.design.read import values_of
 from clacad.design.sections import LatticeSpec, LawSpec, PairSpec
 from clacad.design.varying import gradient_of
 from clacad.optics.law import Law
-from clacad.sheet.cell_laws import CellLaws
+from clacad.sheet.cell_places import CellLaws
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 
 

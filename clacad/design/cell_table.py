@@ -21,9 +21,8 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING, Final
 
-from clacad.base.reading_budgets import BUDGETS
-from clacad.base.regular_file import require_regular
 from clacad.base.text import printable
+from clacad.base.untrusted_files import BUDGETS, require_regular
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.keys import REQUIRED, key
 from clacad.config.mistakes import Mistake

@@ -14,9 +14,8 @@ from fractions import Fraction
 from typing import Final
 
 from clacad.base import units
-from clacad.base.reading_budgets import BUDGETS
-from clacad.base.regular_file import read_regular
-from clacad.base.whole_numbers import whole_number
+from clacad.base.text import whole_number
+from clacad.base.untrusted_files import BUDGETS, read_regular
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
 

@@ -8,8 +8,8 @@ from typing import IO, Final, NamedTuple, NoReturn
 
 import numpy as np
 
-from clacad.base.reading_budgets import BUDGETS
 from clacad.base.types import Floats
+from clacad.base.untrusted_files import BUDGETS
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.mistakes import Mistake
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from math import isinf
 from typing import Any, Final
 
-from clacad.base.digits import rounded_up
+from clacad.base.text import rounded_up
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
 from clacad.design.combinations import FEATURES, built_sheets, why_not

@@ -15,7 +15,7 @@ from clacad.design.cell_table import TABLE_NAME, TableSpec
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2
-    from clacad.optics.law.varying import Gradient
+    from clacad.optics.law.focusing import Gradient
 
 _XY: Final = ("x", "y")
 MAGNIFIED: Final = 1e-9

@@ -83,7 +83,7 @@ def path_in(block: RayBlock, number: int, body: Body) -> Floats:
     """Path length of each ray inside a body (m,)."""
     result = block.result
     if block.rung in ("law", "thin"):
-        from clacad.effects.engine.cell_averages import mean_thickness
+        from clacad.effects.engine.stand_ins import mean_thickness
 
         ray = unit_rows(block.rays.direction) if number == 0 else result.direction
         axis = block.window.thin.rotation[:, 2]

@@ -19,8 +19,8 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.arrays import distinct
 from clacad.base.types import Floats, Ints
-from clacad.base.unique_rows import distinct
 from clacad.base.units import millimetres
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation

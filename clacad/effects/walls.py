@@ -31,7 +31,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     """
 
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
-        from clacad.effects.engine.nonsequential_rows import trace_ended_rays
+        from clacad.effects.engine.split_paths import trace_ended_rays
 
         trace_ended_rays(block, setting, Fate.WALL)
 
@@ -54,7 +54,7 @@ def bound(situation: Situation) -> Bound:
 
 def step_share(window: Window) -> float:
     """Σ over borders of mean step height over pitch, summed over the faces: WALL share per unit of slope."""
-    from clacad.effects.engine.cell_averages import mean_steps
+    from clacad.effects.engine.stand_ins import mean_steps
 
     return mean_steps(window)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from clacad.base.text import did_you_mean, near
+from clacad.base.text import did_you_mean, near, whole_number
 from clacad.base.units import LENGTHS, Unit
-from clacad.base.whole_numbers import whole_number
 from clacad.config.mistakes import CODES as IN_DESIGNS
 from clacad.design.keys import DESIGN, PAIR, ROOT, SECTIONS
 from clacad.explain.design_mistakes import MISTAKES

@@ -82,8 +82,7 @@ def explore(
     ExportRefused, CannotWrite
     """
     from clacad.explorer.first_verdict import first_verdict
-    from clacad.explorer.page_facts import not_shown
-    from clacad.explorer.sliders import places
+    from clacad.explorer.page_facts import not_shown, places
     from clacad.exporting.limits import refuse_uncountable
     from clacad.prescription.prescribe import prescribe
     from clacad.storage.atomic import write_content
@@ -114,8 +113,7 @@ def page(design: Design) -> str:
 
     from markupsafe import Markup
 
-    from clacad.explorer.page_facts import PRESETS, facts, not_shown
-    from clacad.explorer.sliders import LAW, SHEET, VIEW, sliders
+    from clacad.explorer.page_facts import LAW, PRESETS, SHEET, VIEW, facts, not_shown, sliders
     from clacad.prescription.prescribe import prescribe
     from clacad.report.self_contained import environment, one_script
 

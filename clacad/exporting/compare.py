@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.exporting.compare_instances import standing
 from clacad.exporting.measure_instances import measure_mesh

@@ -14,9 +14,8 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals, unique_rows
 from clacad.base.types import Floats, Ints
-from clacad.base.unique_rows import unique_rows
 from clacad.exporting.measure_instances import objects
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
 from clacad.formats.placements import fill

@@ -21,7 +21,7 @@ from clacad.storage.worker import Worker
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.exporting.tessellations import Tessellation
-    from clacad.storage.overheard import Overheard
+    from clacad.storage.reading import Overheard
 
 
 @dataclass(frozen=True, eq=False)

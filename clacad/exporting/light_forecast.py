@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals
 from clacad.base.types import Bools, Floats
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.light.compare import Comparison, change_with_shift

@@ -7,7 +7,7 @@ from pathlib import Path
 from clacad.exporting.formats.registry import kind_ending, kinds
 from clacad.exporting.limits import worker_memory
 from clacad.formats.step.read_back import OCC_BYTES
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 from clacad.storage.worker import Worker
 
 WAITS, START = 3, 60.0

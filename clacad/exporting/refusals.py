@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from clacad.exporting.formats.registry import format_of, formats
-from clacad.sheet.gap import NoFixture
 from clacad.sheet.need_window import need_equal_cells
+from clacad.sheet.volume_and_extent import NoFixture
 from clacad.storage.errors import BadRequest, ExportError, NotPossible
 
 if TYPE_CHECKING:

@@ -1,35 +1,66 @@
-"""Carrying out an export: forecast, write, read back, publish."""
+"""Carrying out an export: forecast, write, read back, publish.
+
+Copy of a design's cell table, next to the files that were exported from it.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from clacad.base import log
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
 from clacad.base.types import Progress, silent
+from clacad.base.untrusted_files import BUDGETS, read_regular
+from clacad.design.cell_table import digest, table_path
 from clacad.exporting import limits
-from clacad.exporting.copied_table import copied_table
 from clacad.exporting.forecast import PREPARE, forecast, prepare_seconds
 from clacad.exporting.formats.format import Forecast
 from clacad.exporting.formats.registry import format_of, known
+from clacad.exporting.formats.table import CELL_TABLE
 from clacad.exporting.job import Job
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.manifest import FileRecord, Manifest, carried_over, document
 from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
 from clacad.exporting.refusals import Refusals, refuse_idle_fused, require_possible
 from clacad.exporting.request import Request
+from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes
 from clacad.storage.atomic import MANIFEST, Stage, read_manifest, require_folder, safe_name, translated
-from clacad.storage.errors import ExportError, ExportIncomplete, NotPossible, WorkerDied
+from clacad.storage.errors import ExportError, ExportIncomplete, FileDisagrees, NotPossible, WorkerDied
 from clacad.storage.worker import Worker, ended_by_signals
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.window import Window
+
+
+def copied_table(design: Design, stage: Stage) -> list[FileRecord]:
+    """Copy the table into the stage; return its manifest entry, or none for a design without a table.
+
+    Raises
+    ------
+    FileDisagrees
+        The table has changed since the design was read.
+    """
+    spec = design.law_spec.varying
+    if spec is None or spec.table is None:
+        return []
+    source = table_path(design.path, spec.table.file)
+    name = PurePosixPath(spec.table.file.replace("\\", "/")).name
+    copy = stage.path(name)
+    copy.write_bytes(read_regular(source, BUDGETS["cell-table"].bytes))
+    found = digest(str(copy))
+    if found != spec.table.sha256:
+        raise FileDisagrees(f"{name}: the table has changed since the design was read")
+    role = {"role": str(Role.OTHER)}
+    return [
+        FileRecord(name, found, copy.stat().st_size, CELL_TABLE, "slopes", (), checks=("sha256",), role=role)
+    ]
+
 
 CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 """Modules that the worker loads while the parent prepares the work."""

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from clacad.base.regular_file import require_regular
 from clacad.base.text import printable
+from clacad.base.untrusted_files import require_regular
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,7 +47,7 @@ class RayFile:
     def __init__(self, path: Path) -> None:
         from clacad.storage.archive import open_archive
         from clacad.storage.errors import OverBudget, UnreadableFile
-        from clacad.storage.spending import Spending
+        from clacad.storage.reading import Spending
 
         try:
             require_regular(path)

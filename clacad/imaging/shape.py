@@ -5,6 +5,15 @@ Cells are separate, so no integrable surface is needed. The trade-off: the pictu
 cell, of the width
 
     |η| p + 2 Z α/|η| + λ Z/(|η| p)      α: half angle of the source
+
+Assignment of cells to points of a target that keeps the distances short.
+
+Up to `EXACT` cells the sum of squared distances is minimal (scipy.optimize.linear_sum_assignment: D. F.
+Crouse, IEEE Trans. Aerosp. Electron. Syst. 52, 1679 (2016)). Larger sets are halved together with their
+points, across the longer side of the cells, until at most `EXACT` are left: a transport by bisection, which
+keeps the order of cells along each cut. The assignment is deterministic.
+
+Picture of the requested light on a screen, next to the light of traced rays.
 """
 
 from __future__ import annotations
@@ -14,11 +23,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Floats, Pair2
+from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.types import Floats, Ints, Pair2
 from clacad.imaging.image_by_rays import lens_plane, sent_to
 from clacad.imaging.target import Target
-from clacad.imaging.transport import assigned
-from clacad.optics.law.beam_shaping import deltas_to, spot_widths
+from clacad.optics.law.imaging import deltas_to, spot_widths
 from clacad.optics.rays import Fate
 from clacad.tracing.tracer import Tracer
 
@@ -26,6 +35,40 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.lattice import Lattice
     from clacad.sheet.window import Window
+
+
+EXACT = 512
+"""Largest number of cells that are assigned optimally."""
+
+
+def assigned(cells: Floats, places: Floats) -> Ints:
+    """Index of the point assigned to each cell, (n,); each point is used once.
+
+    Parameters
+    ----------
+    cells, places : (n, 2) lengths
+    """
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial.distance import cdist
+
+    found = np.empty(len(cells), dtype=np.int64)
+    waiting = [(np.arange(len(cells)), np.arange(len(places)))]
+    while waiting:
+        own, theirs = waiting.pop()
+        if len(own) <= EXACT:
+            _, chosen = linear_sum_assignment(cdist(cells[own], places[theirs], "sqeuclidean"))
+            found[own] = theirs[chosen]
+            continue
+        axis = int(np.argmax(np.ptp(cells[own], axis=0)))
+        half = len(own) // 2
+        own, theirs = own[_sorted(cells[own], axis)], theirs[_sorted(places[theirs], axis)]
+        waiting += [(own[:half], theirs[:half]), (own[half:], theirs[half:])]
+    return found
+
+
+def _sorted(points: Floats, axis: int) -> Ints:
+    """Order (n,) of points (n, 2) along an axis, ties by the other axis."""
+    return np.lexsort((points[:, 1 - axis], points[:, axis])).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,3 +234,32 @@ def _over_cell(window: Window, position: Floats, direction: Floats, which: Any, 
     at = position[:, :2] - position[:, 2:] * direction[:, :2] / direction[:, 2:]
     scale = np.array(found.blur.cell) / np.array(window.lattice.pitch)
     return np.asarray((at - window.lattice.centres(found.cells[which])) * scale)
+
+
+SIZE = (9.6, 4.0)
+
+
+def plot_png(seen: Rendered, name: str, unit: str) -> bytes:
+    """Both pictures and their difference as PNG, reproducible for equal light; `unit` of the lengths."""
+    return drawn("png", SIZE, lambda figure: _draw(figure, seen, name, unit), {"font.size": 8.0})
+
+
+def _draw(figure: Any, seen: Rendered, name: str, unit: str) -> None:
+    panels = figure.subplots(1, 3)
+    x0, x1, y0, y1 = seen.corners
+    most = float(np.quantile(seen.seen[seen.seen > 0.0], 0.98)) if seen.seen.any() else 1.0
+    most = max(float(seen.target.max()), most)
+    both = {"extent": (x0, x1, y0, y1), "interpolation": "nearest"}
+    panels[0].imshow(seen.target, cmap="gray", vmin=0.0, vmax=most, **both)
+    panels[1].imshow(seen.seen, cmap="gray", vmin=0.0, vmax=most, **both)
+    panels[2].imshow(seen.seen - seen.target, cmap="RdBu_r", vmin=-most, vmax=most, **both)
+    titles = (
+        "asked, as wide as a cell",
+        f"by rays: {100 * seen.within:.4g} % within one blur",
+        f"by rays less asked: {100 * seen.difference:.3g} % elsewhere,\nof which lenses alone make {100 * seen.by_lenses:.3g}",
+    )
+    for panel, title in zip(panels, titles, strict=True):
+        panel.set_title(title, fontsize=8)
+        panel.set_xlabel(f"x / {unit}")
+    panels[0].set_ylabel(f"y / {unit}, seen from behind the screen")
+    figure.suptitle(no_formula(name), fontsize=10)

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
-from clacad.base.unique_rows import unique_rows
 from clacad.mesh.cell_template import Template
 from clacad.mesh.facet_error import facet_errors
+from clacad.mesh.health import flux
 from clacad.mesh.land_ring import row_states
 from clacad.mesh.tiled import JUDGED, Tiled
-from clacad.mesh.volume import flux
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Window

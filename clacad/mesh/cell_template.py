@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
-from clacad.base.unique_rows import unique_rows
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
 from clacad.mesh.prototile import Prototile

@@ -12,8 +12,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.arrays import unique_rows
 from clacad.base.types import Bools, Floats, Ints
-from clacad.base.unique_rows import unique_rows
 from clacad.sheet.grid_steps import half_axes
 from clacad.sheet.lattice import Lattice
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals
 from clacad.mesh.integer_heights import LENS
 from clacad.mesh.prototile import Prototile
-from clacad.optics.law.angle import angle_between
+from clacad.optics.law.orientation import angle_between
 from clacad.sheet.window import Body, Face, lens_height_and_normal
 
 # edge middles, centroid, and the three inner points of the rule that is exact to degree 2

@@ -3,6 +3,10 @@
 Input is plain triangle corners, as in a file: corners with equal coordinates are one vertex. A mesh of any
 size is examined in passes over hash partitions of its edges, so memory is bounded by the partition, not by
 the mesh. Edges that the hashes mark as suspicious are decided by their coordinates.
+
+Flux through triangles, which sums to a mesh's volume.
+
+The design's is in `clacad.sheet.volume_and_extent`.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints, Words
-from clacad.sheet.pieces_and_holes import connect
+from clacad.sheet.feasibility.bodies import connect
 
 Chunks = Callable[[], Iterable[NDArray[Any]]]
 
@@ -259,8 +263,15 @@ def _decide(chunks: Chunks, doubtful: Words) -> tuple[int, int, Floats]:
 
 
 def _flux(corners: NDArray[Any]) -> float:
-    from clacad.mesh.volume import flux
-
     return fsum(flux(corners.astype(np.float64)).tolist()) if len(corners) < 100_000 else float(
         np.sum(flux(corners.astype(np.float64)), dtype=np.longdouble)
     )  # fmt: skip
+
+
+def flux(corners: Floats) -> Floats:
+    """Flux of (0, 0, z) through triangles (t, 3, 3): a closed surface's sum is its volume (t,).
+
+    Vertical walls add nothing, and a shift in x, y changes nothing.
+    """
+    ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.asarray((ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]) * corners[:, :, 2].sum(axis=1) / 6.0)

@@ -21,8 +21,7 @@ from clacad.optics.surface import Biconic, Quadric, as_quadric, sag
 from clacad.sheet.lattice import Step
 from clacad.sheet.window import Body, Surface, Window, lens_height
 from clacad.topology.borders import roots_between
-from clacad.topology.complex_parts import CellComplex, Tiling
-from clacad.topology.wall_strips import linked
+from clacad.topology.complex_parts import CellComplex, Tiling, linked
 
 FAR = 2**60  # the other side of a body whose faces are meshed separately
 NONE = 2**61  # a front without a surface; −NONE a back without one

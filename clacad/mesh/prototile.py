@@ -2,24 +2,257 @@
 
 Borders take their samples from the cell complex, so a cell and its neighbour have common points
 with common levels; rims are cut into the triangles at exact points.
+
+Cut a triangulated cell along rims: curves where a lens intersects the other lens, a plane or land.
+
+The curves differ from those of `topology.rims`: a cut is a point on an edge of the triangles at an integer
+level. If rounding has already put a point on a curve, its level decides and not its exact height.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.roots import bisect
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import BorderSamples, settle_inside, settle_sides, with_borders
-from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels
-from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
+from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels, cluster, shortest
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
 from clacad.sheet.grid_steps import Steps, grid_steps, half_axes
 from clacad.sheet.window import optical_tile
 from clacad.topology.cannot_build import CannotBuild
+
+_WARP = 0.2  # a cut closer than this share of an edge to a free point moves that point instead
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A curve along which triangles are cut.
+
+    value : levels (n, 2) → (n,)
+        Positive on the side of the lens, zero on the curve; linear in the levels.
+    meet : levels (n, 2), latest face (0 front, 1 back, −1 none) → levels (n, 2)
+        Makes the levels equal that meet on the curve; a face that was just placed is unchanged.
+    """
+
+    value: Callable[[Ints], Ints]
+    meet: Callable[[Ints, int], Ints]
+    face: int
+
+
+def rim_curve() -> Curve:
+    """Curve along which front and back meet, with material between them on the positive side."""
+
+    def meet(levels: Ints, placed: int) -> Ints:
+        kept = levels[:, placed] if placed >= 0 else (levels[:, 0] + levels[:, 1]) // 2
+        return np.stack([kept, kept], axis=1)
+
+    return Curve(lambda lens: np.asarray(lens[:, 1] - lens[:, 0]), meet, -1)
+
+
+def land_curve(make: CellLevels, side: int) -> Curve:
+    """Curve along which the lens of one face meets its land; the lens is proud of it on the positive side."""
+    land = make.land[side]
+    sign = 1 if side else -1
+
+    def meet(levels: Ints, placed: int) -> Ints:
+        out = levels.copy()
+        out[:, side] = land
+        return out
+
+    return Curve(lambda lens: np.asarray(sign * (lens[:, side] - land)), meet, side)
+
+
+def side_of(triangles: Ints, value: Ints) -> Ints:
+    """Sign of a cut function on triangles its zero curve no longer crosses, (m,)."""
+    corners = value[triangles]
+    largest = np.take_along_axis(corners, np.abs(corners).argmax(axis=1)[:, None], axis=1)[:, 0]
+    return np.asarray(np.sign(largest))
+
+
+def cut(
+    make: CellLevels, plan: pl.Planar, lens: Ints, region: Bools, curve: Curve, done: list[Curve]
+) -> tuple[pl.Planar, Ints, Bools]:
+    """Cut triangles of a region along a curve; `done` lists earlier curves, and this one is appended.
+
+    Returns
+    -------
+    plan, lens
+    positive : (m,) bool
+        Triangles on the positive side.
+    """
+    for stage in ("warp", "snap", "cut"):
+        now = curve.value(lens)
+        mine = now[plan.triangles[region]]
+        if not mine.size or mine.min() >= 0 or mine.max() <= 0:
+            break  # no edge is crossed
+        edges, number = pl.edges_of(plan.triangles)
+        wanted = np.zeros(len(edges), dtype=bool)
+        wanted[number[region]] = True
+        ends = now[edges]
+        crossed = wanted & (np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0)
+        if not crossed.any():
+            break
+        _refuse_cut_sides(plan, edges[crossed])
+        inside = np.where(ends[crossed, 0] > 0, edges[crossed, 0], edges[crossed, 1])
+        outside = np.where(ends[crossed, 0] > 0, edges[crossed, 1], edges[crossed, 0])
+        t = _roots(make, plan.xy, lens, inside, outside, curve)
+        if stage == "warp":
+            plan, lens = _warp(make, plan, lens, inside, outside, t, curve)
+            continue
+        if stage == "snap":
+            lens = _snap(make, plan, lens, inside, outside, t, [*done, curve])
+            continue
+        middle = np.full(len(edges), -1)
+        middle[crossed] = len(plan.xy) + np.arange(len(t))
+        plan, lens = _split(make, plan, lens, (inside, outside, t), (number, middle), [*done, curve])
+    done.append(curve)
+    return plan, lens, side_of(plan.triangles, curve.value(lens)) > 0
+
+
+def _split(make: CellLevels, plan: pl.Planar, lens: Ints, roots: tuple[Ints, Ints, Floats], edges: tuple[Ints, Ints],
+           curves: list[Curve]) -> tuple[pl.Planar, Ints]:  # fmt: skip
+    """Put a point on every crossed edge, at (inside, outside, share), and split its triangles there.
+
+    `edges`: the triangles' edge numbers, and the new point on each edge or −1; the last curve is the one cut along.
+    """
+    inside, outside, t = roots
+    curve = curves[-1]
+    xy = plan.xy[inside] + t[:, None] * (plan.xy[outside] - plan.xy[inside])
+    new = _forced(make, xy, curve)
+    for earlier in curves[:-1]:  # an edge that lies on an earlier curve stays on it
+        on = (earlier.value(lens)[inside] == 0) & (earlier.value(lens)[outside] == 0)
+        new[on] = earlier.meet(new[on], curve.face)
+    every = np.concatenate([plan.xy, xy])
+    triangles, zone = pl.split(plan.triangles, plan.zone, every, *edges)
+    fixed = np.concatenate([plan.fixed, np.ones(len(t), dtype=bool)])
+    return replace(plan, xy=every, triangles=triangles, zone=zone, fixed=fixed), np.concatenate([lens, new])
+
+
+def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:
+    """Refuse sign changes on a tile's side anywhere but at its own samples: such a root was missed."""
+    pairs = {tuple(sorted(p)) for side in plan.sides for p in zip(side[:-1].tolist(), side[1:].tolist())}
+    missed = [edge for edge in crossed.tolist() if tuple(edge) in pairs]
+    if missed:
+        raise CannotBuild(
+            "CL130",
+            f"a rim crosses a cell border between x, y = {plan.xy[missed[0][0]]} and {plan.xy[missed[0][1]]} "
+            "at no isolated root: the lenslet's surface ends on the border (radius too short for the cell?)",
+        )
+
+
+def _roots(make: CellLevels, xy: Floats, lens: Ints, inside: Ints, outside: Ints, curve: Curve) -> Floats:
+    """Parameter of the last point from the inside at which the function is not negative.
+
+    If a point's levels were moved onto an earlier curve and its own heights no longer have its sign,
+    the levels decide: the cut is at the root of their linear interpolation.
+    """
+    a, b = xy[inside], xy[outside]
+
+    def value(t: Floats) -> Floats:
+        return _exact(make, make.heights(a + t[:, None] * (b - a)), curve)
+
+    true = (value(np.zeros(len(a))) > 0.0) & ~(value(np.ones(len(a))) > 0.0)
+    t = bisect(lambda t: np.where(value(t) > 0.0, 1.0, -1.0), np.zeros(len(a)), np.ones(len(a)))
+    jump = np.abs(value(t - 1e-9))
+    if (jump[true] > 1e-4 * make.window.lattice.circumradius).any():
+        raise CannotBuild(
+            "CL130",
+            f"a lenslet of body {make.body.name!r} ends inside its cell at its own equator, before it meets the "
+            "other face or land; a longer radius, a smaller pitch, or a web would close the body",
+        )
+    here, there = curve.value(lens)[inside], curve.value(lens)[outside]
+    t = np.where(true, t, here / (here - there))
+    least = shortest(make) / np.maximum(np.hypot(*(b - a).T), 1e-300)
+    return np.asarray(np.clip(t, np.minimum(least, 0.25), 1.0 - np.minimum(least, 0.25)))
+
+
+def _exact(make: CellLevels, heights: Floats, curve: Curve) -> Floats:
+    """The cut function on unrounded heights (length): −inf where a surface is missing."""
+    scaled = heights / make.step
+    # value() is linear in the levels up to its constant: evaluate it on floats of level size
+    with np.errstate(invalid="ignore"):
+        out = np.asarray(curve.value(scaled), dtype=np.float64) * make.step  # type: ignore[arg-type]
+    return np.where(np.isnan(out), -np.inf, out)
+
+
+def _forced(make: CellLevels, xy: Floats, curve: Curve) -> Ints:
+    """Levels at points on a curve, where the intersecting surfaces agree exactly."""
+    heights = make.heights(xy)
+    heights = np.where(np.isnan(heights), np.flip(heights, axis=1), heights)
+    levels = curve.meet(make.levels(heights), -1)
+    held = np.array([make.held[0], make.held[1], True, True])
+    both = np.concatenate([levels, np.broadcast_to(np.array(make.land), levels.shape)], axis=1)
+    return cluster(both, held, make.gap)[:, :2]
+
+
+def _snap(
+    make: CellLevels, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curves: list[Curve]
+) -> Ints:
+    """Set the levels of points within a small tolerance of the last curve to lie on it, to avoid slivers."""
+    length = np.hypot(*(plan.xy[outside] - plan.xy[inside]).T)
+    point = np.concatenate([inside, outside])
+    away = np.concatenate([t, 1.0 - t]) * np.concatenate([length, length])
+    side = plan.xy[plan.sides[0]]
+    hair = max(5e-4 * float(np.hypot(*(side[-1] - side[0]))) / (len(side) - 1), 2.0 * shortest(make))
+    border = np.zeros(len(plan.xy), dtype=bool)
+    for numbers in plan.sides:
+        border[numbers] = True
+    point = np.unique(point[(away < hair) & ~border[point]])
+    lens = lens.copy()
+    last = curves[-1]
+    before = lens[point]
+    lens[point] = last.meet(before, -1)
+    for earlier in curves[:-1]:
+        on = earlier.value(before) == 0
+        lens[point[on]] = earlier.meet(lens[point[on]], last.face)
+    return lens
+
+
+def _lonely(plan: pl.Planar, lens: Ints, inside: Ints, t: Floats, curve: Curve) -> Ints:
+    """Inner points near the curve with no inner neighbour that remains inside; these must not move."""
+    stays = curve.value(lens) > 0
+    near = np.unique(inside[t < _WARP])
+    stays[near] = False
+    edges, _ = pl.edges_of(plan.triangles)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    kept = both[stays[both[:, 1]], 0]
+    return np.setdiff1d(near, kept)
+
+
+def _warp(
+    make: CellLevels, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curve: Curve
+) -> tuple[pl.Planar, Ints]:
+    """Move free points that lie close to the curve onto it, so that no sliver is cut there."""
+    point = np.concatenate([inside, outside])
+    share = np.concatenate([t, 1.0 - t])
+    other = np.concatenate([outside, inside])
+    near = (share < _WARP) & ~plan.fixed[point] & ~np.isin(point, _lonely(plan, lens, inside, t, curve))
+    point, share, other = point[near], share[near], other[near]
+    order = np.argsort(share, kind="stable")[::-1]  # the nearest cut is written last
+    target = plan.xy.copy()
+    moved = np.zeros(len(plan.xy), dtype=bool)
+    target[point[order]] = plan.xy[point[order]] + share[order, None] * (
+        plan.xy[other[order]] - plan.xy[point[order]]
+    )
+    moved[point] = True
+    before = pl.signed_areas(plan.xy, plan.triangles)
+    while True:
+        xy = np.where(moved[:, None], target, plan.xy)
+        bad = pl.signed_areas(xy, plan.triangles) < 0.2 * before
+        if not (bad.any() and moved[plan.triangles[bad]].any()):
+            break
+        moved[plan.triangles[bad]] = False
+    lens = lens.copy()
+    if moved.any():
+        lens[moved] = _forced(make, xy[moved], curve)
+    # a point on a curve must not leave it in a later cut
+    return replace(plan, xy=xy, fixed=plan.fixed | moved), lens
 
 
 @dataclass(frozen=True, eq=False)

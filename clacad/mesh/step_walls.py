@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 
-from clacad.topology.wall_strips import BorderCurve, runs_round, solid_strips
+from clacad.topology.complex_parts import BorderCurve, runs_round, solid_strips
 
 Column = tuple[int, int] | None  # front and back level; None: no material
 Vertex = tuple[int, int]  # point of the footprint, level

@@ -7,8 +7,7 @@ error without limit, as the cube of pitch over separation.
 
 from __future__ import annotations
 
-from clacad.optimising.aim import Aim
-from clacad.optimising.measured_light import Seen
+from clacad.optimising.aim import Aim, Seen
 from clacad.optimising.search import Optimised, optimise, outlook
 
 __all__ = ["Aim", "Optimised", "Seen", "optimise", "outlook"]

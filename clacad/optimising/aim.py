@@ -6,6 +6,8 @@ times σ, are therefore appended to the residuals of the perfect part. Least squ
 error. The slopes are central differences over ±σ. Roughness changes no direction and is left out. Rotation
 and tilt of an array are evaluated at the cell farthest from the centre, where their effect is largest; other
 errors affect all cells equally.
+
+Errors over independent rays, not those of the search, for the comparison of start and end.
 """
 
 from __future__ import annotations
@@ -16,16 +18,19 @@ from math import degrees, isfinite, sqrt
 
 import numpy as np
 
+from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
 from clacad.design import Design
 from clacad.design.keys import CHECK
+from clacad.light.measure import measure
 from clacad.optics.fit import AskedLight, law_residuals
 from clacad.optics.rays import Fate, Rays
-from clacad.sheet.bundle import bundle
-from clacad.sheet.representative_cells import places_of_errors
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import bundle, cone, launched, middle_direction
+from clacad.sheet.representative_cells import central_cell, places_of_errors
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
 from clacad.verification.tolerance import Parameter, parameters, telescopelet
@@ -186,3 +191,32 @@ def _partners(one: Window, field: float, design: Design) -> Rays:
     ideal = trace(one, rays, rung="thin", path="numpy")
     kept = (ideal.fate == Fate.ALIVE) & (ideal.order == 0).all(axis=1)
     return Rays(rays.position[kept], rays.direction[kept])
+
+
+FRESH = 16384
+FIELDS = (0.5, 1.0, 2.0)
+"""Shares of the field at which start and end are compared; the best faces depend on the field."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Result of independent rays: field (radians), rms error to the law (radians), share in the partner cell."""
+
+    field: float
+    law_rms: float
+    throughput: float
+
+
+def measured(window: Window, field: float, design: Design) -> Seen:
+    """Trace independent rays through the sheet, with the tracer of the checks; field in radians."""
+    from clacad.tracing.trace import trace
+
+    small = window.with_cells((3, 3))
+    points = sobol(FRESH, 4, skip=FRESH)
+    middle = middle_direction(small, design.check.field_centre)
+    light = launched(small, small.lattice.over_cell(points[:, :2]), cone(middle, field, points[:, 2:]),
+                     central_cell(small), middle, field)  # fmt: skip
+    found = measure(
+        lambda lit: trace(small, lit.rays, path="numpy"), light, RequestedLaw(window.law), fewest=1
+    )
+    return Seen(field, found.rms, found.share)

@@ -1,21 +1,84 @@
-"""Search for better faces of a design with the same law."""
+"""Search for better faces of a design with the same law.
+
+Properties that a search must preserve: the plates, the cells, and the light that reaches its partner cell.
+
+Design file of a search result, with comments on its origin and its gains.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import degrees, inf
 from time import monotonic
 from typing import Any
 
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.config.design_error import DesignError
+from clacad.config.edit_text import to_toml
+from clacad.config.mistakes import Mistake
 from clacad.design import Design
 from clacad.design.faces import face_table
-from clacad.optimising.aim import RAYS, WHOLE, Aim, AimedRays, Weights
+from clacad.design.keys import PAIR
+from clacad.optimising.aim import FIELDS, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, measured
 from clacad.optimising.face_search import FaceSearch, Progress
-from clacad.optimising.measured_light import FIELDS, Seen, measured
+from clacad.optimising.light_in_cells import MOST_LOST
 from clacad.optimising.unknowns import chosen
-from clacad.optimising.what_stays import refuse_lost_light, refuse_moved
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells
+from clacad.sheet.window import Window
+
+SAME = 1e-12
+"""Tolerance of positions as a share of the separation: rounding error of the recipes."""
+
+
+def refuse_lost_light(before: Sequence[Seen], after: Sequence[Seen]) -> None:
+    """Refuse faces that lose more than `MOST_LOST` of the light of a cone, compared with the start.
+
+    Raises
+    ------
+    DesignError
+    """
+    if not after:
+        return
+    worst = max(zip(before, after, strict=True), key=lambda pair: pair[0].throughput - pair[1].throughput)
+    was, now = (seen.throughput for seen in worst)
+    if not was - now <= MOST_LOST:
+        raise DesignError([
+            Mistake("CL120", f"the faces that were found take {now:.3f} of the light of a cone of {np.degrees(worst[0].field):.3g} deg "
+                    f"to its partner cell, the start {was:.3f}; nothing is written", "free", allowed=f"a loss of at most {MOST_LOST:g}",
+                    hint="fewer words of --free, or a smaller field")
+        ])  # fmt: skip
+
+
+def refuse_moved(start: Window, found: Window, *, traced: bool) -> None:
+    """Refuse a design whose plates, vertices or cells have moved from those of the start.
+
+    Parameters
+    ----------
+    start, found : Window
+    traced : bool
+        Whether tracing places the vertices of lens 2 in their cells; then only their heights are compared.
+
+    Raises
+    ------
+    DesignError
+    """
+    apart = np.abs(_places(found, traced=traced) - _places(start, traced=traced)).max()
+    if not apart <= SAME * start.thin.separation:
+        raise DesignError([
+            Mistake("CL120", f"the plates or cells would move by {apart:.3g}; nothing is written", PAIR.separation,
+                    allowed="plates and cells that stay where the start has them", hint='pair.confocal = "exact" in the design to start from')
+        ])  # fmt: skip
+
+
+def _places(window: Window, *, traced: bool) -> Floats:
+    """Lengths that fix the plates and cells: vertices of all faces, or only their heights, and displacements of arrays."""
+    vertices = np.array([face.vertex for face in window.faces])
+    return np.concatenate([(vertices[:, 2:] if traced else vertices).ravel(), np.ravel(window.shifts)])
+
 
 ALIKE = "a slope as lattice.aperture stands all cells alike"
 """Suggested input of a search for a non-uniform sheet."""
@@ -170,3 +233,90 @@ def outlook(
     each = (0.005 if unknowns.still else 0.02) * (1.5 if "a4" in free else 1.0) * len(weights)
     each += 0.008 * len(AimedRays.of(aim, design, window, k).errors)
     return {"unknowns": k, "evaluations": evaluations, "seconds": 0.6 + each * evaluations}
+
+
+PLACES = {
+    2: ("lens 1, front of the slab", "lens 2, back of the slab"),
+    4: ("lens 1, front", "lens 1, back", "lens 2, front", "lens 2, back"),
+    6: (
+        "lens 1, front",
+        "lens 1, back",
+        "field lens, front",
+        "field lens, back",
+        "lens 2, front",
+        "lens 2, back",
+    ),
+}
+PLATES = ("lens 1", "field lens, back of plate 1", "field lens, front of plate 2", "lens 2")
+
+
+def design_text(found: Optimised) -> str:
+    """Optimised design as loadable TOML, with comments."""
+    data = dict(found.design.given)
+    pair = dict(data["pair"])
+    faces, record = pair.pop("face"), pair.pop("search")
+    head = {key: value for key, value in data.items() if not isinstance(value, Mapping)}
+    parts = [_about(found), to_toml(head)]
+    for name, section in data.items():
+        if not isinstance(section, Mapping):
+            continue
+        parts.append(to_toml({name: pair if name == "pair" else section}))
+        if name == "pair":
+            plates = pair["form"] == "slab" and len(faces) == len(PLATES)
+            for face, place in zip(faces, PLATES if plates else PLACES[len(faces)], strict=True):
+                body = to_toml(face)
+                parts.append(f"\n[[pair.face]]    # {place}\n{body}")
+            parts.append(to_toml({PAIR.search: record}))
+    return "".join(parts)
+
+
+def _about(found: Optimised) -> str:
+    """Comments of the file before its first key."""
+    lines = [
+        f"{found.design.name}: faces found by clacad optimise {asked(found)}",
+        f"from the design {found.start.sha256} with {found.unknowns} unknowns, {RAYS} Sobol rays, "
+        f"{found.evaluations} evaluations.",
+    ]
+    lines += [left_out(found)] if found.left_out and found.finished else []
+    if found.stopped:
+        why = "on the way" if found.stopped == "interrupted" else "when its seconds were over"
+        lines.append(f"The search was stopped {why}; this is the best it had found within the walls.")
+    if found.after:
+        lines += [
+            "",
+            "Direction error to the law, rms over fresh rays, and share of light that gets to its partner cell:",
+        ]
+        lines += [f"  {text}" for text in gains(found)]
+        lines += ["What is best over this field need not be over another."]
+    if found.expected is not None:
+        lines.append(expected(found))
+    return "".join(f"# {line}".rstrip() + "\n" for line in lines) + "\n"
+
+
+def asked(found: Optimised) -> str:
+    """Requested options, as they would be typed."""
+    text = f'--free {",".join(found.free)} --field "{degrees(found.field):.4g} deg"'
+    if found.aim.weights != WHOLE:
+        text += f" --weights {','.join(f'{part:g}:{weight:g}' for part, weight in found.aim.weights)}"
+    return text + (" --tolerances" if found.aim.tolerances else "")
+
+
+def left_out(found: Optimised) -> str:
+    """A sentence on the orders that gave too little gain."""
+    return f"Left out, for the error would be less by under a tenth with it: {', '.join(found.left_out)}."
+
+
+def expected(found: Optimised) -> str:
+    """A sentence on the error of parts as made."""
+    assert found.expected is not None
+    before, after = (1e3 * error for error in found.expected)
+    return f"To expect of parts made with the [tolerances]: {before:.4g} mrad  ->  {after:.4g} mrad rms."
+
+
+def gains(found: Optimised) -> list[str]:
+    """One line per field: error and share before and after."""
+    return [
+        f"{degrees(one.field):6.4g} deg: {1e3 * one.law_rms:.4g} mrad, {100 * one.throughput:.1f} %  ->  "
+        f"{1e3 * two.law_rms:.4g} mrad, {100 * two.throughput:.1f} %"
+        for one, two in zip(found.before, found.after, strict=True)
+    ]

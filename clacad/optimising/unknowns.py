@@ -3,10 +3,13 @@
 A unit of an unknown changes the slope at the border of a cell by about 1: curvatures times half a cell, coefficients of
 order 2k times 2k (half a cell)^(2k − 1). Conic constants are scaled by ten. The two faces of a lens are alike
 unless it is bent.
+
+Designs and windows with replaced faces: unchecked trials of a search, or its checked result.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import inf, sqrt
 
@@ -18,9 +21,11 @@ from clacad.base.types import Floats
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
-from clacad.design.faces import FaceSpec
+from clacad.design import Design
+from clacad.design.faces import FaceSpec, SearchRecord, face_table
+from clacad.design.sections import OF_RECIPES
 from clacad.optics.surface import EvenPolynomial, Quadric, Surface
-from clacad.prescription.given import given_conics
+from clacad.prescription.given import given_conics, given_surface
 from clacad.sheet.window import Window
 
 WORDS = ("radii", "conic", "bending", "a4", "a6", "a8", "offset", "field")
@@ -224,3 +229,49 @@ def _ellipsoidal(surface: Surface) -> bool:
         return False
     cx, cy = surface.curvature_x, surface.curvature_y
     return cx * cy >= 0.0 and abs(abs(surface.kappa) - sqrt(cx * cy)) <= 1e-9 * (abs(cx) + abs(cy))
+
+
+def given_design(
+    design: Design, window: Window, faces: tuple[FaceSpec, ...], offset: tuple[float, float] | None,
+    record: SearchRecord | None = None,
+) -> Design:  # fmt: skip
+    """Design with these faces and all values that its window fixed, checked as a design file is."""
+    data = {key: dict(value) if isinstance(value, Mapping) else value for key, value in design.given.items()}
+    pair = {key: value for key, value in data["pair"].items() if key not in (*OF_RECIPES, "search")}
+    if design.pair.form != "slab":
+        pair["thickness"] = list(window.recipe["T"])
+    if offset is not None:
+        pair["vertex"] = list(offset)
+    pair["prescription"] = "given"
+    pair["face"] = [face_table(face) for face in faces]
+    if record is not None:
+        pair["search"] = record.to_dict()
+    return Design.from_dict({**data, "pair": pair})
+
+
+def trial_design(
+    design: Design, window: Window, faces: tuple[FaceSpec, ...], offset: tuple[float, float] | None
+) -> Design:
+    """Unchecked design with these faces, as a trial of the search."""
+    thickness = design.pair.thickness if design.pair.form == "slab" else tuple(window.recipe["T"])
+    given = replace(
+        design.pair,
+        prescription="given",
+        face=faces,
+        thickness=thickness,
+        vertex=design.pair.vertex if offset is None else offset,
+    )
+    return replace(design, pair=given)
+
+
+def with_faces(window: Window, faces: tuple[FaceSpec, ...]) -> Window:
+    """Window with replaced surfaces."""
+    made = iter(faces)
+    bodies = []
+    for body in window.bodies:
+        front, back = (
+            replace(face, surface=given_surface(spec, face.side)) if face.array is not None else face
+            for face, spec in ((body.front, next(made)), (body.back, next(made)))
+        )
+        bodies.append(replace(body, front=front, back=back))
+    return replace(window, bodies=tuple(bodies))

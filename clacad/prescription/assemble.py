@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.digits import rounded_up
+from clacad.base.text import rounded_up
 from clacad.base.types import Floats, Pair2
 from clacad.design.asked_cells import lattice_of
 from clacad.design.faces import faces_digest
@@ -17,7 +17,8 @@ from clacad.design.keys import BODY, LATTICE, PAIR
 from clacad.design.process_profiles import profile
 from clacad.design.sections import AimedAt
 from clacad.prescription import poses
-from clacad.prescription.cell_heights import face_range, window_range
+from clacad.prescription.best_recipe import residual
+from clacad.prescription.cell_heights import auto_thickness, face_range, window_range
 from clacad.prescription.faces_and_bodies import (
     LensPose,
     Shape,
@@ -46,8 +47,6 @@ from clacad.prescription.radii import (
     thin_focal_lengths,
     thin_pair,
 )
-from clacad.prescription.residual import residual
-from clacad.prescription.thickness import auto_thickness
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Plate

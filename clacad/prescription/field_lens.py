@@ -32,7 +32,7 @@ from clacad.optics.surface import Quadric, Surface
 from clacad.prescription.given import GivenFaces
 from clacad.prescription.intent import Intent
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
-from clacad.sheet.gap import FIELD as ARRAY
+from clacad.sheet.volume_and_extent import FIELD as ARRAY
 from clacad.sheet.window import IDENTITY, Body, Face, FieldLens
 
 STEEPEST = 1.05

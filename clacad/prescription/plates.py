@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clacad.base.digits import rounded_up
+from clacad.base.text import rounded_up
 from clacad.base.types import Pair2
 from clacad.design.body import BodySpec, Outline
 from clacad.design.keys import BODY, LATTICE

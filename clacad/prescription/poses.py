@@ -12,7 +12,7 @@ from clacad.base.types import Floats
 from clacad.design.keys import LAW
 from clacad.design.sections import AimedAt
 from clacad.optics.law import Law, rotation
-from clacad.optics.parabasal import STEP, parabasal
+from clacad.optics.sequence import STEP, parabasal
 from clacad.optics.surface import refract
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.telescopelet import interfaces

@@ -16,8 +16,7 @@ import numpy as np
 
 from clacad.base.types import Pair2
 from clacad.prescription.radii import NoSuchLens
-from clacad.sheet.cell_laws import CellLaws
-from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.cell_places import CellLaws, CellPlacement
 from clacad.sheet.turn import cosine_and_sine
 from clacad.sheet.window import Window
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.storage.errors import OverBudget
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 if TYPE_CHECKING:
     from PIL.Image import Image

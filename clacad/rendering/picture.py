@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.prescription.prescribe import prescribe
-from clacad.rendering.camera import View, aim, offsets, rays
+from clacad.rendering.camera import View, Viewing, aim, offsets, rays
 from clacad.rendering.pixel_input import SampleRange, Sums, sample
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.view import radiance, set_up
-from clacad.rendering.viewing import Viewing
 from clacad.scene import Scene, SceneError, load_scene
 from clacad.sheet.window import Window
 

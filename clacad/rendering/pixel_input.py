@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.rendering.camera import View, digits
+from clacad.rendering.camera import View, Viewing, digits
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.spectrum import SpectralLine
-from clacad.rendering.viewing import Viewing
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:

@@ -270,7 +270,7 @@ def _mesh(scene: Scene, thing: SceneObject) -> Hierarchy:
 
 
 def _grown(scene: Scene, thing: SceneObject) -> Hierarchy:
-    from clacad.formats.mesh.scene_object import standing_corners
+    from clacad.formats.mesh.readers import standing_corners
 
     return mesh_tree(standing_corners(scene, thing))
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.optics.rays import Rays
+from clacad.rendering.camera import Viewing
 from clacad.rendering.reference.scene_hits import background, look
 from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_stage
 from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
 from clacad.rendering.spectrum import lines
-from clacad.rendering.viewing import Viewing
 from clacad.scene import Camera, Scene
 from clacad.sheet.plate import Plate
 from clacad.sheet.stack import BadStack

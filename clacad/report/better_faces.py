@@ -9,7 +9,7 @@ from math import acos, degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.digits import digits
+from clacad.base.text import digits
 from clacad.base.units import millimetres
 from clacad.design.keys import CHECK
 from clacad.storage.errors import BadRequest
@@ -77,7 +77,7 @@ def _measured(design: Design) -> Report:
     from clacad.tracing.trace import trace
     from clacad.verification import Report, design_checks
     from clacad.verification.allowances import accepted
-    from clacad.verification.light.direction_curves import meridians
+    from clacad.verification.light.facet_convergence import meridians
     from clacad.verification.light.through_window import judge_light
 
     window = prescribe(design)
@@ -133,7 +133,7 @@ def page(shown: BeforeAndAfter) -> str:
     """The page as one HTML text that needs no network; every text of the design is escaped in it."""
     from markupsafe import Markup
 
-    from clacad.optimising.optimised_text import asked, left_out
+    from clacad.optimising.search import asked, left_out
     from clacad.report import better_faces_figures as drawn
     from clacad.report import figures
     from clacad.report.self_contained import environment

@@ -8,8 +8,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.report.figures import ACCENT, INK, SECOND, svg
-from clacad.report.panels import Margins, panels
+from clacad.report.figures import ACCENT, INK, SECOND, Margins, panels, svg
 from clacad.sheet.window import Face, lens_height
 
 if TYPE_CHECKING:

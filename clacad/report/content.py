@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.digits import bound, shown
-from clacad.base.text import plain
-from clacad.formats.drawing.orientation_notes import orientation
+from clacad.base.text import bound, plain, shown
+from clacad.formats.drawing.notes import orientation
 from clacad.report.fabrication import FabricationLine, fabrication
 from clacad.report.light_rows import LightRows
 from clacad.sheet.feasibility import FactRow, describe

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clacad.formats.drawing import views
-from clacad.formats.drawing.allowances import allowances
+from clacad.formats.drawing.notes import allowances
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Window

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.digits import digits
 from clacad.base.even_orders import MONOMIALS, POWER, RAISED
+from clacad.base.text import digits
 from clacad.base.units import millimetres
-from clacad.formats.drawing.orientation_notes import orientation
+from clacad.formats.drawing.notes import orientation
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.feasibility.as_rows import cells_text
 from clacad.sheet.lattice import Circle, polygon_area

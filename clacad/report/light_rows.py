@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.digits import plainly
+from clacad.base.text import plainly
 from clacad.base.units import millimetres
 from clacad.effects.registry import declared
 from clacad.verification.check_kinds.light import IMAGE_POINT, SPOT, VIEWED
@@ -110,15 +110,15 @@ class LightRows:
 
     @property
     def waves(self) -> list[tuple[str, ...]]:
-        """Waves and rays of one telescopelet: see `clacad.waves.as_rows.HEAD`."""
-        from clacad.waves.as_rows import rows
+        """Waves and rays of one telescopelet: see `clacad.waves.wave_report.HEAD`."""
+        from clacad.waves.wave_report import rows
 
         return [] if self.evidence.waves is None else list(rows(self.evidence.waves))
 
     @property
     def waves_sentence(self) -> str:
         """Description of the waves, and the effect of identical cells in coherent light."""
-        from clacad.waves.as_rows import head, sentences
+        from clacad.waves.wave_report import head, sentences
 
         found = self.evidence.waves
         return "" if found is None else f"{'; '.join([head(found), *sentences(found)])}."

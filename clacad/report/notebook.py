@@ -10,12 +10,11 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.digits import digits
-from clacad.report.figures import ACCENT, FAINT, INK, SECOND, draw_section, svg
-from clacad.report.panels import Margins, panels
+from clacad.base.text import digits
+from clacad.report.figures import ACCENT, FAINT, INK, SECOND, Margins, draw_section, panels, svg
 from clacad.sheet.feasibility.as_rows import length_unit
 from clacad.sheet.window import Window
-from clacad.verification.light.direction_curves import Meridian, meridians
+from clacad.verification.light.facet_convergence import Meridian, meridians
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -289,7 +289,7 @@ def _waves(content: Content, shelf: _Shelf) -> list[Block]:
     drawn = plots.waves(content.evidence)
     if not drawn:
         return []
-    from clacad.waves.as_rows import HEAD
+    from clacad.waves.wave_report import HEAD
 
     return [
         _heading("Waves", 2), _figure(shelf, "waves", drawn, "Far field of one telescopelet as waves and as rays."),

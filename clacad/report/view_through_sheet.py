@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.reading_budgets import BUDGETS
-from clacad.base.regular_file import read_regular
 from clacad.base.units import millimetres
+from clacad.base.untrusted_files import BUDGETS, read_regular
 from clacad.design.cell_table import table_path
 from clacad.design.sections import AimedAt
 from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells

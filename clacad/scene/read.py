@@ -12,7 +12,7 @@ from fractions import Fraction
 from typing import Any
 
 from clacad.base import units
-from clacad.base.whole_numbers import whole_number
+from clacad.base.text import whole_number
 from clacad.config import edit_text as override
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import located, split_key

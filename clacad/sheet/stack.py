@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import isfinite
 from string import ascii_lowercase
 
-from clacad.sheet.gap import FIELD
+from clacad.sheet.volume_and_extent import FIELD
 from clacad.sheet.window import Body, Face, Window
 
 MOST = len(ascii_lowercase)

@@ -9,6 +9,13 @@ lens in its own plane is the cell's column cut by that plane.
 With a field lens the copy does not move with t: all light of one slope hits the field lens in one point. If
 that point lies in the cell k steps from the partner's, the copy is at the centre of cell 2, moved by (1 − m)
 of these steps.
+
+A uniform sheet in coherent light: a grating, sin θ' = sin θ + mλ/p, under the far field of one cell.
+
+Light that is coherent over many cells leaves only in the directions of that grating. One order lies within
+half a step of the law's direction. The light goes to the few orders that the far field of one cell covers;
+the law's own direction receives light only where an order coincides with it. Sunlight through a window pane
+does not show these orders: it is coherent over 50 µm, less than a cell.
 """
 
 from __future__ import annotations
@@ -19,8 +26,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.types import Bools, Floats, Ints
-from clacad.base.unique_rows import distinct
+from clacad.base.arrays import distinct
+from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Lattice, polygon_area, polygon_areas, relocate
@@ -410,3 +417,14 @@ def clip(subject: Floats, window: Floats) -> Floats:
                 kept.append(here + (there - here) * (a / (a - b)))
         subject = np.array(kept) if kept else np.empty((0, 2))
     return subject
+
+
+def order_steps(lattice: Lattice, wavelength: float) -> Pair2:
+    """Steps of the direction cosine between orders along both reciprocal lattice vectors: λ/p on a square
+    lattice.
+
+    wavelength : float, length
+    """
+    vectors = np.array([lattice.offset(1, 0), lattice.offset(0, 1)], dtype=np.float64)
+    first, second = np.linalg.norm(np.linalg.inv(vectors), axis=0)
+    return wavelength * float(first), wavelength * float(second)

@@ -1,6 +1,8 @@
 """Reference values for written files: heights, volumes and extents computed from the design's own surfaces.
 
 This module uses no mesh and no solid: only heights of `clacad.sheet.window` and quadrature.
+
+Gaps between bodies, and the exception that every fixture may raise.
 """
 
 from __future__ import annotations
@@ -31,8 +33,6 @@ Height = Callable[[Floats, Floats], Floats]
 
 
 # -- volume --------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class Integral:
     """A volume and the error estimate of its quadrature, design units cubed."""
@@ -275,8 +275,6 @@ def _rule(height: Height, origin: Floats, u: Floats, v: Floats, boxes: Floats, s
 
 
 # -- extent and heights --------------------------------------------------------------------------
-
-
 def body_extent(window: Window, body: Body) -> tuple[float, float, float, float]:
     """Bounding box (x_min, x_max, y_min, y_max) of a body seen along z, design units."""
     arrays = [face.array for face in (body.front, body.back) if face.array is not None]
@@ -369,3 +367,50 @@ def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) ->
     to_lens = np.where(kept[:, None] & np.isfinite(lens), np.abs(points[..., 2] - lens), inf)
     to_land = np.full_like(to_lens, inf) if face.land is None else np.abs(points[..., 2] - face.land)
     return np.asarray(np.minimum(to_lens, to_land))
+
+
+FIELD = 2
+"""Index of the array of a field lens; lens 1 and lens 2 have 0 and 1."""
+
+
+class NoFixture(ValueError):
+    """The window leaves no room for the fixture; exit status 2."""
+
+    exit_status = 2
+
+
+def bodies_apart(window: Window, what: str) -> tuple[Body, ...]:
+    """Bodies of the arrays and of the field lens between them, in the order light reaches them.
+
+    Raises
+    ------
+    NoFixture
+        The window is one slab.
+    """
+    if len(window.bodies) < 2:
+        raise NoFixture(f"a {what} stands between two arrays; {window.name} is one slab")
+    return window.bodies
+
+
+def array_of(body: Body) -> int:
+    """Index of the array on a body that has one."""
+    return next(face.array for face in (body.front, body.back) if face.array is not None)
+
+
+def plane_of(body: Body, side: int) -> float:
+    """Height (length) of the flat that a fixture touches: land or plane of a body's back (+1) or front (−1).
+
+    Raises
+    ------
+    NoFixture
+        The body has no flat there.
+    """
+    face = body.back if side > 0 else body.front
+    if face.array is None:
+        return face.vertex[2]
+    if face.land is None:
+        raise NoFixture(
+            f"{body.name} has no flat border to be held by: give body.border a width, so that a plate runs round the "
+            "lenslets"
+        )
+    return face.land

@@ -25,8 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, resized, upright_sag
-from clacad.sheet.cell_laws import CellLaws
-from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange
+from clacad.sheet.cell_places import CellLaws, CellPlacement, LensPlaces, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle, grown
 from clacad.sheet.turn import turned
 

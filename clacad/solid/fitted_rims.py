@@ -1,7 +1,7 @@
 """Fitted rims: Bézier curves where two surfaces intersect in no plane, so that no closed form exists.
 
 The rim is the zero curve of a gap between two graphs over the sheet: a lens and its land, a lens and the
-plane behind it, the two lenses of a body. It is traced by bisection (`clacad.topology.rims`) and divided into
+plane behind it, the two lenses of a body. It is traced by bisection (`clacad.topology.build_complex`) and divided into
 arcs. Each arc is a polynomial Bézier curve through exact points of the rim, of the least degree within the
 tolerance. Its distance from the true rim is measured and stated. Lengths in mm, cell frame.
 """
@@ -20,8 +20,8 @@ from clacad.sheet.window import Face, lens_height_and_normal
 from clacad.solid.face_pattern import SNAP, Kind, Pattern, Proud, inside_convex
 from clacad.solid.rational_conics import Arc, bernstein
 from clacad.solid.regions import cut_pattern
+from clacad.topology.build_complex import trace_zero
 from clacad.topology.cannot_build import CannotBuild
-from clacad.topology.rims import trace_zero
 
 Graph = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Heights (n,) and slopes (n, 2) over points x, y (n,); NaN where there is no surface."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.digits import rounded_up
+from clacad.base.text import rounded_up
 from clacad.base.types import Floats
 from clacad.sheet.window import Face
 from clacad.solid.face_pattern import Kind, Pattern, Proud, divided_pattern, plain_pattern

@@ -2,6 +2,11 @@
 
 The viewer is on the −z side. The marks are engraved in the face towards the viewer and are readable from
 there; the arrow points to the sheet's +y. Lengths in mm.
+
+Text as plane faces, in an order that depends on the text alone.
+
+OCC orders the pieces of a glyph ("i", "=") and the holes of one ("8", "B") by their memory addresses. A text
+drawn twice would have two orders, and so would every mesh and file made of it.
 """
 
 from __future__ import annotations
@@ -13,14 +18,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.units import millimetres
-from clacad.sheet.gap import NoFixture, plane_of
 from clacad.sheet.grid_steps import one_tiling
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
-from clacad.solid.lettering import lettering
+from clacad.sheet.volume_and_extent import NoFixture, plane_of
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Body, Window
+
+
+def lettering(text: str, size: float) -> Any:
+    """A line of bold text in the plane z = 0, about the origin: a build123d sketch, faces and holes from left to right.
+
+    Parameters
+    ----------
+    text : str
+    size : float
+        Height of the font (mm).
+    """
+    from build123d import Compound, FontStyle, Sketch, Text
+
+    drawn: Any = Text(text, size, font_style=FontStyle.BOLD)
+    faces = sorted(drawn.faces(), key=lambda face: _place(face.outer_wire()))
+    return Sketch(Compound([_with_ordered_holes(face) for face in faces]).wrapped)
+
+
+def _with_ordered_holes(face: Any) -> Any:
+    """The face with the same wires, its holes from left to right."""
+    from build123d import Face
+    from OCP.BRep import BRep_Builder
+    from OCP.TopAbs import TopAbs_Orientation
+
+    forward = Face(face.wrapped.Oriented(TopAbs_Orientation.TopAbs_FORWARD))
+    made = forward.wrapped.EmptyCopied()
+    build = BRep_Builder()
+    for wire in (forward.outer_wire(), *sorted(forward.inner_wires(), key=_place)):
+        build.Add(made, wire.wrapped)
+    return Face(made.Oriented(face.wrapped.Orientation()))
+
+
+def _place(wire: Any) -> tuple[float, float, float, float]:
+    """Corners of a wire's box: left, bottom, right, top."""
+    box = wire.bounding_box()
+    return (box.min.X, box.min.Y, box.max.X, box.max.Y)
+
 
 SMALLEST = 0.1
 """Least height of a letter (mm): the limit of a fine engraving laser."""

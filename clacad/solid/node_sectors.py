@@ -15,10 +15,10 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.sheet.lattice import Lattice, NodeCells, Step, node_cells
+from clacad.solid.edge_classes import Levels, linked_levels
 from clacad.solid.outline_path import Path
 from clacad.solid.repeated_cell import Cell
 from clacad.solid.shells import NodeVertices, Shells
-from clacad.solid.vertical_lines import Levels, linked_levels
 from clacad.solid.wall_segments import Column, column_of_side
 
 State = Literal["cell", "outside", "empty", "beyond"]

@@ -15,9 +15,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.solid.edge_classes import SegmentClass, Surface, WallEnd
+from clacad.solid.edge_classes import Levels, SegmentClass, Surface, WallEnd
 from clacad.solid.rational_conics import Arc, RationalPatch, line
-from clacad.solid.vertical_lines import Levels
 from clacad.solid.wall_segments import TOLERANCE
 
 Role = Literal["lens", "land", "wall", "plane", "side"]

@@ -6,14 +6,13 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.sheet.lattice import Lattice, Step
-from clacad.solid.edge_classes import Plane, Post, SegmentClass, segment_class
+from clacad.solid.edge_classes import Levels, Plane, Post, SegmentClass, linked_levels, segment_class
 from clacad.solid.face_pattern import Region
 from clacad.solid.node_sectors import Touch
 from clacad.solid.rational_conics import Arc
 from clacad.solid.repeated_cell import Cell, CellFace
 from clacad.solid.shells import Loop, LoopEdge, Shells, reverse
 from clacad.solid.tiling_borders import Borders, Layer, Sided, Surround
-from clacad.solid.vertical_lines import Levels, linked_levels
 from clacad.solid.wall_segments import TOLERANCE, segment_shape, zone_columns
 
 RimEdges = tuple[list[int], list[int]]  # edges of a chain, vertices of a chain

@@ -23,7 +23,7 @@ from clacad.base.types import Floats
 from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.rational_conics import Arc
 from clacad.solid.repeated_cell import Cell, CellFace
-from clacad.topology.wall_strips import BorderCurve, solid_strips
+from clacad.topology.complex_parts import BorderCurve, solid_strips
 
 TOLERANCE = 1e-7
 """Length below which CAD programs merge two points (mm)."""

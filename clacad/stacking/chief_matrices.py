@@ -10,7 +10,7 @@ from clacad.base.types import Floats
 from clacad.optics import chief_rays
 from clacad.optics.chief_rays import ChiefRays
 from clacad.optics.law.imaging import slope_map
-from clacad.sheet.cell_laws import CellLaws
+from clacad.sheet.cell_places import CellLaws
 from clacad.sheet.stack import Stack, StackedSheet, lens_planes
 from clacad.sheet.vignetting import partner_share
 

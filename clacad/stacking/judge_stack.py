@@ -17,7 +17,7 @@ from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.stacking.assembly import mesh_of_sheet, places
-from clacad.stacking.stack_rays import launched
+from clacad.stacking.stack_light import launched
 from clacad.storage.atomic import file_hash, read_manifest
 from clacad.storage.errors import BadRequest, ExportError
 from clacad.tracing.through_stack import StackTrace, StackTracer

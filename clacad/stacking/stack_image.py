@@ -12,8 +12,7 @@ from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate
 from clacad.stacking.chief_matrices import meridian
-from clacad.stacking.stack_light import FEWEST
-from clacad.stacking.stack_rays import cone, middle_of_light, started
+from clacad.stacking.stack_light import FEWEST, cone, middle_of_light, started
 from clacad.tracing.through_stack import StackTracer
 
 

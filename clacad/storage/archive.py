@@ -8,9 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO
 
-from clacad.storage.element_runs import ElementRun, RunReader
 from clacad.storage.errors import UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import ElementRun, RunReader, Spending
 
 MOST_ENTRIES = 1000
 LONGEST_DIRECTORY = 1 << 20

@@ -22,10 +22,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from clacad.base.regular_file import read_regular
+from clacad.base.untrusted_files import read_regular
 from clacad.storage.errors import CannotWrite, ExportRefused, OverBudget, refused_by_system
-from clacad.storage.overheard import Overheard
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Overheard, Spending
 from clacad.storage.staging import BUSY, OLD, Unfinished, exchange, flush, undisturbed
 
 MANIFEST = "manifest.json"

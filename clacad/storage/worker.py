@@ -3,6 +3,8 @@
 CAD kernels end the process on a full disk, on lack of memory, and ignore Ctrl-C while they compute.
 A `Worker` runs named functions in a freshly started interpreter: own process group, own limits, and
 results as JSON lines over a pipe that nothing else writes to. The parent waits on that pipe only.
+
+Module path of child processes: it never includes the current folder.
 """
 
 from __future__ import annotations
@@ -21,12 +23,34 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import IO, TYPE_CHECKING, Any
 
+import clacad
 from clacad.storage import errors
-from clacad.storage.child_path import module_path
 from clacad.storage.errors import WorkerDied
 
-if TYPE_CHECKING:  # the parent loads no numpy
+if TYPE_CHECKING:
     from clacad.base.types import Progress
+
+
+def module_path() -> list[str]:
+    """Module folders of this process without the current folder; the package's own is appended if missing."""
+    path = [entry for entry in sys.path if entry]
+    home = os.path.dirname(os.path.dirname(os.path.abspath(clacad.__file__)))
+    return path if home in path else [*path, home]
+
+
+@contextmanager
+def safe_children() -> Iterator[None]:
+    """Within the block, Python processes started by libraries exclude the current folder from their path."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
+
 
 _LONGEST_LINE = 64 << 20
 _BOOT = (
@@ -347,7 +371,6 @@ def _signal_main_thread(number: int) -> None:
 
 
 # -- the child's side ------------------------------------------------------------------------
-
 _answer_stream: IO[bytes] | None = None
 
 

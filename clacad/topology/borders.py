@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
+from clacad.base.arrays import distinct
 from clacad.base.roots import sign_changes
 from clacad.base.types import Bools, Floats
-from clacad.base.unique_rows import distinct
 from clacad.sheet.window import PLANE, Body, Face, Window
 from clacad.topology.complex_parts import SIDES, Border, HeightProfile, Part, Side, Stretch
 

@@ -22,8 +22,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.optics.law import Law, law_numbers, linear_numbers, with_linear_numbers
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.tracing.reference.law_rung import ordinary
-from clacad.tracing.reference.light_sums import GRADIENT, KNOWN, NORMAL, NUMBERS, OUT, SQUARE, sums_of
+from clacad.tracing.reference.law_rung import GRADIENT, KNOWN, NORMAL, NUMBERS, OUT, SQUARE, ordinary, sums_of
 
 PIECE = 1 << 14
 """Rays summed together: the rows of their results stay in the second-level cache."""
@@ -56,7 +55,7 @@ class LightSums:
     worst : float, radians
         Largest angle.
     sums : (NUMBERS,) array
-        See `clacad.tracing.reference.light_sums`.
+        See `clacad.tracing.reference.law_rung`.
     """
 
     law: Law
@@ -171,7 +170,7 @@ def _of_piece(law: Law, ray: Floats, result: TraceResult, compiled: bool) -> Sum
     if not (compiled and ordinary(numbers)):
         sums[0], worst = sums_of(law, ray, result)
         return sums, worst
-    from clacad.tracing.compiled.light_sums import add_rays
+    from clacad.tracing.compiled.law_rung import add_rays
 
     return sums, add_rays(numbers, result.fate, np.ascontiguousarray(ray), result.direction, sums)
 

@@ -13,8 +13,7 @@ from clacad.base.types import Rung
 from clacad.optics.rays import OneRay, Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.window import Window
-from clacad.tracing.effect_protocol import TracedEffect
-from clacad.tracing.tracer import Tracer
+from clacad.tracing.tracer import TracedEffect, Tracer
 from clacad.tracing.which_path import Path
 
 if TYPE_CHECKING:

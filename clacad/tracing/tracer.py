@@ -3,6 +3,8 @@
 The implementation changes no fate and no cell, and directions by at most 1.4e-15. A call with `path` "numpy",
 "numba" or "size" gives the same bits in every process; files that the package writes are traced so. Without a
 `path`, `which_path` decides when kernels are loaded.
+
+The part of an effect that the tracer knows: its name, and the rung it replaces.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
@@ -18,7 +20,6 @@ from clacad.base.types import Rows, Rung
 from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
-from clacad.tracing.effect_protocol import TracedEffect
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.law_rung import trace_law
@@ -43,6 +44,18 @@ if TYPE_CHECKING:
     from clacad.tracing.triangles.ready_facets import AnyMesh
     from clacad.tracing.triangles.squares import Triangles
     from clacad.tracing.triangles.tiles import Normals
+
+
+class TracedEffect(Protocol):
+    """An effect as the tracer sees it; `clacad.effects.Effect` is one."""
+
+    @property
+    def name(self) -> str:
+        """Name, such as "fresnel"."""
+
+    @property
+    def rung(self) -> Rung | None:
+        """Rung that the effect uses instead of the requested one (facets: mesh), or None."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,11 +16,12 @@ from clacad.verification.file_report import FileReport
 from clacad.verification.light.caustic import MeridianFocus, foci
 from clacad.verification.light.error_attribution import (
     Attribution,
+    GhostMap,
     as_it_would_be_written,
     as_written,
     attribute,
+    ghost_map,
 )
-from clacad.verification.light.ghost_map import GhostMap, ghost_map
 
 if TYPE_CHECKING:
     from clacad.design import Design

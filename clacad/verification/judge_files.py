@@ -11,7 +11,7 @@ from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
-from clacad.storage.overheard import Overheard
+from clacad.storage.reading import Overheard
 from clacad.verification.check_kinds.file_light import FAITHFUL_DELTA, FAITHFUL_ETA, FAITHFUL_RMS
 from clacad.verification.check_kinds.files import CLOSED, READABLE, SHAPE, VOLUME, unreadable
 from clacad.verification.checks import Check

@@ -19,8 +19,7 @@ from clacad.verification.design.design_rules import design_checks
 from clacad.verification.files.copied_table import with_copied_table
 from clacad.verification.files.find_files import Delivery, declared_roles, list_files, written_meanwhile
 from clacad.verification.judge_files import judge_files
-from clacad.verification.light.direction_curves import meridians
-from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check
+from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check, meridians
 from clacad.verification.light.law_checks import Optics
 from clacad.verification.light.through_window import judge_light
 from clacad.verification.verification_report import Report

@@ -21,8 +21,7 @@ from clacad.verification.check_kinds.file_light import CONVERGENCE
 from clacad.verification.check_kinds.files import DELIVERY
 from clacad.verification.checks import RAYS_NEEDED, Check, wrong
 from clacad.verification.file_report import FileReport
-from clacad.verification.light.direction_curves import Meridian
-from clacad.verification.light.facet_convergence import Convergence
+from clacad.verification.light.facet_convergence import Convergence, Meridian
 from clacad.verification.light.law_checks import Optics
 from clacad.verification.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of
 

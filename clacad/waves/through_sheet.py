@@ -14,7 +14,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.optics.aperture import equivalent_widths
-from clacad.sheet.coherent_orders import order_steps
+from clacad.sheet.vignetting import order_steps
 from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.waves import exit_pupil
 from clacad.waves.far_field import FarField, brightest, flatness, marginal, section

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from clacad.base.digits import digits, shown
+from clacad.base.text import digits, shown
 from clacad.cli.tables import checks_text
 from clacad.design import load
 from clacad.prescription.prescribe import prescribe

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clacad.base.facet_vectors import doubled_normals, lengths, middles
-from clacad.base.unique_rows import unique_rows
+from clacad.base.arrays import doubled_normals, lengths, middles, unique_rows
 
 
 def corners(count: int) -> np.ndarray:

@@ -22,7 +22,7 @@ import numpy as np
 from clacad.base.machine_rates import Rates
 from clacad.rendering.picture_cost import task as render_task
 from clacad.scene import load_scene
-from clacad.tracing.trace_cost import task as trace_task
+from clacad.tracing.which_path import task as trace_task
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -54,8 +54,8 @@ def member(family: str, angle: float) -> Window:
 def swept(family: str, number: int, pcurves: bool) -> str:
     """One line of the table: a family at `number` angles."""
     from clacad.formats.step.step_files import read_step, write_step
-    from clacad.solid.describe_body import describe_body
     from clacad.solid.occ_writer import OccWriter, is_valid
+    from clacad.solid.solids import describe_body
 
     built = read = same = walls = ruled = merged = 0
     shift = 0.0

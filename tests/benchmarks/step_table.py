@@ -51,7 +51,7 @@ def written(design: str, n: int, mode: str, pcurves: bool) -> dict[str, float]:
     """Build, then build and write one sheet of n × n cells; what each took."""
     import clacad
     from clacad.formats.step.step_files import write_step
-    from clacad.solid.describe_body import describe_body
+    from clacad.solid.solids import describe_body
 
     window = clacad.prescribe(clacad.load(design)).with_cells((n, n))
     again = clacad.prescribe(clacad.load(design)).with_cells((n, n))  # nothing kept from the first

@@ -26,23 +26,23 @@ HOMES = {
 SHARED = {
     "exporting/formats/registry.py": "names of the modules",
     "exporting/formats/format.py": "names of the families",
-    "base/reading_budgets.py": "names of readers, each with its limits",
+    "base/untrusted_files.py": "names of readers, each with its limits",
 }
 """Files in which every word may occur: why."""
 
 OTHER_MEANINGS = {
     "baffle": {"design/combinations.py", "explorer/page_facts.py", "explain/glossary.py",
                "exporting/fixtures/baffle.py"},  # the key body.baffle, the name of the part
-    "cell-table": {"design/cell_table.py", "design/number_rows.py", "exporting/copied_table.py",
+    "cell-table": {"design/cell_table.py", "design/number_rows.py", "exporting/run.py",
                    "report/view_through_sheet.py"},  # the reader of a design's table
     "drawing": {"explain/glossary.py", "sheet/representative_cells.py"},  # a word of the glossary, a purpose of cells
     "frame": {"exporting/fixtures/frame.py", "rendering/photograph_view.py", "report/view_through_sheet.py",
               "scene/keys.py"},  # the key camera.frame, the name of the part
     "height-calibration": {"exporting/formats/records.py"},  # written by the formats of two modules
     "pins": {"design/model.py"},  # the key body.pins
-    "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "imaging/shape_picture.py",
-            "imaging/through_focus.py", "report/pdf.py", "verification/accuracy/accuracy_plot.py",
-            "verification/returned/deviation_map.py", "verification/tolerance/study_plots.py",
+    "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "imaging/shape.py",
+            "imaging/image_by_rays.py", "report/pdf.py", "verification/accuracy/accuracy_plot.py",
+            "verification/returned/deviation_map.py", "verification/tolerance/study_files.py",
             "waves/wave_report.py"},  # pictures for people
     "sag": {"advice/trade_offs.py", "explain/glossary.py", "explain/named_things.py", "optics/surface/__init__.py",
             "sheet/feasibility/as_rows.py", "verification/check_kinds/shape.py",
@@ -52,15 +52,15 @@ OTHER_MEANINGS = {
               "scene/rules.py"},  # scene files
     "step": {"advice/trade_offs.py", "cli/export_command.py", "explain/glossary.py", "exporting/request.py",
              "stacking/make_stack.py", "cli/stack_command.py",  # the option --step, a default
-             "verification/accuracy/accuracy_plot.py", "verification/accuracy/conclusion.py",
+             "verification/accuracy/accuracy_plot.py", "verification/accuracy/accuracy_row.py",
              "verification/accuracy/step_rung.py",  # a rung
              "verification/returned/damage.py", "verification/tolerance/parameter_sweep.py",  # steps between cells
              "verification/verification_cost.py"},  # a task whose time is recorded
     "stl": {"explain/glossary.py", "exporting/request.py"},  # a synonym, a default
     "table": {"cli/shape_command.py", "config/edit_text.py", "config/key_positions.py", "design/varying.py",
-              "optics/material/database.py", "optics/material/dispersion_formulas.py", "report/pdf.py",
+              "optics/material/catalogue.py", "optics/material/material.py", "report/pdf.py",
               "verification/check_kinds/files.py"},  # a check, a key, parts of TOML files, pages and formulas
-    "xyz": {"cli/image_command.py", "rendering/atlas/figure1.py", "verification/files/mesh_wholeness.py",
+    "xyz": {"cli/image_command.py", "paper/figure1.py", "verification/files/mesh_wholeness.py",
             "verification/returned/registration.py"},  # the axes
 }  # fmt: skip
 """Files in which a word means something else; one that is gone fails."""

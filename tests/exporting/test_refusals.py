@@ -10,8 +10,7 @@ import pytest
 import clacad
 from clacad.cli import main
 from clacad.exporting.export_design import export
-from clacad.solid.lettering import lettering
-from clacad.solid.marks import TALL, WIDEST
+from clacad.solid.marks import TALL, WIDEST, lettering
 from clacad.storage.errors import LimitRefused, NotPossible
 
 DESIGNS = Path(__file__).parents[2] / "designs"

@@ -10,8 +10,8 @@ from brepwindows import biconvex
 
 from clacad.formats import placements as places
 from clacad.formats.placements import UNPLACED, Placements, composed
+from clacad.formats.step.lens_placements import SheetPlace
 from clacad.formats.step.lenses_on_cells import lens_facts
-from clacad.formats.step.sheet_of_many import SheetPlace
 from clacad.formats.step.step_files import write_step
 from clacad.formats.step.text_health import patch_points, scan_step
 from clacad.storage.errors import UnreadableFile

@@ -50,9 +50,9 @@ SHAPE, QUADRIC, MEETING, BICONIC = (
     f"clacad/optics/surface/{n}.py" for n in ("sag_and_normal", "quadric", "intersection", "biconic")
 )
 MODEL, IMAGING, EXACT, TURN = (
-    f"clacad/optics/law/{n}.py" for n in ("refraction", "imaging", "angle", "orientation")
+    f"clacad/optics/law/{n}.py" for n in ("refraction", "imaging", "orientation", "orientation")
 )
-POLYNOMIAL, TERMS = (f"clacad/optics/surface/{n}.py" for n in ("even_polynomial", "even_terms"))
+POLYNOMIAL, TERMS = (f"clacad/optics/surface/{n}.py" for n in ("even_polynomial", "sag_and_normal"))
 TWIN, PATCHES = "clacad/tracing/compiled/even_polynomial.py", "clacad/solid/lens_faces.py"
 EVEN = "tests/optics/test_even_polynomial.py"
 SEARCH = "clacad/optimising/face_search.py"
@@ -68,7 +68,7 @@ PLACES, LIKE, OWN, BLOCKS, MIRROR = (
     "clacad/sheet/cell_places.py",
     "clacad/sheet/like_cell.py",
     "clacad/tracing/compiled/array_cells.py",
-    "clacad/tracing/compiled/own_straight.py",
+    "clacad/tracing/compiled/own_cells.py",
     "clacad/effects/engine/mirrored_window.py",
 )
 AIMED, MADE = "clacad/prescription/aimed_cells.py", "tests/prescription/test_aimed_cells.py"
@@ -77,7 +77,7 @@ DIFFERING = "tests/hard/test_hard_differing.py"
 FAR_OUT, ROWS = (
     f"{DIFFERING} -m '' -k '({chosen}) and numpy'" for chosen in ("2e4 and 8000", "kappa or curl")
 )
-OWN_ETA, SIZES = "tests/sheet/test_cells_of_own_eta.py", "clacad/prescription/cell_sizes.py"
+OWN_ETA, SIZES = "tests/sheet/test_cells_of_own_eta.py", "clacad/prescription/varying_cells.py"
 FIGURES = f"{DIFFERING} -m '' -k 'numpy and eta'"
 ALIKE, ITS_KERNEL = (
     f"{DIFFERING} -k 'like_one or wide_as or farthest'",
@@ -116,7 +116,7 @@ MUTATIONS = [
     Mutation("sizes: lens 2 as large as lens 1", SIZES, "first * (etas / eta)", "first", OWN_ETA),
     Mutation("sizes: thick lenses as thin ones", SIZES, 'and design.pair.confocal == "exact"', "and False", OWN_ETA),
     Mutation("sizes: neighbours in one direction", SIZES, "lattice.steps[: len(lattice.steps) // 2]", "lattice.steps[:0]", OWN_ETA),
-    Mutation("sizes: the law of the sheet in every cell", "clacad/sheet/cell_laws.py", "index), d, own)", "index), d)", OWN_ETA),
+    Mutation("sizes: the law of the sheet in every cell", "clacad/sheet/cell_places.py", "index), d, own)", "index), d)", OWN_ETA),
     Mutation("sizes: one light for every cell", "clacad/prescription/varying_cells.py", "np.minimum(1.0, 1.0 / np.abs(etas[:, 0]))", "np.ones(len(etas))", f"{OWN_ETA} -k mean_of_the_light"),
     Mutation("vertex: given up where the first step is too long", "clacad/prescription/traced_vertices.py",
              "step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)", "step = np.where(beyond, np.nan, step)", f"{DIFFERING} -k bracket"),

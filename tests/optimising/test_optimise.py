@@ -15,13 +15,10 @@ from trust.running import clacad as run
 
 from clacad import Design, DesignError, load, optimise, prescribe
 from clacad.optics.fit import LOST, AskedLight, law_residuals, minimise
-from clacad.optimising.aim import RAYS, Aim, kept_light
-from clacad.optimising.face_search import TIE, FaceSearch
-from clacad.optimising.measured_light import measured
-from clacad.optimising.search_walls import LOST as BEYOND
-from clacad.optimising.search_walls import Walls, penalties
-from clacad.optimising.trial_faces import given_design, with_faces
-from clacad.optimising.unknowns import chosen
+from clacad.optimising.aim import RAYS, Aim, kept_light, measured
+from clacad.optimising.face_search import LOST as BEYOND
+from clacad.optimising.face_search import TIE, FaceSearch, Walls, penalties
+from clacad.optimising.unknowns import chosen, given_design, with_faces
 from clacad.sheet.telescopelet import interfaces
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -231,7 +228,7 @@ def test_least_squares_follow_a_bent_valley():
 
 
 def test_the_same_search_gives_the_same_file_and_the_file_reads_back(paper):
-    from clacad.optimising.optimised_text import design_text
+    from clacad.optimising.search import design_text
 
     one, two = found_of("window-100mm", ("radii",)), optimise(load(DESIGNS / "window-100mm.toml"), ("radii",))
     text = design_text(one)

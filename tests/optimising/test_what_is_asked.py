@@ -17,10 +17,9 @@ from trust.running import clacad as run
 from clacad import Design, DesignError, load, optimise, prescribe
 from clacad.optics.surface import EvenPolynomial
 from clacad.optimising import face_search, search
-from clacad.optimising.aim import Aim, AimedRays
+from clacad.optimising.aim import Aim, AimedRays, measured
 from clacad.optimising.gain_as_made import gain_as_made
-from clacad.optimising.measured_light import measured
-from clacad.optimising.optimised_text import design_text
+from clacad.optimising.search import design_text
 from clacad.optimising.unknowns import chosen
 from clacad.verification.tolerance import NoTolerances, bench, draw, parameters
 

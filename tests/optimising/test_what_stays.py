@@ -13,7 +13,7 @@ from clacad.advice import advise, judge
 from clacad.advice.levers import levers_of
 from clacad.optimising import light_in_cells
 from clacad.optimising.face_search import FaceSearch
-from clacad.optimising.optimised_text import design_text
+from clacad.optimising.search import design_text
 
 COUNT = 6000
 

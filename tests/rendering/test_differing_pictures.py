@@ -9,7 +9,7 @@ import pytest
 
 import clacad
 from clacad.cli.entry_point import main
-from clacad.rendering.atlas.differing_figures import DIFFERING
+from clacad.paper.sheet_figures import DIFFERING
 from clacad.rendering.camera import aim, rays
 from clacad.rendering.picture import view_through
 from clacad.rendering.screen_measure import WIDE, coordinate_scene
@@ -164,7 +164,7 @@ def test_an_entry_of_the_atlas_beyond_the_paper_measures_what_thin_lenses_say(fi
 @pytest.mark.slow
 def test_a_target_chooses_the_facets_of_the_worst_cell(tmp_path):
     """The coarser the target the coarser the facets; the first power of their size, as slopes of facets err."""
-    from clacad.rendering.picture_target import within_target
+    from clacad.rendering.picture_cost import within_target
 
     scene = scene_of(tmp_path, "aimed", "mesh")
     quads = [within_target(scene, error).sheet.quads for error in (8e-3, 2e-3)]

@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from clacad.report.figures import convergence_caption, svg
-from clacad.report.panels import Margins, panels
+from clacad.report.figures import Margins, convergence_caption, panels, svg
 from clacad.verification.light.facet_convergence import Convergence
 
 

@@ -21,8 +21,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.report import content as contents
 from clacad.report import write_report
 from clacad.report.content import content
-from clacad.report.page import Section, number
-from clacad.report.report_files import is_report
+from clacad.report.report_files import Section, is_report, number
 from clacad.report.view_through_sheet import seen_by_viewer
 from clacad.verification import verify
 from clacad.verification.checks import Check
@@ -54,7 +53,7 @@ def page(made, tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch):
     """A page of the checks alone, for what does not depend on the figures."""
-    home = importlib.import_module("clacad.report.page")
+    home = importlib.import_module("clacad.report.report_files")
     monkeypatch.setattr(home, "SECTIONS", tuple(s for s in home.SECTIONS if s[0] == "checks"))
 
 
@@ -367,7 +366,7 @@ def test_a_whole_report_is_small_whatever_the_count_of_lenslets(name, tmp_path):
 def test_waves_stand_in_the_page_where_an_effect_or_coherent_light_calls_for_them(made, monkeypatch):
     from clacad.waves import wave
 
-    home = importlib.import_module("clacad.report.page")
+    home = importlib.import_module("clacad.report.report_files")
     monkeypatch.setattr(home, "SECTIONS", tuple(s for s in home.SECTIONS if s[0] == "effects"))
     evidence = made.report.evidence
     assert ("diffraction" in evidence.plan.names) is (evidence.waves is not None) is False

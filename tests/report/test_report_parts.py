@@ -13,7 +13,7 @@ import pytest
 
 from clacad.design import Design
 from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
-from clacad.formats.drawing.orientation_notes import orientation
+from clacad.formats.drawing.notes import orientation
 from clacad.mesh import tessellate
 from clacad.prescription.prescribe import prescribe
 from clacad.report import drawing
@@ -23,7 +23,7 @@ from clacad.sheet.feasibility import feasibility
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.verification.light.caustic import foci
 from clacad.verification.light.confocality import confocality
-from clacad.verification.light.ghost_map import ghost_map
+from clacad.verification.light.error_attribution import ghost_map
 
 TEXT = {
     "format": 1, "name": "parts", "unit": "mm", "law": {"eta": [-0.5, -1.0], "delta": [0.01, 0.0]},

@@ -6,7 +6,7 @@ import re
 from types import SimpleNamespace
 
 import clacad
-from clacad.report.varying_plot import varying
+from clacad.report.plots import varying
 from clacad.verification.check_kinds.light import LAW_RMS
 
 

@@ -19,7 +19,7 @@ from clacad.sheet.plate import (
 )
 from clacad.sheet.plate_edges import next_crossing
 from clacad.sheet.simple_outline import fault
-from clacad.tracing.compiled.plate import in_plate, next_edge
+from clacad.tracing.compiled.array_cells import in_plate, next_edge
 
 L = ((-6, -5, 0), (6, -5, 0.3), (6, 1, 0), (1, 1, -0.414), (0, 2, 0), (0, 6, 0), (-6, 6, 0))
 HOLES = (Hole(-5, 5.2, 0.8), Hole(-2.1, -0.9, 0.8), Hole(4.0, -4.0, 1.1))

@@ -17,7 +17,7 @@ from clacad.design.combinations import BUILT, ETAS, FEATURES, REASONS, SHEETS, m
 from clacad.imaging.best_point import best_point
 from clacad.optics.law.focusing import Glens
 from clacad.optics.rays import Fate
-from clacad.sheet.cell_laws import CellLaws
+from clacad.sheet.cell_places import CellLaws
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.own_steps import greatest_steps
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from clacad.optics.surface import Biconic, Quadric
 from clacad.sheet.window import Face, lens_height
+from clacad.solid.edge_classes import linked_levels
 from clacad.solid.face_pattern import divided_pattern
 from clacad.solid.lens_faces import fitted_lens, posed_quadric
 from clacad.solid.rational_conics import parameter_curve, posed, quadric_patch, ruled_wall, section_arc
-from clacad.solid.vertical_lines import linked_levels
 
 T = np.linspace(0.0, 1.0, 21)
 

@@ -16,9 +16,9 @@ from clacad.exporting.export_design import export
 from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh import tessellate
 from clacad.sheet.feasibility import body_facts
-from clacad.solid.describe_body import describe_body, layers
 from clacad.solid.fitted_rims import Gap, fitted_rim
 from clacad.solid.occ_writer import OccWriter, is_valid, volume
+from clacad.solid.solids import describe_body, layers
 from clacad.topology.cannot_build import CannotBuild
 
 BASE = {

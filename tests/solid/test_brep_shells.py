@@ -15,8 +15,8 @@ import clacad
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.window import column
-from clacad.solid.describe_body import describe_body
 from clacad.solid.occ_writer import OccWriter, is_valid, volume
+from clacad.solid.solids import describe_body
 from clacad.topology.build_complex import cell_complex
 from clacad.topology.cannot_build import CannotBuild
 

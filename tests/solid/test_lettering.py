@@ -9,7 +9,7 @@ from build123d import FontStyle, Text
 
 from clacad.exporting.fixtures.letters import polygons
 from clacad.sheet.lattice import polygon_area
-from clacad.solid.lettering import lettering
+from clacad.solid.marks import lettering
 
 TEXT = "B8 i= 0.98 ,+"
 """Glyphs of two pieces and glyphs of two holes."""

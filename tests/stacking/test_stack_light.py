@@ -20,8 +20,7 @@ from clacad.sheet.stack import BadStack, StackedSheet, lens_planes, stacked, sta
 from clacad.stacking import stack
 from clacad.stacking.chief_matrices import meridian
 from clacad.stacking.stack_image import measure_image, nearest_point
-from clacad.stacking.stack_light import measure_light
-from clacad.stacking.stack_rays import launched
+from clacad.stacking.stack_light import launched, measure_light
 from clacad.tracing.through_stack import StackTracer, trace_stack
 
 ROOT = Path(__file__).parents[2]

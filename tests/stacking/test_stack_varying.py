@@ -14,8 +14,7 @@ import clacad
 from clacad.cli import main
 from clacad.sheet.stack import BadStack, stacked
 from clacad.stacking.chief_matrices import expected_share, meridian, no_meridian
-from clacad.stacking.stack_light import measure_light
-from clacad.stacking.stack_rays import lit_cells
+from clacad.stacking.stack_light import lit_cells, measure_light
 from clacad.tracing.through_stack import StackTracer
 
 ROOT = Path(__file__).parents[2]

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from clacad.storage.archive import parse_xml
-from clacad.storage.element_runs import NUMBER, ElementRun
 from clacad.storage.errors import UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import NUMBER, ElementRun, Spending
 
 FORM = rb'<p x="%s" ?/>' % NUMBER
 ROWS = "".join(f'<p x="{k / 7!r}"/>\n' for k in range(30_000))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hashlib import sha256
 
-from clacad.storage.overheard import Overheard
+from clacad.storage.reading import Overheard
 
 
 def test_what_was_heard_in_order_and_what_was_not_give_the_hash_of_the_file(tmp_path):

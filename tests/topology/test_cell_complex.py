@@ -17,12 +17,10 @@ from clacad.mesh.integer_heights import VOID
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.lattice import Lattice, node_cells
 from clacad.sheet.window import column, lens_height, optical_tile
-from clacad.solid.describe_body import layers
+from clacad.solid.solids import layers
 from clacad.solid.wall_segments import column_of_side
-from clacad.topology.build_complex import cell_complex, saddle_count
-from clacad.topology.nodes import cluster
-from clacad.topology.rims import trace_zero
-from clacad.topology.wall_strips import BorderCurve, runs_round, solid_strips
+from clacad.topology.build_complex import cell_complex, cluster, saddle_count, trace_zero
+from clacad.topology.complex_parts import BorderCurve, runs_round, solid_strips
 
 # -- roots -----------------------------------------------------------------------------------------
 

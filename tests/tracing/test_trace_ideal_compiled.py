@@ -15,7 +15,7 @@ from clacad.optics.law import Law
 from clacad.optics.rays import Fate, Rays
 from clacad.tracing import tracer, which_path
 from clacad.tracing.trace import trace
-from clacad.tracing.trace_cost import task, trace_seconds
+from clacad.tracing.which_path import task, trace_seconds
 
 WINDOWS = windows()
 RUNGS = ("law", "thin")

@@ -12,7 +12,7 @@ import pytest
 from trust.running import ROOT, TESTS, TINY, environment
 
 import clacad
-from clacad.storage.child_path import module_path, safe_children
+from clacad.storage.worker import module_path, safe_children
 
 TRAP = "open({marker!r}, 'a').write({name!r} + '\\n')\nraise ImportError('planted')\n"
 

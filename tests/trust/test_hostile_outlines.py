@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from trust.running import TINY
 
-from clacad.base.reading_budgets import BUDGETS
+from clacad.base.untrusted_files import BUDGETS
 from clacad.design import Design, DesignError, load
 from clacad.sheet.plate import Plate
 

@@ -27,7 +27,7 @@ KILLED = textwrap.dedent(
     out, times, seed, what = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
     from clacad.design import Design
     from clacad.exporting.export_design import export
-    import clacad.exporting.run, clacad.report.content, clacad.report.page
+    import clacad.exporting.run, clacad.report.content, clacad.report.report_files
     from clacad.report import write_report
 
     design = Design.from_dict(tomllib.loads(os.environ["TINY"]))
@@ -45,7 +45,7 @@ KILLED = textwrap.dedent(
         return f"{mark}<html>{made.turn} " + 4_000_000 * "x" + f" {made.turn}</html>"
 
     clacad.report.content.numbers = numbers
-    clacad.report.page.page = page
+    clacad.report.report_files.page = page
 
     forecast, forecasts = clacad.exporting.run.with_prospects, {}
 

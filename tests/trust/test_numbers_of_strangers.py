@@ -10,7 +10,7 @@ import pytest
 from trust.attacks.hostile_commands import AIMED, DRAWN, DXF, LONG, npy, npz
 from trust.running import TINY
 
-from clacad.base.whole_numbers import array_lengths, beyond_64_bits, whole_number
+from clacad.base.text import array_lengths, beyond_64_bits, whole_number
 from clacad.cli import main
 
 

@@ -18,7 +18,7 @@ from trust.judging import tiny
 from trust.running import TINY
 from trust.spoiling import glb
 
-from clacad.base.reading_budgets import BUDGETS
+from clacad.base.untrusted_files import BUDGETS
 from clacad.exporting.export_design import export
 from clacad.exporting.formats.registry import kind_of
 from clacad.formats.mesh.readers import read_mesh
@@ -66,9 +66,9 @@ def _only_files(monkeypatch: pytest.MonkeyPatch) -> None:
 def budget(monkeypatch: pytest.MonkeyPatch, reader: str, **changes: Any) -> None:
     """Give one reader another budget."""
     monkeypatch.setattr(
-        "clacad.storage.spending.BUDGETS", {**BUDGETS, reader: replace(BUDGETS[reader], **changes)}
+        "clacad.storage.reading.BUDGETS", {**BUDGETS, reader: replace(BUDGETS[reader], **changes)}
     )
-    monkeypatch.setattr("clacad.storage.spending.LOOK", 1)
+    monkeypatch.setattr("clacad.storage.reading.LOOK", 1)
 
 
 LESS: dict[str, tuple[dict[str, Any], str]] = {

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from trust.running import TINY, clacad, environment, talk
 
-from clacad.base.regular_file import read_regular
+from clacad.base.untrusted_files import read_regular
 from clacad.cli import main
 from clacad.storage.atomic import read_manifest
 from clacad.storage.errors import OverBudget

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import clacad
 from clacad.cli import main
-from clacad.rendering.picture_target import within_target
+from clacad.rendering.picture_cost import within_target
 from clacad.scene import load_scene
 from clacad.verification.accuracy.accuracy_table import AccuracyTable, TargetOutOfReach
 from clacad.verification.accuracy.cheapest_file import files_within

@@ -29,16 +29,15 @@ from clacad.formats.mesh.threemf import write_threemf
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.volume_and_extent import Integral, body_volume
 from clacad.storage.errors import FileDisagrees, UnreadableFile
-from clacad.storage.overheard import Overheard
+from clacad.storage.reading import Overheard
 from clacad.verification import verify
 from clacad.verification.files import mesh_wholeness
 from clacad.verification.files.cell_triangles import Gatherer
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.mesh_file import judge_mesh
+from clacad.verification.files.mesh_file import judge_mesh, placement_check
 from clacad.verification.files.mesh_light import lit_cells, rays_for
 from clacad.verification.files.mesh_shape import clean_forecast
 from clacad.verification.files.mesh_wholeness import connected
-from clacad.verification.files.repeated_parts import placement_check
 
 DESIGN = Design.from_dict({
     "format": 1, "name": "repeated", "unit": "mm", "law": {"eta": [-0.25, -1.0]},

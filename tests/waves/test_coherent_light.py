@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import clacad
-from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import feasibility
+from clacad.sheet.vignetting import order_steps
 from clacad.verification import design_checks, verify
 
 DESIGNS = Path(__file__).parents[2] / "designs"

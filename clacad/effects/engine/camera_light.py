@@ -17,8 +17,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Rung
 from clacad.effects.engine.effect import Effect
-from clacad.effects.engine.homogeneous_light import law_light
-from clacad.effects.engine.light_rays import LightRays, join_light
+from clacad.effects.engine.homogeneous_light import LightRays, join_light, law_light
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import trace_with
 from clacad.effects.engine.split_paths import reflected_paths

@@ -3,17 +3,19 @@
 Where a picture point covers many lenslets, one ray represents the light of all of them. A share V follows the
 law. Shares V_m go into ghost orders m, whose slopes differ from the law's by a constant. Both are closed
 forms of the thin pair (`clacad.sheet.vignetting`).
+
+Rays that carry radiance to the camera, as one flat list: the common result of all kinds of light.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
-from clacad.effects.engine.light_rays import LightRays, join_light
+from clacad.base.types import Floats, Ints, Rows
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.lattice import polygon_area
 from clacad.sheet.vignetting import (
@@ -28,6 +30,40 @@ from clacad.sheet.vignetting import (
     thin_cells,
 )
 from clacad.sheet.window import Window
+
+
+@dataclass(frozen=True, eq=False)
+class LightRays:
+    """Rays that carry radiance from the scene to the camera.
+
+    Attributes
+    ----------
+    parent : (m,) ints
+        The launched ray whose picture point receives the light.
+    position, direction : (m, 3), sheet frame
+        Point where the ray leaves the sheet and its unit direction; d_z < 0 goes back to the camera's side.
+    flux : (m,)
+        Factor on the radiance at which the ray ends.
+    """
+
+    parent: Rows
+    position: Floats
+    direction: Floats
+    flux: Floats
+
+    def __len__(self) -> int:
+        return len(self.flux)
+
+
+def join_light(*lights: LightRays) -> LightRays:
+    """Concatenate several lists of light."""
+    return LightRays(
+        np.concatenate([light.parent for light in lights]),
+        np.concatenate([light.position for light in lights]),
+        np.concatenate([light.direction for light in lights]),
+        np.concatenate([light.flux for light in lights]),
+    )
+
 
 FAINT = 1e-6
 """Shares below this are not listed."""

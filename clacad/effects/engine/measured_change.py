@@ -8,7 +8,7 @@ from clacad.base.types import Floats
 from clacad.effects.engine.bounds import Situation
 from clacad.effects.engine.camera_light import light_reaching_camera
 from clacad.effects.engine.effect import Declaration
-from clacad.effects.engine.light_rays import LightRays
+from clacad.effects.engine.homogeneous_light import LightRays
 from clacad.effects.engine.passes import trace_with
 from clacad.light.compare import angles
 from clacad.optics.rays import Fate, TraceResult

@@ -21,7 +21,7 @@ from clacad.optics.surface.fresnel_coefficients import deviation, reflected
 from clacad.sheet.cell_places import LensPlaces
 from clacad.sheet.window import Window
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out, lenses, sheet_position
-from clacad.tracing.reference import honeycomb
+from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import (
     ABOVE,
     ASIDE,

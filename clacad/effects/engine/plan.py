@@ -17,8 +17,8 @@ import numpy as np
 from clacad.base.types import Rung
 from clacad.effects import registry
 from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.cheapest_rung import choose_rung
 from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.probe_rays import choose_rung
 from clacad.effects.engine.stand_ins import with_stand_ins, worst_bound
 from clacad.effects.registry import declared, declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult
@@ -26,7 +26,7 @@ from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.effects.engine.light_rays import LightRays
+    from clacad.effects.engine.homogeneous_light import LightRays
     from clacad.scene import Scene
     from clacad.sheet.stack import Stack
 

@@ -99,7 +99,7 @@ class FileKind:
     like : str
         Format that stores a mesh alike; "": its own word.
     text_budget : str
-        Reader (`clacad.base.reading_budgets`) of the text of a file that is too large for OCC; "": no text is read.
+        Reader (`clacad.base.untrusted_files`) of the text of a file that is too large for OCC; "": no text is read.
     older : bool
         Whether words that begin with this one are older words of the same kind.
     readings : str

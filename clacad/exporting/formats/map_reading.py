@@ -37,7 +37,7 @@ from clacad.formats.maps.sag import (
 )
 from clacad.sheet.window import Face, Window, face_height, in_optical_tile, lens_height_and_normal
 from clacad.storage.errors import ExportError, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 SAME = 1e-9
 """Relative difference up to which two numbers of a table are equal; also that of two heights, in pitches."""

@@ -43,7 +43,7 @@ def write_one(job: Job, name: str, window: Window) -> FileRecord:
     from clacad.exporting.formats.records import mesh_facts
     from clacad.formats.mesh.stl import read_stl, write_stl
     from clacad.sheet.volume_and_extent import volume_sum
-    from clacad.storage.overheard import Overheard
+    from clacad.storage.reading import Overheard
 
     path = job.stage.path(name)
     names = [body.name for body in window.bodies]

@@ -1,21 +1,218 @@
-"""Layout of views and tables on sheets of paper: positions, scales, number of sheets."""
+"""Layout of views and tables on sheets of paper: positions, scales, number of sheets.
+
+Boxes on sheets of paper: rows of columns, spread over the sheet, around a title block in the lower right corner.
+
+Notes of a drawing on a non-uniform sheet: the key that makes it non-uniform, and three of its cells, the
+worst included.
+
+The views show the cell in the middle; the STEP file and the table of faces contain every cell.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-from clacad.formats.drawing import differing_cells, drawing_tables, views
-from clacad.formats.drawing.allowances import Allowances, allowances
+from clacad.base.units import millimetres
+from clacad.design.keys import LATTICE, LAW, PAIR
+from clacad.design.sections import AimedAt
+from clacad.formats.drawing import drawing_tables, views
 from clacad.formats.drawing.canvas import Canvas, scale_text
+from clacad.formats.drawing.drawing_tables import table
+from clacad.formats.drawing.notes import Allowances, allowances
 from clacad.formats.drawing.sheet_frame import PAPERS, Heading, frame_box, sheet_frame, title_block
-from clacad.formats.drawing.sheet_packing import Area, Box, largest_empty, pack
+from clacad.formats.drawing.views import mm_text
+from clacad.optics.surface import principal_radii
+from clacad.sheet.own_steps import greatest_steps
+from clacad.sheet.representative_cells import representative_cells
+from clacad.sheet.window import Face, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.feasibility import Feasibility
-    from clacad.sheet.window import Window
+
+
+Size = tuple[float, float]
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom."""
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """Room for boxes, mm: its size, that of the corner at its lower right that is taken, and the least gap."""
+
+    size: Size
+    corner: Size
+    gap: float
+
+
+@dataclass(slots=True)
+class _Column:
+    """Boxes under one another: their numbers, the greatest width, the heights with a gap between each two."""
+
+    numbers: list[int]
+    width: float
+    height: float
+
+
+@dataclass(slots=True)
+class _Row:
+    """Columns next to one another, none higher than the first."""
+
+    columns: list[_Column]
+    height: float
+
+    def width(self, gap: float) -> float:
+        """Of all columns with the gaps between them."""
+        return sum(column.width for column in self.columns) + gap * (len(self.columns) - 1)
+
+
+def pack(sizes: Sequence[Size], order: Sequence[int], area: Area) -> dict[int, Box] | None:
+    """Boxes of one sheet by their numbers, taken in an order; None where they do not fit."""
+    rows: list[_Row] = []
+    for number in order:
+        if not any(_join(row, number, sizes, area) for row in rows):
+            width, height = sizes[number]
+            rows.append(_Row([_Column([number], width, height)], height))
+    return _spread(rows, sizes, area)
+
+
+def _join(row: _Row, number: int, sizes: Sequence[Size], area: Area) -> bool:
+    """Put a box under others of a row, or next to them, where it fits."""
+    width, height = sizes[number]
+    spare = area.size[0] - row.width(area.gap)
+    for column in row.columns:
+        if column.height + area.gap + height <= row.height and width - column.width <= spare:
+            column.numbers.append(number)
+            column.height += area.gap + height
+            column.width = max(column.width, width)
+            return True
+    if height <= row.height and width + area.gap <= spare:
+        row.columns.append(_Column([number], width, height))
+        return True
+    return False
+
+
+def _spread(rows: Sequence[_Row], sizes: Sequence[Size], area: Area) -> dict[int, Box] | None:
+    """Share the room that is left among rows, columns and boxes; the last rows end next to the corner, or above it."""
+    (wide, tall), (taken, low) = area.size, area.corner
+    used = sum(row.height for row in rows) + area.gap * (len(rows) - 1)
+    for bottom in (tall, tall - low - area.gap):
+        if used > bottom + 1e-9:
+            return None
+        between = area.gap + (bottom - used) / max(1, len(rows) - 1)
+        y, placed, fits = 0.0, dict[int, Box](), True
+        for row in rows:
+            room = wide if y + row.height <= tall - low - area.gap + 1e-9 else wide - taken - area.gap
+            fits = fits and row.width(area.gap) <= room + 1e-9
+            placed.update(_row_boxes(row, y, room, sizes))
+            y += row.height + between
+        if fits:
+            return placed
+    return None
+
+
+def _row_boxes(row: _Row, y: float, room: float, sizes: Sequence[Size]) -> dict[int, Box]:
+    """Columns spread over the width, the first at the left; boxes of a column spread over the height of the row."""
+    count = len(row.columns)
+    spare = room - sum(column.width for column in row.columns)
+    step, x = (spare / (count - 1), 0.0) if count > 1 else (0.0, 0.5 * spare)
+    placed = {}
+    for column in row.columns:
+        heights = [sizes[number][1] for number in column.numbers]
+        apart = (row.height - sum(heights)) / (len(heights) - 1) if len(heights) > 1 else 0.0
+        top = y
+        for number, height in zip(column.numbers, heights, strict=True):
+            placed[number] = (x, top, x + sizes[number][0], top + height)
+            top += height + apart
+        x += column.width + step
+    return placed
+
+
+def largest_empty(size: Size, boxes: Sequence[Box]) -> float:
+    """Area of the largest upright rectangle that no box enters, in a rectangle of a given size."""
+    wide, tall = size
+    edges = sorted({0.0, wide, *(box[0] for box in boxes), *(box[2] for box in boxes)})
+    largest = 0.0
+    for left, right in combinations([edge for edge in edges if 0.0 <= edge <= wide], 2):
+        if (right - left) * tall <= largest:
+            continue
+        low = highest = 0.0
+        for top, bottom in sorted((box[1], box[3]) for box in boxes if box[0] < right and box[2] > left):
+            highest = max(highest, top - low)
+            low = max(low, bottom)
+        largest = max(largest, (right - left) * max(highest, tall - low))
+    return largest
+
+
+def differing_key(design: Design) -> str:
+    """The key of a design that makes its sheet non-uniform; "" for a uniform sheet."""
+    asked = {
+        "lattice.aperture.point": isinstance(design.lattice.aperture, AimedAt),
+        LAW.varying: design.law_spec.varying is not None,
+        LATTICE.pitch_2: design.lattice.pitch_2 is not None,
+        PAIR.focus: design.pair.focus is not None,
+    }
+    return next((key for key, present in asked.items() if present), "")
+
+
+def differing_notes(design: Design, window: Window) -> tuple[str, ...]:
+    """Notes that the sheet is non-uniform, by which key, and where all cells are listed; empty for a uniform
+    sheet.
+    """
+    if window.uniform:
+        return ()
+    return (
+        f"The cells differ ({differing_key(design)}): the views show the one nearest the middle, the table the first, that "
+        f"one and the worst of {window.lattice.cell_count:,}. None can stand for another: cut by the STEP file, or by the table "
+        "of faces (--format table), which hold every cell.",
+    )
+
+
+def cells_table(window: Window) -> Canvas:
+    """The first, the middle and the worst cell: positions of cells and lenses, heights of steps; mm."""
+    mm = millimetres(window.unit)
+    faces = _one_face_an_array(window)
+    head = ["cell", "i, j"]
+    for face in faces:
+        head += [f"centre {_lens(face)} x, y", f"apex {_lens(face)} from it x, y", f"step {_lens(face)}"]
+        head += [f"radius {_lens(face)}"] if window.many_sizes else []
+    rows = []
+    for name, index in zip(
+        ("first", "middle", "worst"), representative_cells(window, "drawing"), strict=True
+    ):
+        row = [name, f"{index[0]}, {index[1]}"]
+        for face in faces:
+            assert face.array is not None
+            step = float(greatest_steps(window, face, index[None])[0])
+            apex = window.vertices(face, index)[:2]
+            row += [
+                ", ".join(mm_text(v * mm + 0.0) for v in at)
+                for at in (window.centres(face.array, index), apex)
+            ]
+            row.append(mm_text(step * mm))
+            if window.many_sizes:
+                own = window.in_cell(face, index)
+                row.append(mm_text(own.side * principal_radii(own.surface)[0] * mm))
+        rows.append(row)
+    title = "cells that differ (mm; step: the highest to a neighbour; worst: the lens farthest from the middle of its cell)"
+    return table(title, head, rows)
+
+
+def _one_face_an_array(window: Window) -> list[Face]:
+    """A face of each array, one whose lenses move where any does."""
+    found: dict[int, Face] = {}
+    for face in window.faces:
+        if face.array is not None and (face.array not in found or found[face.array].change is None):
+            found[face.array] = face
+    return [found[array] for array in sorted(found)]
+
+
+def _lens(face: Face) -> str:
+    return f"lens {(face.array or 0) + 1}"
+
 
 ROOM = 3.0
 """Distance from the frame or a neighbour to the content of the sheet, mm."""
@@ -130,10 +327,10 @@ def _sheets(trial: _Trial, window: Window, heading: Heading) -> tuple[Sheet, ...
 def _tables(design: Design, window: Window, study: Mapping[str, Any] | None) -> list[Canvas]:
     """The tables and the notes."""
     allowed, slope = allowances(design), design.body.slope_rms
-    more = differing_cells.differing_notes(design, window)
+    more = differing_notes(design, window)
     return [
         drawing_tables.faces_table(window, allowed), drawing_tables.sag_table(window),
-        *([] if window.uniform else [differing_cells.cells_table(window)]),
+        *([] if window.uniform else [cells_table(window)]),
         *drawing_tables.plate_tables(design, window), drawing_tables.surfaces_table(window, allowed, slope),
         drawing_tables.errors_table(design, window, allowed, study),
         drawing_tables.notes(window, allowed, slope, NOTES, more),

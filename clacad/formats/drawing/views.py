@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.digits import digits
+from clacad.base.text import digits
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.formats.drawing.allowances import NO_ALLOWANCES, Allowances
 from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
 from clacad.formats.drawing.canvas import CHARACTER, Canvas
+from clacad.formats.drawing.notes import NO_ALLOWANCES, Allowances
 from clacad.sheet.feasibility import FaceShape, body_range
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Plate

@@ -13,7 +13,7 @@ import numpy as np
 from clacad.base.types import Ints
 from clacad.formats.maps.gds import LENSLET, GreyCell, require_gdstk, sheet_name
 from clacad.storage.errors import FileDisagrees, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 _LAYER, _BOUNDARY, _ENDLIB = 0x0D02, 0x0800, 0x0400
 

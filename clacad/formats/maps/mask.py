@@ -23,7 +23,7 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 from clacad.storage.archive import Attributes, parse_xml
 from clacad.storage.errors import FileDisagrees, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 DIRECTIONS = 720
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.storage.errors import FileDisagrees, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 Pixels = NDArray[np.uint16] | NDArray[np.float32]
 LARGEST_TIFF = (1 << 32) - (1 << 12)

@@ -21,7 +21,7 @@ from clacad.base.types import Floats
 from clacad.formats.maps.raster import Pixels, read_png, read_tiff, write_png, write_tiff
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height_and_normal
 from clacad.storage.errors import FileDisagrees, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 MOST_SAMPLES = 4_000_000
 BLOCK = 1 << 18

@@ -21,7 +21,7 @@ from clacad.formats.mesh.file_mesh import FileMesh, Part, put
 from clacad.formats.mesh.repeated_pieces import Piece
 from clacad.formats.placements import Placements
 from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 _MAGIC = b"glTF"
 _JSON, _BIN = 0x4E4F534A, 0x004E4942

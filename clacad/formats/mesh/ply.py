@@ -15,7 +15,7 @@ from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece
 from clacad.storage.errors import UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",

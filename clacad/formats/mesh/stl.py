@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.storage.errors import FileDisagrees, UnreadableFile
-from clacad.storage.overheard import Overheard
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Overheard, Spending
 
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 HEADER = 80

@@ -26,9 +26,8 @@ from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Part, put
 from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT, Piece, Places
 from clacad.formats.placements import Placements, joined
 from clacad.storage.archive import Attributes, open_archive, parse_xml
-from clacad.storage.element_runs import NUMBER, WHOLE, ElementRun
 from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import NUMBER, WHOLE, ElementRun, Spending
 
 MOST_PLACES = 4_000_000
 """Largest number of placements of the parts of one file."""

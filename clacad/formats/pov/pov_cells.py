@@ -8,20 +8,53 @@ memory and its time for a ray do not change; only the file grows, and only for t
 Lenses of a uniform sheet keep a small gap to the borders of their cells (`hair`), so that no two share a
 wall. Lenses of a non-uniform sheet overlap their borders slightly, each with an interior of its own. Steps
 make their cells deep, and light that crosses a border in the glass would be reflected by the air of a gap.
+
+Numbers, vectors and placements in the language of POV-Ray.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from clacad.formats.pov.pov_text import GAP, number
+from clacad.base.types import Floats
 from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.lattice import Lattice, runs
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Face, Window
+from clacad.storage.errors import ExportError
+
+GAP = 2e-4
+"""Gap between a lens and each border of its cell, as part of a pitch."""
+
+
+class NotForPov(ExportError):
+    """A sheet that a POV-Ray scene cannot represent; exit status 3."""
+
+    exit_status = 3
+
+
+def number(value: Any) -> str:
+    """A number with all of its digits."""
+    return repr(float(value) + 0.0)
+
+
+def vector(values: Floats) -> str:
+    """A vector."""
+    return "<" + ", ".join(number(v) for v in values) + ">"
+
+
+def colour(values: Sequence[float]) -> str:
+    """A colour of linear light."""
+    return f"rgb <{', '.join(number(v) for v in values)}>"
+
+
+def matrix(rotation: Floats, origin: Floats) -> str:
+    """Placement by its nine elements and a move; POV-Ray multiplies rows from the left."""
+    return "matrix <" + ", ".join(number(v) for v in [*rotation.T.ravel(), *origin]) + ">"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +90,6 @@ def keeps_off(window: Window, array: int) -> float:
 
 
 # -- one cell ----------------------------------------------------------------------------------
-
-
 def prism(
     window: Window,
     array: int,
@@ -101,8 +132,6 @@ def _bounded(lattice: Lattice, units: float, span: HeightRange, room: float = 0.
 
 
 # -- how lenses move from cell to cell ---------------------------------------------------------
-
-
 MOVE = "translate Move"
 """Placeholder of a part for the position of its cell's lens; the number of the way in which lenses move
 follows.
@@ -165,8 +194,6 @@ def _moves(window: Window, units: float) -> Iterator[str]:
 
 
 # -- all cells ---------------------------------------------------------------------------------
-
-
 def rows_of_cells(window: Window) -> Iterator[str]:
     """First kept cell of each row and one past its last; plain lattices need no table."""
     lattice = window.lattice

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.formats.pov.pov_cells import NotForPov, colour, matrix, number, vector
 from clacad.formats.pov.pov_solids import refuse, sheet_lines
-from clacad.formats.pov.pov_text import NotForPov, colour, matrix, number, vector
 from clacad.scene import chess_knight
 from clacad.scene.chess_knight import turned
 from clacad.sheet.window import Window
@@ -222,7 +222,7 @@ def _coordinates(w: float, h: float) -> str:
 
 
 def _mesh(scene: Scene, thing: SceneObject) -> Shapes:
-    from clacad.formats.mesh.scene_object import standing_corners
+    from clacad.formats.mesh.readers import standing_corners
 
     corners = SCALE * standing_corners(scene, thing)
     triangles = " ".join(f"triangle {{ {vector(a)}, {vector(b)}, {vector(c)} }}" for a, b, c in corners)

@@ -16,23 +16,25 @@ import numpy as np
 
 from clacad.formats.pov.pov_cells import (
     HeightRange,
+    NotForPov,
     Substance,
     all_cells,
     all_rows,
     hair,
     in_every_cell,
     keeps_off,
+    matrix,
     moved,
+    number,
     prism,
     rows_of_cells,
     tables,
 )
-from clacad.formats.pov.pov_text import NotForPov, matrix, number
 from clacad.optics.surface import Biconic, Quadric, as_quadric
 from clacad.prescription.cell_heights import faces_that_differ
-from clacad.sheet.gap import array_of
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
+from clacad.sheet.volume_and_extent import array_of
 from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
 
 SAMPLES = 33

@@ -38,7 +38,7 @@ from clacad.formats.sequential.stations import (
 )
 from clacad.sheet.window import Window
 from clacad.storage.errors import NotPossible, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 SLOPE = 1e-13
 """Slope by which a series may differ from the face over its cell."""

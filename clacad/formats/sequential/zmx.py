@@ -37,7 +37,7 @@ from clacad.optics.law import euler_angles, rotation_degrees
 from clacad.sheet.window import Window
 from clacad.storage.atomic import safe_name
 from clacad.storage.errors import NotPossible, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 NO_WAY = "DISZ 0.0"
 """Thickness of a surface at the position of the next one; the only line that is filled in later."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.formats.placements import applied
-from clacad.formats.step.ray_paths import RayPaths, media_of
+from clacad.formats.step.occ_rays import RayPaths, media_of
 from clacad.formats.step.text_health import Scan, patches_of
 from clacad.optics.surface import refract
 from clacad.sheet.window import Face, Window

@@ -1,6 +1,9 @@
 """Reading back of a STEP file: what OCC finds in it, and the distances of its lens faces from the design.
 
 The module does not know how the file was written. Lengths in mm.
+
+A STEP file as triangles, from which the pose of the part is found; and rewriting of its shape in that
+pose.
 """
 
 from __future__ import annotations
@@ -10,11 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clacad.base.reading_budgets import BUDGETS
+from clacad.base.untrusted_files import BUDGETS
+from clacad.formats.step.lens_placements import SheetPlace
 from clacad.formats.step.lenses_on_cells import lens_facts
 from clacad.formats.step.occ_faces import engraved_in, holes_in, occ_lenses, sampled_lenses
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
-from clacad.formats.step.sheet_of_many import SheetPlace
 from clacad.formats.step.text_health import Scan, patch_points, scan_step
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
@@ -141,8 +144,6 @@ def _held(
 
 
 # -- OCC -------------------------------------------------------------------------------------
-
-
 def _occ_facts(
     path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int,
     place: SheetPlace | None = None,
@@ -265,3 +266,68 @@ def _own_shape(path: str) -> Any:
     if not BRepTools.Read_s(shape, path, BRep_Builder()) or shape.IsNull():
         raise UnreadableFile(f"{path}: the CAD kernel cannot read it")
     return shape
+
+
+def facets(path: str, target: str, deflection: float) -> int:
+    """Mesh the solids of a STEP file and write them as binary STL, in millimetres; runs in a worker.
+
+    Parameters
+    ----------
+    path, target : str
+        The STEP file, and the STL file to write.
+    deflection : float, millimetres
+        Largest distance of a facet from its face; corners lie on the faces.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    UnreadableFile
+        The file holds nothing that can be meshed.
+    """
+    from pathlib import Path
+
+    from OCP.BRepMesh import BRepMesh_IncrementalMesh
+    from OCP.StlAPI import StlAPI_Writer
+
+    shape = occ_shape(path)
+    BRepMesh_IncrementalMesh(shape, deflection, False, 0.2, True)
+    writer = StlAPI_Writer()
+    writer.ASCIIMode = False
+    writer.Write(shape, target)
+    written = Path(target)
+    if not written.is_file() or written.stat().st_size <= 84:
+        raise UnreadableFile("the file holds no solid that could be meshed")
+    return written.stat().st_size
+
+
+def set_down(path: str, target: str, turn: Sequence[Sequence[float]], move: Sequence[float]) -> int:
+    """Write the shape of a STEP file rotated and moved, as BREP in millimetres; runs in a worker.
+
+    Parameters
+    ----------
+    path, target : str
+        The STEP file, and the BREP file to write.
+    turn : (3, 3)
+        Proper rotation.
+    move : (3,) millimetres
+        x becomes turn · x + move.
+
+    Returns
+    -------
+    int
+        Bytes written.
+    """
+    from pathlib import Path
+
+    from OCP.BRepTools import BRepTools
+    from OCP.gp import gp_Trsf
+    from OCP.TopLoc import TopLoc_Location
+
+    pose = gp_Trsf()
+    pose.SetValues(*(value for row, at in zip(turn, move, strict=True) for value in (*row, at)))
+    BRepTools.Write_s(occ_shape(path).Moved(TopLoc_Location(pose)), target)
+    return Path(target).stat().st_size

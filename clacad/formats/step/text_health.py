@@ -21,7 +21,7 @@ from clacad.base.types import Floats
 from clacad.formats.step.assembly_text import NUMBER, SHELLS, Assembly, Lookup, PlacedPart, Vectors
 from clacad.formats.step.lens_placements import LensPoints
 from clacad.storage.errors import OverBudget, UnreadableFile
-from clacad.storage.spending import Spending
+from clacad.storage.reading import Spending
 
 # a doubled quote inside a string is read as the end of one and the start of the next; the pattern never
 # backtracks

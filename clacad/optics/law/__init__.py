@@ -7,7 +7,6 @@ form after Oxburgh, White, Antoniou & Courtial 2014).
 
 from __future__ import annotations
 
-from clacad.optics.law.angle import angle_between
 from clacad.optics.law.imaging import apparent_map, image_planes, image_point, stretch, stretch_on_sheet
 from clacad.optics.law.law import (
     Fit,
@@ -17,8 +16,8 @@ from clacad.optics.law.law import (
     linear_numbers,
     with_linear_numbers,
 )
-from clacad.optics.law.orientation import euler_angles, rotation, rotation_degrees
-from clacad.optics.law.planar import refract_2d, small_angle_2d
+from clacad.optics.law.orientation import angle_between, euler_angles, rotation, rotation_degrees
+from clacad.optics.law.refraction import refract_2d, small_angle_2d
 
 __all__ = [
     "Fit",

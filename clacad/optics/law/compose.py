@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.optics.law.angle import angle_between
-from clacad.optics.law.orientation import Axes, euler_angles, rotation
+from clacad.optics.law.orientation import Axes, angle_between, euler_angles, rotation
 
 _ROUNDING = 1e-12  # of |A₁||A₂|: far above the rounding of two matrices, far below any design's intent
 _ACROSS = 1e-6  # cosine of an optical axis perpendicular to the light, with its rounding

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.facet_vectors import lengths
+from clacad.base.arrays import lengths
 from clacad.base.types import Floats
-from clacad.optics.law.angle import angle_between, is_direction, power_of_two_scaled
 from clacad.optics.law.compose import LawParameters, candidate_axes, decompose
+from clacad.optics.law.orientation import angle_between, is_direction, power_of_two_scaled
 
 NAMES = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
 NO_POWER = "the exit directions do not depend on the incoming ones along an axis: eta is infinite"

@@ -3,6 +3,8 @@
 The camera is at a distance D before the sheet (z < 0) and looks towards +z. Light is followed from
 the camera, so the law's incoming side is the camera's. Imaging by generalized sheets: Oxburgh &
 Courtial, J. Opt. Soc. Am. A 30, 2334 (2013).
+
+Closed forms of a thin pair: δ that sends a cell's light to a given point, and the spot's width.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.pairs import two_product, two_sum
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Pair2
 from clacad.optics.law.law import Law
 
 
@@ -163,3 +165,34 @@ def _over(numerator: Floats, camera_distance: float, z: Floats, law: Law) -> Flo
     total, rest = two_sum(product, z)
     with np.errstate(divide="ignore"):  # the pole itself has a value: infinity
         return np.asarray(numerator * eta / (total + (rest + low)))
+
+
+def deltas_to(law: Law, ways: Floats, distance: float) -> Floats:
+    """δ (n, 2) that sends light along the normal to points `ways` (n, 2) of a screen at `distance`, lengths.
+
+    t' = −δ/η, so δ = −η way/Z, along the lens axes of an upright sheet.
+    """
+    scale = np.array([law.eta_x, law.eta_y])
+    return np.asarray(-(ways @ law.rotation[:2, :2]) * scale / distance)
+
+
+def spot_widths(
+    law: Law, pitch: Pair2, distance: float, source: float, wavelength: float
+) -> tuple[Pair2, Pair2, Pair2]:
+    """Full widths (lengths) of a cell's spot on a screen along the lens axes, by cell, source, diffraction.
+
+    |η| p; 2 Z α/|η| for a source of half angle α (radians); λ Z/(|η| p).
+
+    Parameters
+    ----------
+    law : Law
+    pitch : (2,) lengths
+    distance, wavelength : float, lengths
+    source : float, radians
+    """
+    scale = np.abs([law.eta_x, law.eta_y])
+    beam = scale * np.array(pitch)
+    x, y, z = (
+        tuple(v.tolist()) for v in (beam, 2.0 * distance * source / scale, wavelength * distance / beam)
+    )
+    return x, y, z

@@ -20,11 +20,11 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Bools, Floats
-from clacad.optics.surface.even_terms import even_terms
 from clacad.optics.surface.quadric import Columns
 from clacad.optics.surface.sag_and_normal import (
     ULP,
     EvenPolynomial,
+    even_terms,
     lateral_gradient,
     lateral_square,
     slope_terms,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals
 from clacad.base.types import Bools, Floats, Ints
 from clacad.rendering.scene_arrays import (
     BOX,

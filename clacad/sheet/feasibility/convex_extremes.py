@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from clacad.base.arrays import distinct
 from clacad.base.types import Bools, Floats
-from clacad.base.unique_rows import distinct
 
 Heights = Callable[[Floats, Floats], Floats]
 """A function of cell-frame x and y, (n,) lengths each; NaN where it has no value."""

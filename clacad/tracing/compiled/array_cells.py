@@ -3,15 +3,20 @@
 Uniform sheets read one set of numbers; non-uniform sheets read `OwnCells`. Argument types decide which:
 kernels for uniform sheets are compiled without the code that reads `OwnCells`.
 Compared with `clacad.sheet.cell_places` and `clacad.tracing.reference.launch.cell_in`.
+
+Compiled twins of `clacad.sheet.plate_edges`: whether a point lies in a plate, and the next edge that a ray
+crosses.
 """
 
 from __future__ import annotations
 
+from math import copysign, inf, sqrt
 from typing import NamedTuple
 
 from clacad.base.compiled import exact, inlined
 from clacad.base.compiled_pairs import pair_sum, two_product, two_sum
 from clacad.base.types import Floats
+from clacad.sheet.edge_columns import CX, CY, RADIUS, SENSE, X0, X1, Y0, Y1
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.cells import kept, locate, relocate, to_array
 from clacad.tracing.compiled.packing import OwnCells, Packed
@@ -163,3 +168,65 @@ def _into_own(lattices: Floats, of: int, array: int, i: float, j: float, x: floa
     h, e = two_sum(here[slot.SHIFT + 2 * of + 1], -here[slot.SHIFT + 2 * array + 1])
     yh, yl = pair_sum(yh, yl, h, e)
     return locate(there, xh, xl, yh, yl)
+
+
+@exact
+def in_plate(edges: Floats, x: float, y: float) -> bool:
+    """Whether a point lies in the material that edges (e, EDGE_NUMBERS) bound; see `clacad.sheet.plate_edges.inside`."""
+    found = False
+    for n in range(len(edges)):
+        low, high = edges[n, Y0] <= y, edges[n, Y1] <= y
+        sense = edges[n, SENSE]
+        if low == high and sense == 0.0:
+            continue
+        left = _left(edges, n, x, y)
+        if low != high and (left == low):
+            found = not found
+        if sense != 0.0 and left == (sense < 0.0):
+            u, v = x - edges[n, CX], y - edges[n, CY]
+            if u * u + v * v < edges[n, RADIUS] * edges[n, RADIUS]:
+                found = not found
+    return found
+
+
+@exact
+def next_edge(edges: Floats, x: float, y: float, L: float, M: float, after: float) -> float:
+    """Least distance beyond `after` at which a ray's projection on the sheet crosses an edge; infinite
+    without one.
+    """
+    nearest = inf
+    for n in range(len(edges)):
+        u, v = edges[n, X1] - edges[n, X0], edges[n, Y1] - edges[n, Y0]
+        px, py = x - edges[n, X0], y - edges[n, Y0]
+        if edges[n, SENSE] == 0.0:
+            speed = u * M - v * L
+            if speed == 0.0:
+                continue
+            t = -(u * py - v * px) / speed
+            along = (px + t * L) * u + (py + t * M) * v
+            if after < t < nearest and 0.0 <= along <= u * u + v * v:
+                nearest = t
+            continue
+        px, py = x - edges[n, CX], y - edges[n, CY]
+        square, half = L * L + M * M, px * L + py * M
+        rest = px * px + py * py - edges[n, RADIUS] * edges[n, RADIUS]
+        disc = half * half - square * rest
+        if square == 0.0 or not disc >= 0.0:
+            continue
+        q = -(half + copysign(sqrt(disc), half))
+        for k in range(2):
+            if k == 0 and q == 0.0:
+                continue
+            t = rest / q if k == 0 else q / square
+            if after < t < nearest and _left(edges, n, x + t * L, y + t * M) == (edges[n, SENSE] < 0.0):
+                nearest = t
+    return nearest
+
+
+@exact
+def _left(edges: Floats, n: int, x: float, y: float) -> bool:
+    """Whether a point lies to the left of the chord of an edge."""
+    return bool(
+        (edges[n, X1] - edges[n, X0]) * (y - edges[n, Y0])
+        > (edges[n, Y1] - edges[n, Y0]) * (x - edges[n, X0])
+    )

@@ -7,11 +7,10 @@ from math import copysign, inf, isnan, nan, sqrt
 from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import apex, into_array, row_of
+from clacad.tracing.compiled.array_cells import apex, in_plate, into_array, next_edge, row_of
 from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy
 from clacad.tracing.compiled.face import height, lens_roots
 from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.plate import in_plate, next_edge
 from clacad.tracing.compiled.records import (
     BASE,
     CELL,

@@ -57,7 +57,7 @@ def _lateral(
 
 @exact
 def _even_terms(faces: Floats, row: int, xx: float, yy: float) -> tuple[float, float, float]:
-    """Height of the terms, and its slopes over x and y, from x² and y²; see `clacad.optics.surface.even_terms`."""
+    """Height of the terms, and its slopes over x and y, from x² and y²; see `clacad.optics.surface.sag_and_normal`."""
     a, b, c = faces[row, slot.A40], faces[row, slot.A22], faces[row, slot.A04]
     height, px, py = (
         xx * (a * xx + b * yy) + yy * (c * yy),

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from clacad.base.text import whole_number
 from clacad.base.types import Floats, Rows
-from clacad.base.whole_numbers import whole_number
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.ledger import Ledger

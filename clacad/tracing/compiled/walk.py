@@ -10,7 +10,7 @@ from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import into_array, row_of, vertex
-from clacad.tracing.compiled.cells import kept, less_steps, sheet_xy
+from clacad.tracing.compiled.cells import ARRIVING, INSIDE, LEAVING, kept, less_steps, quick_change, sheet_xy
 from clacad.tracing.compiled.column import box_span, first_change, in_footprint
 from clacad.tracing.compiled.face import meet, snell, to_lens, to_sheet, upward
 from clacad.tracing.compiled.packing import Packed
@@ -46,7 +46,6 @@ from clacad.tracing.compiled.records import (
     Y,
     Z,
 )
-from clacad.tracing.compiled.solid_body_short_cut import ARRIVING, INSIDE, LEAVING, quick_change
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 from clacad.tracing.triangles.compiled_hierarchy import first_soup_change
 from clacad.tracing.triangles.compiled_tiles import first_facet_change
@@ -345,7 +344,7 @@ def _cross_gap(sheet: Packed, b: int, w: Floats) -> tuple[float, int]:
 
 @exact
 def reach(lat: Floats, x: float, y: float, u: float, v: float, i: float, j: float) -> float:
-    """How far along the gap a ray gets before it meets the honeycomb; see `clacad.tracing.reference.honeycomb`."""
+    """How far along the gap a ray gets before it meets the honeycomb; see `clacad.tracing.reference.launch`."""
     u, v = less_steps(lat, u, v, -i, -j)
     first = inf
     for n in range(int(lat[slot.BORDERS])):

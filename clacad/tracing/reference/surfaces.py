@@ -18,7 +18,7 @@ from clacad.optics.rays import Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
-from clacad.tracing.reference import honeycomb
+from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.face import height, in_zone, well_inside
 from clacad.tracing.reference.facets import meet_face
 from clacad.tracing.reference.launch import Beam, launch, on_to, sheet_xy, to_array

@@ -20,7 +20,7 @@ from clacad.sheet.lattice import Circle, Rectangle, less_steps
 from clacad.sheet.plate import Plate
 from clacad.tracing.layout import Layout, array_numbers, sheet_position
 from clacad.tracing.ledger import Ledger
-from clacad.tracing.reference import honeycomb
+from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import along_normal
 from clacad.tracing.reference.face import in_zone
 from clacad.tracing.reference.launch import Beam, box_span, launch, sheet_xy, to_array

@@ -17,7 +17,7 @@ from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP, refract
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
-from clacad.tracing.reference import honeycomb
+from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import (
     ABOVE,
     ASIDE,

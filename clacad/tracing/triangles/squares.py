@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.window import WALL
 from clacad.tracing.triangles.hierarchy import COUNT, FIRST, Hierarchy

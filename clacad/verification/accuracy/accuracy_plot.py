@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
-from clacad.verification.accuracy.accuracy_row import AccuracyRow, pareto
-from clacad.verification.accuracy.error_and_seconds import AccuracyTable
+from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable, pareto
 
 SIZE = (10.4, 6.2)
 AXES = (0.07, 0.3, 0.985, 0.9)

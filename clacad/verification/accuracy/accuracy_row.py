@@ -1,13 +1,21 @@
-"""One row of the accuracy table, a rung at a setting with its error and its seconds, and the front of the rows."""
+"""One row of the accuracy table, a rung at a setting with its error and its seconds, and the front of the rows.
+
+Conclusion of an accuracy table in up to three sentences: cost of exact faces, value of a mesh, the exact file.
+
+The accuracy table: rows of error and time, the cheapest sufficient row, and the conclusion.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
+
+if TYPE_CHECKING:
+    from clacad.verification.accuracy.file_floors import Floor
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,3 +108,159 @@ def pareto(rows: Sequence[AccuracyRow]) -> tuple[AccuracyRow, ...]:
         if isfinite(row.model_rms) and (not front or row.model_rms < front[-1].model_rms):
             front.append(row)
     return tuple(front)
+
+
+def conclusion(rows: Sequence[AccuracyRow], floors: Sequence[Floor] = ()) -> str:
+    """Conclusion of the rows of a table in words; for a non-uniform sheet from the rows of the sheet itself.
+
+    Parameters
+    ----------
+    rows : sequence of AccuracyRow
+        Their errors (radians) and seconds are the only numbers used.
+    floors : sequence of Floor
+        Least error of each family of file formats.
+    """
+    own = any(row.own_cells for row in rows)
+    traced = [row for row in rows if row.own_cells == own and row.rung != "step"]
+    return " ".join(text for text in (_exact(traced), _mesh(traced), _files(rows, floors)) if text)
+
+
+def _exact(rows: Sequence[AccuracyRow]) -> str:
+    exact, law = _row(rows, "surfaces"), _row(rows, "law")
+    if exact is None:
+        return ""
+    cost = ""
+    if law is not None and law.seconds > 0.0 and exact.seconds > 0.0:
+        cost = f"cost {exact.seconds_per_ray / law.seconds_per_ray:.2g} × the law and "
+    if not isfinite(exact.model_rms):
+        return f"Exact faces {cost}were not compared with a trace of more digits."
+    return f"Exact faces {cost}are within {_mrad(exact.model_rms)} mrad rms of a 50-digit trace."
+
+
+def _mesh(rows: Sequence[AccuracyRow]) -> str:
+    exact, meshes = _row(rows, "surfaces"), [row for row in rows if row.rung == "mesh"]
+    known = [row for row in meshes if isfinite(row.model_rms)]
+    if not known or exact is None or exact.seconds <= 0.0:
+        return ""
+    worth = [row for row in pareto(rows) if row.rung == "mesh"]
+    best = min(worth or known, key=lambda row: row.model_rms)
+    what = f"{best.quads} quads a cell side with {best.normals} normals"
+    cost = f"{best.seconds_per_ray / exact.seconds_per_ray:.2g} × the time of exact faces and leaves {_mrad(best.model_rms)} mrad"
+    if worth:
+        return f"A mesh is worth tracing for speed alone: {what} takes {cost}."
+    return f"No mesh is worth tracing, for each is beaten in both error and time: the most exact, {what}, takes {cost}."
+
+
+def _files(rows: Sequence[AccuracyRow], floors: Sequence[Floor]) -> str:
+    from clacad.exporting.formats import stl
+    from clacad.exporting.limits import size_text
+
+    step = _row(rows, "step")
+    faceted = [
+        one
+        for one in floors
+        if one.normals == "facet" and one.floor is not None and stl.WORD in one.formats.split(", ")
+    ]
+    parts = []
+    if step is not None and isfinite(step.model_rms):
+        size = "" if step.file_bytes is None else f" in {size_text(step.file_bytes)}"
+        parts.append(f"STEP is within {_mrad(step.model_rms)} mrad{size}")
+    parts += [f"STL comes no closer than {_mrad(one.floor)} mrad at any size" for one in faceted[:1]]
+    return f"Of files, {'; '.join(parts)}." if parts else ""
+
+
+def _row(rows: Sequence[AccuracyRow], rung: str) -> AccuracyRow | None:
+    return next((row for row in rows if row.rung == rung and row.float == "f64"), None)
+
+
+def _mrad(radians: float) -> str:
+    return f"{1e3 * radians:.2g}"
+
+
+MOST_DISAGREEMENT = 0.01
+"""Largest share of rays with another fate or order than the truth at which a setting may be chosen."""
+
+
+class TargetOutOfReach(ValueError):
+    """No setting reaches the requested error; exit status 3."""
+
+    exit_status = 3
+
+
+@dataclass(frozen=True)
+class AccuracyTable:
+    """Result of `clacad.accuracy`.
+
+    Parameters
+    ----------
+    design : str
+    rows : tuple of AccuracyRow
+    reference : mapping
+        The 50-digit check of the truth: rays, rms, max.
+    floors : tuple of Floor
+        Limit of useful refinement: for each family of file formats the best facet grid and its error.
+    notes : tuple of str
+    """
+
+    design: str
+    rows: tuple[AccuracyRow, ...]
+    reference: Mapping[str, float]
+    floors: tuple[Floor, ...] = ()
+    notes: tuple[str, ...] = ()
+    target: float | None = None
+    rays: int = field(default=0)
+
+    def __repr__(self) -> str:
+        return f"AccuracyTable({self.design!r}, {len(self.rows)} settings, {self.rays} rays each)"
+
+    def cheapest(
+        self, target: float, rays: int | None = None, rungs: Sequence[str] | None = None
+    ) -> AccuracyRow:
+        """Row with the least predicted seconds and `model_rms` within `target`; of the sheet itself if non-uniform.
+
+        Parameters
+        ----------
+        target : float, radians
+        rays : int or None
+            Number of rays to trace; default as in the table.
+        rungs : sequence of str or None
+            Only these rungs.
+
+        Raises
+        ------
+        TargetOutOfReach
+            The message names the closest row.
+        """
+        count = rays or max((row.rays for row in self.rows), default=1)
+        own = any(row.own_cells for row in self.rows)
+        open_to = [row for row in self.rows if (rungs is None or row.rung in rungs) and row.own_cells == own]
+        good = [row for row in open_to if row.model_rms <= target and row.disagree <= MOST_DISAGREEMENT]
+        if good:
+            return min(good, key=lambda row: (row.predicted_seconds(count), row.model_rms))
+        closest = min(open_to, key=lambda row: (row.disagree > MOST_DISAGREEMENT, row.model_rms))
+        raise TargetOutOfReach(
+            f"no setting is within {1e3 * target:.4g} mrad; the closest is {closest.rung} {closest.setting} with "
+            f"{1e3 * closest.model_rms:.4g} mrad and {closest.disagree:.2%} of the rays in another fate"
+        )
+
+    def pareto(self) -> tuple[AccuracyRow, ...]:
+        """Rows for which no other row is better in both error and seconds, cheapest first."""
+        return pareto(self.rows)
+
+    @property
+    def conclusion(self) -> str:
+        """Conclusion of the measured rows in words."""
+        return conclusion(self.rows, self.floors)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        return {
+            "format": 1,
+            "design": self.design,
+            "conclusion": self.conclusion,
+            "reference": plain(self.reference),
+            "rows": [row.to_dict() for row in self.rows],
+            "pareto": [self.rows.index(row) for row in self.pareto()],
+            "floors": [plain(floor.to_dict()) for floor in self.floors],
+            "notes": list(self.notes),
+        }

@@ -11,8 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress, silent
-from clacad.verification.accuracy.accuracy_row import AccuracyRow
-from clacad.verification.accuracy.error_and_seconds import AccuracyTable, TargetOutOfReach
+from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable, TargetOutOfReach
 
 if TYPE_CHECKING:
     from clacad.design import Design

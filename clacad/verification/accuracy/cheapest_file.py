@@ -15,8 +15,8 @@ from clacad.base.text import plain
 from clacad.exporting.formats.registry import format_of, formats
 from clacad.exporting.limits import MOST_BYTES, size_text
 from clacad.storage.errors import ExportError
+from clacad.verification.accuracy.accuracy_row import TargetOutOfReach
 from clacad.verification.accuracy.choose_setting import MOST_QUADS, SAFE
-from clacad.verification.accuracy.error_and_seconds import TargetOutOfReach
 from clacad.verification.accuracy.file_floors import Floor
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: flo
 def _step(design: Design, window: Window, target: float) -> list[FileWithin]:
     """The STEP file, where the bodies can be solids and its size is allowed."""
     from clacad.exporting.formats import step
-    from clacad.formats.step.step_mode import chosen_mode
+    from clacad.formats.step.step_files import chosen_mode
     from clacad.topology.cannot_build import CannotBuild
 
     if target < STEP_ERROR:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Literal
 from clacad.exporting.formats.registry import format_of
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
-from clacad.verification.accuracy.error_and_seconds import TargetOutOfReach
+from clacad.verification.accuracy.accuracy_row import TargetOutOfReach
 from clacad.verification.accuracy.file_floors import (
+    EXACT,
     FAMILIES,
     SMALL,
     Family,
@@ -23,7 +24,6 @@ from clacad.verification.accuracy.file_floors import (
     family_floor,
     probe,
 )
-from clacad.verification.accuracy.file_rounding import EXACT
 
 if TYPE_CHECKING:
     from clacad.design import Design

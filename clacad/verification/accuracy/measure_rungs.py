@@ -223,7 +223,7 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     from clacad.mesh import tessellate
     from clacad.sheet.representative_cells import representative_cells
     from clacad.tracing.trace import trace
-    from clacad.verification.accuracy.file_rounding import EXACT, rounded
+    from clacad.verification.accuracy.file_floors import EXACT, rounded
 
     window, rays = ladder.window, ladder.rays
     began = time.process_time()

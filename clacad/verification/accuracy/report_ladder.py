@@ -34,7 +34,7 @@ tilted lenses and hexagons cost more; another machine scales all points alike.
 class Ladder:
     """Rows of the ladder, their forecast microseconds per ray, and the error of the truth itself.
 
-    rows : tuple of clacad.verification.accuracy.error_and_seconds.AccuracyRow
+    rows : tuple of clacad.verification.accuracy.accuracy_row.AccuracyRow
     forecast : tuple of float, microseconds
     reference : float, radians
         Rms of the truth against a trace in 50 digits.
@@ -47,7 +47,7 @@ class Ladder:
     @property
     def conclusion(self) -> str:
         """Conclusion from the errors and the forecast of the time, in words."""
-        from clacad.verification.accuracy.conclusion import conclusion
+        from clacad.verification.accuracy.accuracy_row import conclusion
 
         rows = [
             replace(row, seconds=1e-6 * us * row.rays)

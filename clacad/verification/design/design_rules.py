@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.digits import digits
-from clacad.base.text import count_text
+from clacad.base.text import count_text, digits
 from clacad.design.keys import PAIR
-from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.own_steps import highest_step
 from clacad.sheet.representative_cells import representative_cells
+from clacad.sheet.vignetting import order_steps
 from clacad.sheet.window import Window
 from clacad.verification.allowances import accepted
 from clacad.verification.check_kinds.light import FIELD, FRESNEL_NUMBER, ORDERS, RESIDUAL

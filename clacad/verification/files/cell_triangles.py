@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.facet_vectors import doubled_normals, lengths, middles
+from clacad.base.arrays import doubled_normals, lengths, middles
 from clacad.base.types import Floats, Ints
 from clacad.exporting.compare import rounding
 from clacad.exporting.compare_instances import levels as levels

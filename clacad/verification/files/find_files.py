@@ -11,7 +11,7 @@ from clacad.exporting.formats.registry import kind_ending, kind_of, kinds, witho
 from clacad.exporting.roles import WORDS, Role
 from clacad.storage.atomic import MANIFEST, file_hash, read_manifest
 from clacad.storage.errors import BadRequest
-from clacad.storage.overheard import Overheard
+from clacad.storage.reading import Overheard
 from clacad.verification.check_kinds.files import DESIGN, INTEGRITY
 from clacad.verification.checks import Check
 from clacad.verification.files.stranger_words import believable, is_there, shown_name

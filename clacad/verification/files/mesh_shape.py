@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats
 from clacad.formats.mesh.closed_stream import Measure
 from clacad.sheet.like_cell import like_cell

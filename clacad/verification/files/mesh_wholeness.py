@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.arrays import distinct
 from clacad.base.text import count_text
 from clacad.base.types import Floats
-from clacad.base.unique_rows import distinct
 from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes, welded
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.sheet.feasibility import body_facts
-from clacad.sheet.pieces_and_holes import connect
+from clacad.sheet.feasibility.bodies import connect
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.verification.check_kinds.files import CLOSED, PIECES, SCALE

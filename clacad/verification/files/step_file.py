@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clacad.design import Design
-    from clacad.formats.step.sheet_of_many import SheetPlace
+    from clacad.formats.step.lens_placements import SheetPlace
     from clacad.storage.worker import Worker
 
 SHAPE_LIMIT = 1e-7

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.optics.parabasal import STEP, parabasal
 from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import STEP, parabasal
 from clacad.sheet.asked_focus import asked_power
 from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import PLANE, Window

@@ -14,9 +14,8 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.light.measure import Light
-from clacad.optics.parabasal import STEP
 from clacad.optics.rays import Fate, Rays
-from clacad.optics.sequence import Interface, trace_sequence
+from clacad.optics.sequence import STEP, Interface, trace_sequence
 from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle
 from clacad.sheet.telescopelet import interfaces

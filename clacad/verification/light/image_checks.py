@@ -10,7 +10,7 @@ import numpy as np
 
 from clacad.base.types import Pair2
 from clacad.imaging.image_by_rays import image, lens_plane
-from clacad.optics.law.beam_shaping import spot_widths
+from clacad.optics.law.imaging import spot_widths
 from clacad.sheet.window import Window
 from clacad.verification.check_kinds.light import IMAGE_POINT, SPOT
 from clacad.verification.checks import Check

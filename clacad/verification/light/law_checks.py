@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.digits import digits
+from clacad.base.text import digits
 from clacad.base.types import Floats
 from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
 from clacad.optics.rays import Fate

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.mesh.file_mesh import FileMesh

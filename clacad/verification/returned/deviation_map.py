@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.arrays import doubled_normals
 from clacad.base.drawn_figure import drawn, no_formula
-from clacad.base.facet_vectors import doubled_normals
 from clacad.base.text import plain, printable
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres

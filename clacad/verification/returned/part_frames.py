@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.facet_vectors import doubled_normals
+from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.verification.files.face_distance import STEEP

@@ -103,7 +103,7 @@ def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float
 
     with reading_worker(subject.path) as worker:
         worker.run(
-            "clacad.formats.step.step_triangles:facets", str(subject.path), str(target), deflection, timeout=longest_wait(subject.path),
+            "clacad.formats.step.read_back:facets", str(subject.path), str(target), deflection, timeout=longest_wait(subject.path),
             progress=asked.progress,
         )  # fmt: skip
     return replace(read_mesh(target), format=STEP, unit=MILLIMETRE)
@@ -125,7 +125,7 @@ def _through_faces(asked: Inspection, placed: Placed, subject: Subject, target: 
     try:
         with reading_worker(subject.path) as worker:
             worker.run(
-                "clacad.formats.step.step_triangles:set_down", str(subject.path), str(target), pose.turn.tolist(),
+                "clacad.formats.step.read_back:set_down", str(subject.path), str(target), pose.turn.tolist(),
                 (pose.move * millimetres(asked.design.unit_m)).tolist(), timeout=longest_wait(subject.path), progress=asked.progress,
             )  # fmt: skip
     except (ExportError, OSError) as error:

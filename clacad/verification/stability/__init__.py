@@ -7,7 +7,13 @@ ulp (2⁻⁵²). The answers, the conditions and the textbook's errors were comp
 
 from __future__ import annotations
 
-from clacad.verification.stability.measure_cases import Row, hard_cases, stability_table
-from clacad.verification.stability.show_table import as_dict, as_markdown, as_text
+from clacad.verification.stability.measure_cases import (
+    Row,
+    as_dict,
+    as_markdown,
+    as_text,
+    hard_cases,
+    stability_table,
+)
 
 __all__ = ["Row", "as_dict", "as_markdown", "as_text", "hard_cases", "stability_table"]

@@ -21,8 +21,12 @@ if TYPE_CHECKING:
     from clacad.verification.tolerance.parameter_sweep import Sweep, parse_vary, sweep
     from clacad.verification.tolerance.perturbations import Parameter, draw, parameters
     from clacad.verification.tolerance.study import NoTolerances, Study, tolerance
-    from clacad.verification.tolerance.study_files import write_study, write_sweep
-    from clacad.verification.tolerance.study_plots import plot_sweep, plot_tolerances
+    from clacad.verification.tolerance.study_files import (
+        plot_sweep,
+        plot_tolerances,
+        write_study,
+        write_sweep,
+    )
 
 _HOME = {
     "Checkpoint": "checkpoint", "OtherStudy": "checkpoint", "NoTolerances": "study", "Farm": "farm",

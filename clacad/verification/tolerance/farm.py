@@ -22,8 +22,8 @@ from time import monotonic
 from typing import Any, Protocol, cast
 
 from clacad import __version__
-from clacad.base.whole_numbers import whole_number
-from clacad.storage.child_path import safe_children
+from clacad.base.text import whole_number
+from clacad.storage.worker import safe_children
 
 Work = Callable[[str, Any], list[Any]]
 """Takes a study as text and a piece of it; must be a module-level function, so that other processes can import it."""

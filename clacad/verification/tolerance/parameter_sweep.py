@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from clacad import __version__
 from clacad.base import units
+from clacad.base.text import whole_number
 from clacad.base.types import Floats, Progress
-from clacad.base.whole_numbers import whole_number
 from clacad.config.toml_text import toml_value
 from clacad.formats.study_file import FORMAT
 from clacad.optics.rays import Fate
