@@ -71,9 +71,17 @@ def examine(folder: str | os.PathLike[str] = ".") -> tuple[Diagnosis, ...]:
     tuple of Diagnosis
     """
     return (
-        *_versions(), *_packages(), *_occ(), *_memory(), *_disk(Path(folder)), *_cache(), *_rates(), *_threads(), *_fonts(),
+        *_versions(),
+        *_packages(),
+        *_occ(),
+        *_memory(),
+        *_disk(Path(folder)),
+        *_cache(),
+        *_rates(),
+        *_threads(),
+        *_fonts(),
         *_readers(),
-    )  # fmt: skip
+    )
 
 
 def sound(findings: tuple[Diagnosis, ...]) -> bool:
@@ -87,9 +95,16 @@ def _versions() -> Iterator[Diagnosis]:
     yield Diagnosis("packages", "clacad", "ok", __version__, "")
     old = sys.version_info < (3, 11)
     yield Diagnosis(
-        "packages", "python", "fail" if old else "ok", platform.python_version(),
-        "3.11 or later is needed" if old else f"{platform.python_implementation()}, {platform.system()} {platform.machine()}",
-    )  # fmt: skip
+        "packages",
+        "python",
+        "fail" if old else "ok",
+        platform.python_version(),
+        (
+            "3.11 or later is needed"
+            if old
+            else f"{platform.python_implementation()}, {platform.system()} {platform.machine()}"
+        ),
+    )
 
 
 # -- packages ---------------------------------------------------------------------------------------
@@ -108,8 +123,9 @@ def _packages() -> Iterator[Diagnosis]:
             purpose = "needed" if extra is None else f"extra '{extra}'"
             yield Diagnosis("packages", name, state, None, f"not installed ({purpose}): {install}")
         elif not satisfies(found, bounds):
-            yield Diagnosis("packages", name, "fail" if extra is None else "warn", found,
-                          f"{bounds} is needed: {install}")  # fmt: skip
+            yield Diagnosis(
+                "packages", name, "fail" if extra is None else "warn", found, f"{bounds} is needed: {install}"
+            )
         else:
             yield Diagnosis("packages", name, "ok", found, bounds if extra is None else f"extra '{extra}'")
 
@@ -203,7 +219,9 @@ def _occ() -> Iterator[Diagnosis]:
 
 
 def _fonts() -> Iterator[Diagnosis]:
-    """The one font of plots and reports travels with matplotlib; it is looked for without loading matplotlib."""
+    """The one font of plots and reports travels with matplotlib; it is looked for without loading
+    matplotlib.
+    """
     from importlib.util import find_spec
 
     spec = find_spec("matplotlib")
@@ -214,9 +232,13 @@ def _fonts() -> Iterator[Diagnosis]:
             yield Diagnosis("fonts", "DejaVu Sans", "ok", str(font), "text of plots and reports")
             return
     yield Diagnosis(
-        "fonts", "DejaVu Sans", "warn", None, "not found: text in plots falls back to another font, and "
+        "fonts",
+        "DejaVu Sans",
+        "warn",
+        None,
+        "not found: text in plots falls back to another font, and "
         "pictures are no longer the same bytes as elsewhere",
-    )  # fmt: skip
+    )
 
 
 # -- memory, threads, disk, cache ---------------------------------------------------------------------
@@ -228,10 +250,16 @@ def _memory() -> Iterator[Diagnosis]:
     free = free_memory()
     low = free < LEAST_MEMORY
     yield Diagnosis(
-        "memory", "free", "warn" if low else "ok", free,
-        "the CAD kernel may starve: close other programs, or export with fewer --cells" if low
-        else "exports that would take more than 80 % of it are refused beforehand",
-    )  # fmt: skip
+        "memory",
+        "free",
+        "warn" if low else "ok",
+        free,
+        (
+            "the CAD kernel may starve: close other programs, or export with fewer --cells"
+            if low
+            else "exports that would take more than 80 % of it are refused beforehand"
+        ),
+    )
 
 
 def _threads() -> Iterator[Diagnosis]:
@@ -276,9 +304,12 @@ def _disk(folder: Path) -> Iterator[Diagnosis]:
         return
     slow = speed < LEAST_SPEED
     yield Diagnosis(
-        "disk", "writing", "warn" if slow else "ok", round(speed),
+        "disk",
+        "writing",
+        "warn" if slow else "ok",
+        round(speed),
         "bytes per second, flushed" + ("; slow: prefer a local folder" if slow else ""),
-    )  # fmt: skip
+    )
 
 
 def kernel_cache() -> tuple[Path | None, list[Path]]:
@@ -320,9 +351,13 @@ def _cache() -> Iterator[Diagnosis]:
     place, kept = kernel_cache()
     if place is None:
         yield Diagnosis(
-            "cache", "kernels", "warn", None, "no folder for compiled kernels can be written: they are compiled "
+            "cache",
+            "kernels",
+            "warn",
+            None,
+            "no folder for compiled kernels can be written: they are compiled "
             "again by every command; set NUMBA_CACHE_DIR to a folder that can",
-        )  # fmt: skip
+        )
         return
     size = sum(path.stat().st_size for path in kept)
     many = f"{len(kept)} compiled, {size / 1e6:.1f} MB" if kept else "none yet; the first trace compiles them"
@@ -337,9 +372,12 @@ def _rates() -> Iterator[Diagnosis]:
     rates = Rates.here()
     if rates.path is None or not rates.path.is_file():
         yield Diagnosis(
-            "rates", "seconds seen", "warn", None, "are not kept: forecasts stay wide; set CLACAD_CACHE_DIR to a "
-            "folder that can be written",
-        )  # fmt: skip
+            "rates",
+            "seconds seen",
+            "warn",
+            None,
+            "are not kept: forecasts stay wide; set CLACAD_CACHE_DIR to a folder that can be written",
+        )
     else:
         yield Diagnosis(
             "rates", "seconds seen", "ok", str(rates.path), "kept for forecasts; delete it to start anew"
@@ -366,7 +404,8 @@ def _readers() -> Iterator[Diagnosis]:
             said.append(f"{budget.items:,} {budget.item}")
         if budget.seconds is not None:
             said.append(
-                f"{budget.seconds:g} s of processor time and {budget.seconds_per_megabyte:g} s more a megabyte"
+                f"{budget.seconds:g} s of processor time and {budget.seconds_per_megabyte:g} s more a"
+                " megabyte"
             )
         if budget.memory is not None:
             said.append(

@@ -17,14 +17,32 @@ if TYPE_CHECKING:
     from clacad.advice.wish import Wish
 
 __all__ = [
-    "Advice", "Fixed", "Hint", "Judged", "NoSuchSheet", "Proposal", "Wish", "advise", "design_for", "fix", "judge",
-]  # fmt: skip
+    "Advice",
+    "Fixed",
+    "Hint",
+    "Judged",
+    "NoSuchSheet",
+    "Proposal",
+    "Wish",
+    "advise",
+    "design_for",
+    "fix",
+    "judge",
+]
 
 _HOME = {
-    "Advice": "hints", "Fixed": "fewest_keys", "Hint": "hints", "Judged": "judged", "advise": "hints",
+    "Advice": "hints",
+    "Fixed": "fewest_keys",
+    "Hint": "hints",
+    "Judged": "judged",
+    "advise": "hints",
     "fix": "fewest_keys",
-    "judge": "judged", "NoSuchSheet": "proposal", "Proposal": "proposal", "design_for": "proposal", "Wish": "wish",
-}  # fmt: skip
+    "judge": "judged",
+    "NoSuchSheet": "proposal",
+    "Proposal": "proposal",
+    "design_for": "proposal",
+    "Wish": "wish",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -17,8 +17,11 @@ Form = Literal["slab", "plano", "biconvex"]
 Curved = Literal["outside", "inside"]
 
 FORMS: Final[tuple[tuple[Form, Curved], ...]] = (
-    ("slab", "outside"), ("plano", "inside"), ("plano", "outside"), ("biconvex", "outside"),
-)  # fmt: skip
+    ("slab", "outside"),
+    ("plano", "inside"),
+    ("plano", "outside"),
+    ("biconvex", "outside"),
+)
 """Forms in the order of trial: one piece; plates with protected lenses, then exposed lenses; two-sided
 lenses.
 """

@@ -96,9 +96,12 @@ class Fixed:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
         found = {
-            "passes": self.passes, "changes": dict(self.changes), "tried": self.tried, "text": str(self),
+            "passes": self.passes,
+            "changes": dict(self.changes),
+            "tried": self.tried,
+            "text": str(self),
             "binding": [c.to_dict() for c in self.binding],
-        }  # fmt: skip
+        }
         return dict(plain(found))
 
 
@@ -107,7 +110,8 @@ def _each_id(checks: Sequence[Check]) -> list[Check]:
 
 
 def fix(design: Design, progress: Progress | None = None) -> Fixed:
-    """Find the fewest keys that make a design pass; the law, the material, the process and all limits are kept.
+    """Find the fewest keys that make a design pass; the law, the material, the process and all limits are
+    kept.
 
     Parameters
     ----------
@@ -192,8 +196,13 @@ def _grown(trials: Trials, state: _Changed) -> list[_Changed]:
 
 
 def _pulled(
-    trials: Trials, before: Changes, lever: Lever, now: Design, judged: Judged | None, failing: Sequence[Check]
-) -> Changes | None:  # fmt: skip
+    trials: Trials,
+    before: Changes,
+    lever: Lever,
+    now: Design,
+    judged: Judged | None,
+    failing: Sequence[Check],
+) -> Changes | None:
     """Nearest setting of a lever that mends all its checks, or else the trial that is nearest to passing."""
     mine = [c for c in failing if mends(lever, c)]
     values = settings(lever, now, judged, failing)

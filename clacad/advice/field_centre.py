@@ -29,7 +29,8 @@ class CentreErrors:
     law, decollimation : float, radians
         Residual of the recipe along the axis ray (`Window.residual`).
     eta : float
-        Largest relative error of the change of exit slopes with entry slopes, over the directions of the fit of η.
+        Largest relative error of the change of exit slopes with entry slopes, over the directions of the fit
+        of η.
     """
 
     law: float
@@ -37,7 +38,9 @@ class CentreErrors:
     eta: float
 
     def lasting(self, design: Design) -> float:
-        """Errors that do not depend on the separation, over the design's limits; below 1 the limits are kept."""
+        """Errors that do not depend on the separation, over the design's limits; below 1 the limits are
+        kept.
+        """
         return max(self.law / design.check.law_rms, self.eta / design.check.eta)
 
     def shrinking(self, design: Design) -> float:

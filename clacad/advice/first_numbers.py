@@ -78,7 +78,9 @@ def balanced_pitch(wish: Wish) -> float:
 
 
 def sharpest_pitch(wish: Wish, behind: float) -> float:
-    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer, in the meridian blurred more."""
+    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer, in the
+    meridian blurred more.
+    """
     distance, viewer, etas = behind / MILLIMETRES, wish.distance / MILLIMETRES, powers(wish)
     pitches = [pitch_for_eye.sharpest_pitch(eta, distance, wish.wavelength) for eta in etas]
     blurs = [pitch_for_eye.sharpest_blur(eta, distance, viewer, wish.wavelength) for eta in etas]
@@ -156,14 +158,17 @@ def upper_pitches(wish: Wish, ratio: float, shape: FormNumbers) -> Iterator[Pitc
 
 
 def _fresnel_pitch(wish: Wish, ratio: float) -> float:
-    """Pitch (millimetres) of Fresnel number `FRESNEL`: (w/2)²/(λ f2), w = p min(1, |η|), f2 = |η| s/|1 − η|."""
+    """Pitch (millimetres) of Fresnel number `FRESNEL`: (w/2)²/(λ f2), w = p min(1, |η|), f2 = |η| s/|1 −
+    η|.
+    """
     worst = max(abs(eta) / (abs(1.0 - eta) * min(1.0, abs(eta)) ** 2) for eta in powers(wish))
     turned = 1.2 if wish.kind == "hexagonal" else 1.0  # a hexagon's equivalent width is its breadth over √1.2
     return FRESNEL * turned * 4.0 * wish.wavelength * MILLIMETRES * ratio * worst
 
 
 def undistorted_conic(form: str, curved: str, index: float) -> float | None:
-    """Conic constant of lens 2 at which light along the axis of an offset pair leaves by the law, to third order.
+    """Conic constant of lens 2 at which light along the axis of an offset pair leaves by the law, to third
+    order.
 
     It meets lens 2 at the height d = δ f1 and leaves at δ/|η| = d/f2, if the slope of the face grows with the
     height as Snell's law requires of a collimating face: tan τ = u + (1 + K) u³/2 at u = d/R2, and its exit

@@ -2,7 +2,8 @@
 
 Sharper faces at no cost: the conic constant −1/n² of a slab's lenses, where a design has ellipsoids.
 
-A slab's lens focuses inside the material, where an ellipsoid of conic constant −1/n² along the axis has no spherical
+A slab's lens focuses inside the material, where an ellipsoid of conic constant −1/n² along the axis has no
+spherical
 aberration: parallel light is focused in one point. The tool, the radii and the heights stay the same within
 1 µm, so the change needs no search and costs nothing.
 """
@@ -52,8 +53,9 @@ class Sharper:
         """Return one line."""
         times = self.before / self.after
         return (
-            f'pair.surface = "biconic" (conic constants -1/n²) costs nothing: law_rms {digits(1e3 * self.after, count=3)} '
-            f"instead of {digits(1e3 * self.before, count=3)} mrad, {times:.2g} times better"
+            'pair.surface = "biconic" (conic constants -1/n²) costs nothing: law_rms'
+            f" {digits(1e3 * self.after, count=3)} instead of {digits(1e3 * self.before, count=3)} mrad,"
+            f" {times:.2g} times better"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -126,9 +128,12 @@ class Hint:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
         found = {
-            "changes": dict(self.changes), "passes": self.passes, "mends": [c.to_dict() for c in self.mends],
-            "left": [c.to_dict() for c in self.left], "text": str(self),
-        }  # fmt: skip
+            "changes": dict(self.changes),
+            "passes": self.passes,
+            "mends": [c.to_dict() for c in self.mends],
+            "left": [c.to_dict() for c in self.left],
+            "text": str(self),
+        }
         return dict(plain(found))
 
 
@@ -225,8 +230,11 @@ def _settings_that_mend(
         return [together]
     if len(checks) == 1:
         return []
-    each = (trials.nearest({}, values, lambda trial, c=check: settled(trial, c)) for check in checks)  # type: ignore[misc]
-    return [changes for changes in each if changes is not None]
+
+    def mends(check: Check) -> Changes | None:
+        return trials.nearest({}, values, lambda trial: settled(trial, check))
+
+    return [changes for check in checks if (changes := mends(check)) is not None]
 
 
 def _each_once(found: Sequence[Changes]) -> list[Changes]:

@@ -35,10 +35,12 @@ FARTHEST = 2.0
 
 
 JUDGEMENT, AXIS, FAULTS = 40, 20, 4
-"""Work of judging a design, of its axis ray and of the errors at the centre of its field, in shares of thin lenses."""
+"""Work of judging a design, of its axis ray and of the errors at the centre of its field, in shares of thin
+lenses."""
 
 UNEQUAL = 5
-"""Work of judging a non-uniform sheet, in judgements of a uniform one: its outer cells are judged one by one."""
+"""Work of judging a non-uniform sheet, in judgements of a uniform one: its outer cells are judged one by
+one."""
 
 
 @dataclass
@@ -161,8 +163,8 @@ class LensShapes:
             else "is not met: no light passes"
         )
         self.refused.append(
-            f"{variant.form}: in the middle of the field and along the axis ray the law {missed}, whatever the conic constant and the "
-            "separation; less offset or less tilt would help"
+            f"{variant.form}: in the middle of the field and along the axis ray the law {missed}, whatever"
+            " the conic constant and the separation; less offset or less tilt would help"
         )
 
     def _compared(self, variant: Variant) -> dict[float | None, Faults]:

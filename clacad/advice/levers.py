@@ -55,7 +55,9 @@ _HELD: Final = (PAIR.separation, PAIR.thickness, LATTICE.pitch, LATTICE.aperture
 
 
 def is_tried(check: Check) -> bool:
-    """Whether keys are tried for a check: not for an eye that is only assumed, where `viewed` names what was tried."""
+    """Whether keys are tried for a check: not for an eye that is only assumed, where `viewed` names what was
+    tried.
+    """
     return check.kind is not VIEWED or check.state == "fail"
 
 
@@ -159,14 +161,22 @@ def _pitches(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
 def _lacking(design: Design, checks: Iterable[Check], lever: Lever) -> float:
     """Largest shortfall of a length among some checks, measured until the limit is no longer near."""
     found = [
-        c.limit * ROOM - c.value for c in checks if mends(lever, c) and isinstance(c.value, float)
-        and isinstance(c.limit, float) and c.unit == design.unit and isfinite(c.limit) and isfinite(c.value)
-    ]  # fmt: skip
+        c.limit * ROOM - c.value
+        for c in checks
+        if mends(lever, c)
+        and isinstance(c.value, float)
+        and isinstance(c.limit, float)
+        and c.unit == design.unit
+        and isfinite(c.limit)
+        and isfinite(c.value)
+    ]
     return max([0.0, *found])
 
 
 def _thicknesses(design: Design, way: str, judged: Judged | None, lack: float) -> tuple[Changes, ...]:
-    """The word auto first, then numbers from the present thickness: by ratio, and by shares of the shortfall."""
+    """The word auto first, then numbers from the present thickness: by ratio, and by shares of the
+    shortfall.
+    """
     given = design.pair.thicknesses
     auto: tuple[Changes, ...] = () if given is None else ({PAIR.thickness: "auto"},)
     if given is None and judged is not None:
@@ -197,9 +207,10 @@ def _lengths(lever: Lever, design: Design, checks: Iterable[Check]) -> list[floa
     if lever.way == "down":
         return [0.0] if present > 0.0 else []
     asked = [
-        nice(c.limit * ROOM) for c in checks if mends(lever, c) and isinstance(c.limit, float) and c.unit == design.unit
-        and isfinite(c.limit)
-    ]  # fmt: skip
+        nice(c.limit * ROOM)
+        for c in checks
+        if mends(lever, c) and isinstance(c.limit, float) and c.unit == design.unit and isfinite(c.limit)
+    ]
     values = {nice(share * min(design.lattice.pitch)) for share in SHARES} | set(asked)
     return sorted(v for v in values if v > present)
 
@@ -217,7 +228,9 @@ def _ladder(present: float, way: str) -> list[float]:
 
 
 def nice(value: float, count: int = 2) -> float:
-    """Value rounded to `count` digits; a whole number becomes an int, so that it is written without a point."""
+    """Value rounded to `count` digits; a whole number becomes an int, so that it is written without a
+    point.
+    """
     rounded = float(f"{value:.{count - 1}e}")
     return int(rounded) if rounded.is_integer() and abs(rounded) < 1e6 else rounded
 

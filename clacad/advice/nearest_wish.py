@@ -40,7 +40,10 @@ def binding(search: Search) -> Iterator[str]:
     if search.tried:
         best = min(search.tried, key=lambda t: (len(t.judged.failing), _excess(t)))
         pair = best.judged.design.pair
-        yield f"  the nearest ({best.variant}, pitch {best.pitch.value:g} mm, separation {pair.separation:g} mm):"
+        yield (
+            f"  the nearest ({best.variant}, pitch {best.pitch.value:g} mm, separation {pair.separation:g}"
+            " mm):"
+        )
         checks = best.judged.failing or best.judged.tight
         yield from (f"    {_fault(check)}" for check in checks)
     yield from (f"  {reason}" for reason in list(dict.fromkeys(search.refused))[:REASONS])
@@ -72,7 +75,9 @@ def nearest(search: Search) -> Iterator[str]:
 
 
 def _most_demanding(row: Sequence[tuple[str, Wish]], search: Search, work: Work) -> tuple[str, Tried] | None:
-    """Most demanding wish of a row that comes true, by bisection; the least demanding one comes first in a row."""
+    """Most demanding wish of a row that comes true, by bisection; the least demanding one comes first in a
+    row.
+    """
     best, low, high = None, -1, len(row)
     while high - low > 1 and not work.over:
         middle = (low + high) // 2
@@ -102,10 +107,16 @@ def _rows(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
     yield from _for_the_eye(search)
     if not wish.straight:
         euler = (wish.euler[0], wish.euler[2])
-        yield _changed(wish, (
-            {"delta": _scaled(wish.delta, part), "euler": (euler[0], round(part * wish.euler[1], 4), euler[1])}
-            for part in LESS
-        ))  # fmt: skip
+        yield _changed(
+            wish,
+            (
+                {
+                    "delta": _scaled(wish.delta, part),
+                    "euler": (euler[0], round(part * wish.euler[1], 4), euler[1]),
+                }
+                for part in LESS
+            ),
+        )
     yield _changed(wish, [{"size": _resized(wish, 3.0)}])
     yield _changed(wish, [{"field": 0.5 * wish.field}])
     for process in PROCESSES:

@@ -69,13 +69,19 @@ class Proposal:
         return (
             f"pitch {one.pitch.value:g} mm: {one.pitch.why}",
             *not_met(self.wish, self.design),
-            f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which the law is kept as sharply "
-            "as a pixel looks, or as the limits ask",
-            *([] if one.variant.conic is None else [f"conic {one.variant.conic:g}: keeps light on the law where it goes off the axis"]),
+            (
+                f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
+                " the law is kept as sharply as a pixel looks, or as the limits ask"
+            ),
+            *(
+                []
+                if one.variant.conic is None
+                else [f"conic {one.variant.conic:g}: keeps light on the law where it goes off the axis"]
+            ),
             *_for_the_eye(self),
             *sentences(self.wish, self.trades[0]),
             *warnings,
-        )  # fmt: skip
+        )
 
     @property
     def text(self) -> str:
@@ -100,8 +106,8 @@ def _for_the_eye(found: Proposal) -> Iterator[str]:
     share = next(check.value for check in found.judged.checks if check.kind is VIEWED)
     means = {"": "aligned cells alone", "field lens": "field lenses", "aimed": "cells aimed at the eye"}
     yield (
-        f"viewer at {found.wish.viewing:g} mm: {means[found.chosen.variant.eye]} keep {100.0 * float(share or 0.0):.3g} % of its light "
-        "on the law over the whole sheet"
+        f"viewer at {found.wish.viewing:g} mm: {means[found.chosen.variant.eye]} keep"
+        f" {100.0 * float(share or 0.0):.3g} % of its light on the law over the whole sheet"
     )
 
 
@@ -120,7 +126,8 @@ def design_for(
     Parameters
     ----------
     wish : Wish or mapping
-        ``{"eta": -1, "circle": "60 mm", "process": "moulding", "material": "PC"}``: words of `clacad new --for`; lengths
+        ``{"eta": -1, "circle": "60 mm", "process": "moulding", "material": "PC"}``: words of `clacad new
+        --for`; lengths
         without a unit are millimetres.
     overrides : sequence of str
         "key.path=value" that the design must keep, as with --set.

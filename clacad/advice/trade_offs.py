@@ -63,8 +63,11 @@ def trade_offs(wish: Wish, chosen: Judged) -> tuple[Trade, ...]:
     pitch, separation = min(chosen.design.lattice.pitch), chosen.window.thin.separation
     rows = [_row("this design", wish, chosen)]
     for name, p, s in (
-        ("half the pitch", 0.5, 0.5), ("twice the pitch", 2.0, 2.0), ("lenses nearer", 1.0, 0.7), ("lenses farther apart", 1.0, 1.4),
-    ):  # fmt: skip
+        ("half the pitch", 0.5, 0.5),
+        ("twice the pitch", 2.0, 2.0),
+        ("lenses nearer", 1.0, 0.7),
+        ("lenses farther apart", 1.0, 1.4),
+    ):
         design = _resized(chosen.design, wish, round_to(pitch * p, 3), round_to(separation * s, 3))
         if design is not None:
             try:
@@ -95,12 +98,19 @@ def _row(name: str, wish: Wish, judged: Judged) -> Trade:
     )
     words = "passes" if judged.passes else "fails"
     return Trade(
-        name, pitch, facts.separation * to_mm,
+        name,
+        pitch,
+        facts.separation * to_mm,
         (max(b.high for b in facts.bodies) - min(b.low for b in facts.bodies)) * to_mm,
-        rms if isinstance(rms, float) else inf, wish.wavelength * MILLIMETRES / (pitch * returning(wish)), pitch / wish.distance,
-        atan(half), 2.0 * half * wish.distance, max(b.step for b in facts.bodies) * to_mm,
-        max(lens.sag for lens in facts.lenses) * to_mm, f"{words}: {', '.join(faults)}" if faults else words,
-    )  # fmt: skip
+        rms if isinstance(rms, float) else inf,
+        wish.wavelength * MILLIMETRES / (pitch * returning(wish)),
+        pitch / wish.distance,
+        atan(half),
+        2.0 * half * wish.distance,
+        max(b.step for b in facts.bodies) * to_mm,
+        max(lens.sag for lens in facts.lenses) * to_mm,
+        f"{words}: {', '.join(faults)}" if faults else words,
+    )
 
 
 HEAD = (
@@ -130,9 +140,19 @@ def _texts(t: Trade) -> tuple[str, ...]:
         return digits(value, count=3)
 
     return (
-        t.name, short(t.pitch), short(t.separation), short(t.height), short(1e3 * t.rms), short(1e3 * t.diffraction),
-        short(1e3 * t.pixel), short(degrees(t.field)), short(t.seen), short(1e3 * t.step), short(1e3 * t.sag), t.verdict,
-    )  # fmt: skip
+        t.name,
+        short(t.pitch),
+        short(t.separation),
+        short(t.height),
+        short(1e3 * t.rms),
+        short(1e3 * t.diffraction),
+        short(1e3 * t.pixel),
+        short(degrees(t.field)),
+        short(t.seen),
+        short(1e3 * t.step),
+        short(1e3 * t.sag),
+        t.verdict,
+    )
 
 
 def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
@@ -140,19 +160,32 @@ def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
     wave = wish.wavelength * MILLIMETRES
     fine, sharp = wish.distance * ARC_MINUTE, wave / (ARC_MINUTE * returning(wish))
     found = [
-        f"pitch: pixels vanish from {wish.distance:g} mm at {fine:.3g} mm and below, diffraction at {sharp:.3g} mm and above; "
-        + (f"both only from {sharp / ARC_MINUTE / MILLIMETRES:.3g} m on" if sharp > fine else "both hold between them"),
-        f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here, which is "
-        f"{own.seen:.3g} mm of the sheet seen from {wish.distance:g} mm, but aberration grows as the third power of pitch over "
-        "separation",
-        "steps: none between neighbours" if own.step == 0.0 else
-        f"steps: neighbours stand up to {1e3 * own.step:.3g} um apart in height; tilt makes pitch x tan(theta), light beside a lens's "
-        "middle the rest",
-    ]  # fmt: skip
+        f"pitch: pixels vanish from {wish.distance:g} mm at {fine:.3g} mm and below, diffraction at"
+        f" {sharp:.3g} mm and above; "
+        + (
+            f"both only from {sharp / ARC_MINUTE / MILLIMETRES:.3g} m on"
+            if sharp > fine
+            else "both hold between them"
+        ),
+        (
+            f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here,"
+            f" which is {own.seen:.3g} mm of the sheet seen from {wish.distance:g} mm, but aberration grows"
+            " as the third power of pitch over separation"
+        ),
+        (
+            "steps: none between neighbours"
+            if own.step == 0.0
+            else (
+                f"steps: neighbours stand up to {1e3 * own.step:.3g} um apart in height; tilt makes pitch x"
+                " tan(theta), light beside a lens's middle the rest"
+            )
+        ),
+    ]
     if wish.object is not None:
         best = sharpest_pitch(wish, wish.object)
         found.insert(
             1,
-            f"sharpness: what stands {wish.object:g} mm behind is least blurred at a pitch of {best:.3g} mm (within a tenth)",
+            f"sharpness: what stands {wish.object:g} mm behind is least blurred at a pitch of {best:.3g} mm"
+            " (within a tenth)",
         )
     return tuple(found)

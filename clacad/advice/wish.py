@@ -36,33 +36,69 @@ ASSUMED_VIEWING: Final = 1000.0
 _LAW, _PAIR, _CHECK = (SECTIONS[name] for name in ("law", "pair", "check"))
 
 KEYS: Final[dict[str, Key]] = {
-    "eta": Key(Several(_LAW["eta"].kind.kind, ("x", "y"), single=True), "light leaves at slopes (t - delta)/eta; -1 turns it over, "  # type: ignore[attr-defined]
-               "0 < eta < 1 shrinks without turning", REQUIRED),
+    "eta": Key(
+        Several(_LAW["eta"].kind.kind, ("x", "y"), single=True),
+        "light leaves at slopes (t - delta)/eta; -1 turns it over, "  # type: ignore[attr-defined]
+        "0 < eta < 1 shrinks without turning",
+        REQUIRED,
+    ),
     "delta": Key(_LAW["delta"].kind, "offset of the image, delta_i = d_i/f1_i", (0.0, 0.0)),
-    "euler": Key(_LAW["euler"].kind, "phi, theta, psi: turn and tilt of the lens axes, degrees", (0.0, 0.0, 0.0)),
-    "width": Key(Several(LENGTH_ABOVE_0, ("width", "height"), single=True), "a rectangular sheet of this width (and height)"),
+    "euler": Key(
+        _LAW["euler"].kind, "phi, theta, psi: turn and tilt of the lens axes, degrees", (0.0, 0.0, 0.0)
+    ),
+    "width": Key(
+        Several(LENGTH_ABOVE_0, ("width", "height"), single=True),
+        "a rectangular sheet of this width (and height)",
+    ),
     "circle": Key(LENGTH_ABOVE_0, "a round sheet of this diameter"),
-    "viewing": Key(LENGTH_ABOVE_0, "distance of the eye before the sheet; the eye's light is then judged over the whole sheet"),
+    "viewing": Key(
+        LENGTH_ABOVE_0,
+        "distance of the eye before the sheet; the eye's light is then judged over the whole sheet",
+    ),
     "object": Key(LENGTH_ABOVE_0, "distance behind the sheet of what shall be seen sharply"),
     "process": Key(_CHECK["process"].kind, "who makes it: its limits", "diamond-turning"),
-    "material": Key(_PAIR["material"].kind, "what it is made of; PMMA if the process works it, else the first it works", "PMMA"),
+    "material": Key(
+        _PAIR["material"].kind,
+        "what it is made of; PMMA if the process works it, else the first it works",
+        "PMMA",
+    ),
     "index": Key(_PAIR["index"].kind, "refractive index, instead of a material"),
     "wavelength": Key(_PAIR["wavelength"].kind, "design wavelength", _PAIR["wavelength"].default),
     "pitch": Key(LENGTH_ABOVE_0, "size of a cell, instead of the one that looks best"),
     "flange": Key(LENGTH_ABOVE_0, "width of the land round the cells, body.border"),
-    "holes": Key(Whole("a whole number from 1 to 360", most=360), "mounting holes in the flange, half its width wide: 4 in the "
-                 "corners of a rectangular sheet, any number on a circle of a round one"),
+    "holes": Key(
+        Whole("a whole number from 1 to 360", most=360),
+        "mounting holes in the flange, half its width wide: 4 in the "
+        "corners of a rectangular sheet, any number on a circle of a round one",
+    ),
     "form": Key(Word(("any", "slab", "plano", "biconvex")), "how a lenslet pair is built", "any"),
     "kind": Key(Word(("square", "hexagonal")), "pattern of the cells", "square"),
-    "field": Key(_CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)),
-}  # fmt: skip
+    "field": Key(
+        _CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)
+    ),
+}
 """Words of a wish, with reader, meaning and default of each."""
 
 SYNONYMS: Final = {
-    "offset": "delta", "tilt": "euler", "turn": "euler", "size": "width", "diameter": "circle", "outline": "circle",
-    "round": "circle", "distance": "viewing", "viewer": "viewing", "eye": "viewing", "from": "viewing", "lattice": "kind",
-    "made": "process", "border": "flange", "n": "index", "glass": "material", "lambda": "wavelength", "period": "pitch",
-}  # fmt: skip
+    "offset": "delta",
+    "tilt": "euler",
+    "turn": "euler",
+    "size": "width",
+    "diameter": "circle",
+    "outline": "circle",
+    "round": "circle",
+    "distance": "viewing",
+    "viewer": "viewing",
+    "eye": "viewing",
+    "from": "viewing",
+    "lattice": "kind",
+    "made": "process",
+    "border": "flange",
+    "n": "index",
+    "glass": "material",
+    "lambda": "wavelength",
+    "period": "pitch",
+}
 """Other names of the words of a wish."""
 
 
@@ -120,7 +156,9 @@ class Wish:
 
     @property
     def straight(self) -> bool:
-        """Whether the lens axes are the sheet's normal and no lens is offset: light along it stays on the axis."""
+        """Whether the lens axes are the sheet's normal and no lens is offset: light along it stays on the
+        axis.
+        """
         return self.delta == (0.0, 0.0) and self.euler[1] == 0.0
 
     @property
@@ -181,8 +219,16 @@ def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
             if not part.strip():
                 continue
             if not equals or not key.strip() or not value.strip():
-                raise DesignError([Mistake("CL118", f"{part.strip()!r} is not KEY=VALUE", path="--for",
-                                           allowed="such as 'eta=-1, circle=60 mm, process=moulding'")])  # fmt: skip
+                raise DesignError(
+                    [
+                        Mistake(
+                            "CL118",
+                            f"{part.strip()!r} is not KEY=VALUE",
+                            path="--for",
+                            allowed="such as 'eta=-1, circle=60 mm, process=moulding'",
+                        )
+                    ]
+                )
             found[key.strip()] = written(value.strip())
     return found
 
@@ -232,8 +278,15 @@ def read_wish(words: Mapping[str, Any]) -> Wish:
         )
     if len(sizes) != 1:
         what = "a wish needs the sheet's size" if not sizes else "width and circle exclude each other"
-        mistakes.append(Mistake("CL103" if not sizes else "CL112", what, "width", "--for",
-                                allowed='exactly one of width = a length or [width, height] and circle = a diameter'))  # fmt: skip
+        mistakes.append(
+            Mistake(
+                "CL103" if not sizes else "CL112",
+                what,
+                "width",
+                "--for",
+                allowed="exactly one of width = a length or [width, height] and circle = a diameter",
+            )
+        )
     if "material" not in found:
         found["material"] = workable_material(
             *(found.get(key, KEYS[key].default) for key in ("process", "material", "wavelength"))
@@ -297,20 +350,44 @@ def _exclusions(words: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[
     if "holes" not in found:
         return
     if "flange" not in words:
-        yield Mistake("CL113", "holes need a flange to lie in", "holes", "--for",
-                      allowed="flange = a length > 0, about four times the radius of the holes")  # fmt: skip
+        yield Mistake(
+            "CL113",
+            "holes need a flange to lie in",
+            "holes",
+            "--for",
+            allowed="flange = a length > 0, about four times the radius of the holes",
+        )
     if "circle" not in words and found["holes"] != 4:
-        yield Mistake("CL106", f"holes = {found['holes']} do not fit the corners of a rectangular sheet", "holes", "--for",
-                      found=str(found["holes"]), allowed="4, one in each corner; a round sheet (circle) takes any number")  # fmt: skip
+        yield Mistake(
+            "CL106",
+            f"holes = {found['holes']} do not fit the corners of a rectangular sheet",
+            "holes",
+            "--for",
+            found=str(found["holes"]),
+            allowed="4, one in each corner; a round sheet (circle) takes any number",
+        )
 
 
 def _refused(name: str, refusal: Refusal) -> Mistake:
     place = "".join(f"[{step}]" for step in refusal.where)
-    return Mistake(refusal.code, f"{name}{place} = {shown(refusal.value)} {refusal.complaint}", name, "--for",
-                   found=shown(refusal.value), allowed=refusal.allowed, hint=refusal.hint)  # fmt: skip
+    return Mistake(
+        refusal.code,
+        f"{name}{place} = {shown(refusal.value)} {refusal.complaint}",
+        name,
+        "--for",
+        found=shown(refusal.value),
+        allowed=refusal.allowed,
+        hint=refusal.hint,
+    )
 
 
 def _unknown(name: str) -> Mistake:
     meant = [SYNONYMS[name]] if name in SYNONYMS else near(name.lower(), KEYS, 0.6)
-    return Mistake("CL102", f"unknown word {name}{did_you_mean(meant, before='; ')}", name, "--for",
-                   allowed=f"a wish says {', '.join(KEYS)}", hint=meant[0] if meant else "")  # fmt: skip
+    return Mistake(
+        "CL102",
+        f"unknown word {name}{did_you_mean(meant, before='; ')}",
+        name,
+        "--for",
+        allowed=f"a wish says {', '.join(KEYS)}",
+        hint=meant[0] if meant else "",
+    )

@@ -130,7 +130,9 @@ class Search:
         return len(self.tried) >= MOST_JUDGED or self.work.over
 
     def run(self) -> Tried | None:
-        """Try until a design passes without a warning that another could avoid; else the best of those that pass."""
+        """Try until a design passes without a warning that another could avoid; else the best of those that
+        pass.
+        """
         self.refused += [*impossible(self.wish, self.limit), *self._too_wide()]
         if self.refused:
             return None
@@ -149,7 +151,9 @@ class Search:
         return min(found, key=lambda t: avoidable(t, self.wish), default=None)
 
     def _best_ratio(self, variant: Variant, needed: float) -> Tried | None:
-        """The least separation in pitches at which a variant passes as sharp as a pixel; it has the widest field."""
+        """The least separation in pitches at which a variant passes as sharp as a pixel; it has the widest
+        field.
+        """
         start = self._first(variant, needed)
         if start is None:
             return None
@@ -243,7 +247,8 @@ class Search:
         if wide <= self.widest:
             return []
         return [
-            f"width {wide + 2.0 * flange:g} mm of the part: the limit of {self.wish.process} is {self.widest + 2.0 * flange:g} mm"
+            f"width {wide + 2.0 * flange:g} mm of the part: the limit of {self.wish.process} is"
+            f" {self.widest + 2.0 * flange:g} mm"
         ]
 
     def _thin_share(self, variant: Variant, ratio: float) -> tuple[float, str]:
@@ -264,8 +269,8 @@ class Search:
 
     def _too_little(self, share: float) -> str:
         return (
-            f"at most {100.0 * share:.3g} % of the light of an eye at {self.wish.distance:g} mm meets its partner lens "
-            f"({100.0 * self.limit:.3g} % asked)"
+            f"at most {100.0 * share:.3g} % of the light of an eye at {self.wish.distance:g} mm meets its"
+            f" partner lens ({100.0 * self.limit:.3g} % asked)"
         )
 
     def _built(self, variant: Variant, bound: PitchBound, ratio: float) -> Design:
@@ -319,7 +324,9 @@ class Search:
         return self._too_little(share) if share < SURE * self.limit else ""
 
     def pitch_at(self, variant: Variant, ratio: float) -> PitchBound | None:
-        """The pitch that is wished or looks best, or the nearest one that can be made; None where none can."""
+        """The pitch that is wished or looks best, or the nearest one that can be made; None where none
+        can.
+        """
         if self.wish.pitch is not None:
             return wanted_pitch(self.wish)
         shape = shape_of(variant.form, index_of(self.wish))
@@ -328,7 +335,8 @@ class Search:
         wanted = wanted_pitch(self.wish)
         if low.value > high.value:
             self.refused.append(
-                f"{low.why} asks for a pitch of {low.value:.3g} mm, {high.why} for {high.value:.3g} mm at most"
+                f"{low.why} asks for a pitch of {low.value:.3g} mm, {high.why} for {high.value:.3g} mm at"
+                " most"
             )
             return None
         if wanted.value > high.value:
@@ -356,21 +364,24 @@ def impossible(wish: Wish, limit: float) -> list[str]:
     found = []
     if least_untangled(wish) > RATIOS[-1]:
         found.append(
-            f"theta = {wish.euler[1]:g} deg: faces that lean so much rise by {abs(tan(radians(wish.euler[1]))):.3g} pitches in each cell, and "
-            f"the arrays cross unless they are {least_untangled(wish):.3g} pitches apart; {RATIOS[-1]:g} are tried at most"
+            f"theta = {wish.euler[1]:g} deg: faces that lean so much rise by"
+            f" {abs(tan(radians(wish.euler[1]))):.3g} pitches in each cell, and the arrays cross unless they"
+            f" are {least_untangled(wish):.3g} pitches apart; {RATIOS[-1]:g} are tried at most"
         )
     most = returned_share(wish)
     if wish.viewing is not None and most < limit:
         found.append(
-            f"eta = [{wish.eta[0]:g}, {wish.eta[1]:g}]: lens 1 spreads the light of an eye over more than its partner where |eta| > 1, so that at "
-            f"most {100.0 * most:.3g} % obey the law from any distance ({100.0 * limit:.3g} % asked); "
-            f"--set check.viewed={most * 0.9:.2g} asks for what there is"
+            f"eta = [{wish.eta[0]:g}, {wish.eta[1]:g}]: lens 1 spreads the light of an eye over more than its"
+            f" partner where |eta| > 1, so that at most {100.0 * most:.3g} % obey the law from any distance"
+            f" ({100.0 * limit:.3g} % asked); --set check.viewed={most * 0.9:.2g} asks for what there is"
         )
     return found
 
 
 def returned_share(wish: Wish) -> float:
-    """Largest share of the light of an eye that hits its partner: 1/|eta| in each meridian where |eta| > 1."""
+    """Largest share of the light of an eye that hits its partner: 1/|eta| in each meridian where |eta| >
+    1.
+    """
     return prod(min(1.0, 1.0 / abs(eta)) for eta in wish.eta)
 
 

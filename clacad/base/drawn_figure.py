@@ -33,9 +33,13 @@ def _style(changes: Mapping[str, Any]) -> Iterator[None]:
 
 
 def drawn(
-    format: Literal["svg", "png"], size: tuple[float, float], draw: Draw, style: Mapping[str, Any],
-    creator: str | None = "clacad", placed: bool = False,
-) -> bytes:  # fmt: skip
+    format: Literal["svg", "png"],
+    size: tuple[float, float],
+    draw: Draw,
+    style: Mapping[str, Any],
+    creator: str | None = "clacad",
+    placed: bool = False,
+) -> bytes:
     """Draw a figure and return the bytes of its file.
 
     Parameters

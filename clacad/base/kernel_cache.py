@@ -26,9 +26,18 @@ numba = without_settings("numba")
 FunctionCache: Any = numba.core.caching.FunctionCache
 
 SOURCES = (
-    "tracing/reference/*.py", "tracing/triangles/*.py", "tracing/layout.py", "tracing/ledger.py", "**/*compiled*.py", "**/compiled/*.py",
-    "optics/*.py", "optics/surface/*.py", "sheet/window.py", "sheet/edge_columns.py", "rendering/scene_arrays.py",
-)  # fmt: skip
+    "tracing/reference/*.py",
+    "tracing/triangles/*.py",
+    "tracing/layout.py",
+    "tracing/ledger.py",
+    "**/*compiled*.py",
+    "**/compiled/*.py",
+    "optics/*.py",
+    "optics/surface/*.py",
+    "sheet/window.py",
+    "sheet/edge_columns.py",
+    "rendering/scene_arrays.py",
+)
 """Source files of kernels: the kernels' own, and those whose constants are compiled in."""
 
 SEAL = 32
@@ -164,5 +173,8 @@ def is_kept(kernel: Any, arguments: tuple[Any, ...]) -> bool:
 @cache
 def tell_not_kept() -> None:
     """Warn, once, that every process compiles its kernels again."""
-    text = "compiled kernels cannot be kept: they are compiled again each time; set NUMBA_CACHE_DIR to a folder that can be written"
+    text = (
+        "compiled kernels cannot be kept: they are compiled again each time; set NUMBA_CACHE_DIR to a folder"
+        " that can be written"
+    )
     warnings.warn(text, KernelsNotKept, stacklevel=2)

@@ -237,9 +237,12 @@ def machine() -> dict[str, str]:
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return {
-        "version": __version__, "processor": _processor(), "cores": str(cores),
-        "threads": os.environ.get("CLACAD_THREADS", ""), "python": platform.python_version(),
-    }  # fmt: skip
+        "version": __version__,
+        "processor": _processor(),
+        "cores": str(cores),
+        "threads": os.environ.get("CLACAD_THREADS", ""),
+        "python": platform.python_version(),
+    }
 
 
 def _processor() -> str:

@@ -10,11 +10,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-# (degree s, coefficients a, initial numbers m) of dimensions 2 to 10; dimension 1 is van der Corput's sequence
+# (degree s, coefficients a, initial numbers m) of dimensions 2 to 10; dimension 1 is van der Corput's
+# sequence
 _JOE_KUO = (
-    (1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)), (4, 1, (1, 1, 3, 3)),
-    (4, 4, (1, 3, 5, 13)), (5, 2, (1, 1, 5, 5, 17)), (5, 4, (1, 1, 5, 5, 5)), (5, 7, (1, 1, 7, 11, 19)),
-)  # fmt: skip
+    (1, 0, (1,)),
+    (2, 1, (1, 3)),
+    (3, 1, (1, 3, 1)),
+    (3, 2, (1, 1, 1)),
+    (4, 1, (1, 1, 3, 3)),
+    (4, 4, (1, 3, 5, 13)),
+    (5, 2, (1, 1, 5, 5, 17)),
+    (5, 4, (1, 1, 5, 5, 5)),
+    (5, 7, (1, 1, 7, 11, 19)),
+)
 _BITS = 52
 
 

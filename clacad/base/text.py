@@ -197,10 +197,14 @@ def shown(
     if 0.0 < abs(value) < NOTHING * abs(limit) and holds(0.0, limit) == truth:  # type: ignore[arg-type]
         return shown(0, limit, relation, unit, state)
     texts = next(
-        (found for count in range(DIGITS, MOST + 1)
-         if holds(*map(Decimal, found := (_text(value, factor, count), _text(limit, factor, count)))) == truth),
+        (
+            found
+            for count in range(DIGITS, MOST + 1)
+            if holds(*map(Decimal, found := (_text(value, factor, count), _text(limit, factor, count))))
+            == truth
+        ),
         (_exactly(value, factor), _exactly(limit, factor)),
-    )  # fmt: skip
+    )
     return Shown(*texts, name, {("fail", True): ELSEWHERE, ("pass", False): UNBOUND}.get((state, truth), ""))
 
 
@@ -229,8 +233,11 @@ def _exactly(value: Any, factor: int) -> str:
 
 
 HOLDS: Mapping[str, Callable[[Any, Any], bool]] = {
-    "<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt,
-}  # fmt: skip
+    "<=": operator.le,
+    "<": operator.lt,
+    ">=": operator.ge,
+    ">": operator.gt,
+}
 """Relation between a value and its limit → comparison function."""
 
 

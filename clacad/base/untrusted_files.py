@@ -1,6 +1,7 @@
 """Reading of untrusted paths: regular files only, within the budget of each reader.
 
-Only regular files are opened, so that no read blocks. One table has the limits of each reader: bytes, items and
+Only regular files are opened, so that no read blocks. One table has the limits of each reader: bytes, items
+and
 processor seconds. Readers enforce them (`clacad.storage.reading`) and `clacad doctor` prints them.
 """
 
@@ -16,9 +17,12 @@ from types import MappingProxyType
 from typing import Final
 
 KINDS: Final = (
-    (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"), (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
     (stat.S_ISDIR, "a folder"),
-)  # fmt: skip
+)
 """File types other than a regular file that a path may name."""
 
 
@@ -113,33 +117,51 @@ class Budget:
         return None if self.memory is None else self.memory + self.memory_per_byte * size
 
 
-BUDGETS: Mapping[str, Budget] = MappingProxyType({
-    "stl": Budget("binary STL", 20 * GIGABYTE, 400_000_000, "facets", seconds_per_megabyte=0.5),
-    "stl-ascii": Budget("ASCII STL", GIGABYTE, 20_000_000, "facets"),
-    "3mf": Budget("3MF, unpacked", GIGABYTE, 60_000_000, "vertices, triangles and components"),
-    "ply": Budget("binary PLY", 10 * GIGABYTE, 100_000_000, "vertices and facets", seconds_per_megabyte=0.5),
-    "ply-ascii": Budget("ASCII PLY", GIGABYTE, 100_000_000, "numbers"),
-    "glb": Budget("GLB", 4 * GIGABYTE, 60_000_000, "vertices, corners and places"),
-    "obj": Budget("OBJ", GIGABYTE, 20_000_000, "vertices, normals and triangles"),
-    "step": Budget("STEP, by the CAD kernel", 24 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),
-    "step-text": Budget("STEP, by its text", 4 * GIGABYTE, 100_000_000, "statements", 120.0, 4.0, 3 * GIGABYTE, 20),
-    "brep": Budget("BREP, by the CAD kernel", 200 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),
-    "tiff": Budget("height maps (TIFF)", 5 * GIGABYTE, 1 << 30, "pixels", None),
-    "png": Budget("height maps (PNG)", 2 * GIGABYTE, 1 << 29, "pixels"),
-    "points": Budget("points with or without normals (xyz)", 10 * GIGABYTE, 100_000_000, "points", seconds_per_megabyte=4.0),
-    "grid-sag": Budget("grid sag (dat)", 200 * MEGABYTE, 4_100_000, "nodes", seconds_per_megabyte=4.0),
-    "pose-table": Budget("tables of poses (CSV)", 4 * GIGABYTE, 40_000_000, "lines", seconds_per_megabyte=8.0),
-    "surface-table": Budget("tables of surfaces and heights (JSON)", 64 * MEGABYTE, None, "", None),
-    "mask": Budget("masks (SVG, DXF)", GIGABYTE, 20_000_000, "places and points"),
-    "gds": Budget("masks of grey levels (GDSII)", GIGABYTE, 40_000_000, "records", 120.0, 20.0, 3 * GIGABYTE, 100),
-    "prescription": Budget("sequential prescriptions (ZMX)", MEGABYTE, 20_000, "lines"),
-    "rays": Budget("rays (npz), unpacked", 80 * GIGABYTE, 1_000_000_000, "rays", None),
-    "picture": Budget("pictures (PNG, JPEG, WebP, TIFF, BMP, GIF)", 500 * MEGABYTE, 1 << 27, "pixels", None),
-    "outline": Budget("outlines of plates (DXF)", 8 * MEGABYTE, 1_000_000, "lines", None),
-    "design": Budget("designs and scenes (TOML, JSON)", 1 << 20, 200_000, "lines and keys", None),
-    "cell-table": Budget("tables of cells (CSV, NPZ)", GIGABYTE, 10_000_000, "cells", None),
-    "manifest": Budget("manifests (JSON)", 16 << 20, 20_000, "files", None),
-})  # fmt: skip
+BUDGETS: Mapping[str, Budget] = MappingProxyType(
+    {
+        "stl": Budget("binary STL", 20 * GIGABYTE, 400_000_000, "facets", seconds_per_megabyte=0.5),
+        "stl-ascii": Budget("ASCII STL", GIGABYTE, 20_000_000, "facets"),
+        "3mf": Budget("3MF, unpacked", GIGABYTE, 60_000_000, "vertices, triangles and components"),
+        "ply": Budget(
+            "binary PLY", 10 * GIGABYTE, 100_000_000, "vertices and facets", seconds_per_megabyte=0.5
+        ),
+        "ply-ascii": Budget("ASCII PLY", GIGABYTE, 100_000_000, "numbers"),
+        "glb": Budget("GLB", 4 * GIGABYTE, 60_000_000, "vertices, corners and places"),
+        "obj": Budget("OBJ", GIGABYTE, 20_000_000, "vertices, normals and triangles"),
+        "step": Budget("STEP, by the CAD kernel", 24 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),
+        "step-text": Budget(
+            "STEP, by its text", 4 * GIGABYTE, 100_000_000, "statements", 120.0, 4.0, 3 * GIGABYTE, 20
+        ),
+        "brep": Budget("BREP, by the CAD kernel", 200 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),
+        "tiff": Budget("height maps (TIFF)", 5 * GIGABYTE, 1 << 30, "pixels", None),
+        "png": Budget("height maps (PNG)", 2 * GIGABYTE, 1 << 29, "pixels"),
+        "points": Budget(
+            "points with or without normals (xyz)",
+            10 * GIGABYTE,
+            100_000_000,
+            "points",
+            seconds_per_megabyte=4.0,
+        ),
+        "grid-sag": Budget("grid sag (dat)", 200 * MEGABYTE, 4_100_000, "nodes", seconds_per_megabyte=4.0),
+        "pose-table": Budget(
+            "tables of poses (CSV)", 4 * GIGABYTE, 40_000_000, "lines", seconds_per_megabyte=8.0
+        ),
+        "surface-table": Budget("tables of surfaces and heights (JSON)", 64 * MEGABYTE, None, "", None),
+        "mask": Budget("masks (SVG, DXF)", GIGABYTE, 20_000_000, "places and points"),
+        "gds": Budget(
+            "masks of grey levels (GDSII)", GIGABYTE, 40_000_000, "records", 120.0, 20.0, 3 * GIGABYTE, 100
+        ),
+        "prescription": Budget("sequential prescriptions (ZMX)", MEGABYTE, 20_000, "lines"),
+        "rays": Budget("rays (npz), unpacked", 80 * GIGABYTE, 1_000_000_000, "rays", None),
+        "picture": Budget(
+            "pictures (PNG, JPEG, WebP, TIFF, BMP, GIF)", 500 * MEGABYTE, 1 << 27, "pixels", None
+        ),
+        "outline": Budget("outlines of plates (DXF)", 8 * MEGABYTE, 1_000_000, "lines", None),
+        "design": Budget("designs and scenes (TOML, JSON)", 1 << 20, 200_000, "lines and keys", None),
+        "cell-table": Budget("tables of cells (CSV, NPZ)", GIGABYTE, 10_000_000, "cells", None),
+        "manifest": Budget("manifests (JSON)", 16 << 20, 20_000, "files", None),
+    }
+)
 """Reader → its limits.
 
 Limits of bytes and items are the same on every machine; seconds are many times the need of a legitimate file.

@@ -87,8 +87,10 @@ def _document(request: Accuracy, measured: AccuracyTable, files: Sequence[FileWi
     if request.target is not None:
         chosen = measured.cheapest(request.target, request.rays)
         document["target"] = {
-            "radians": request.target, "files": [one.to_dict() for one in files], "chosen": chosen.to_dict(),
-        }  # fmt: skip
+            "radians": request.target,
+            "files": [one.to_dict() for one in files],
+            "chosen": chosen.to_dict(),
+        }
     return document
 
 
@@ -116,9 +118,22 @@ def accuracy_text(measured: AccuracyTable) -> str:
     """Table as text, errors in mrad."""
     front = set(map(id, measured.pareto()))
     lines = [
-        ["", "rung", "setting", "model rms", "95 %", "max", "law rms", "other fate", "seconds", "Mrays/s",
-         "prepare s", "memory", "file"]
-    ]  # fmt: skip
+        [
+            "",
+            "rung",
+            "setting",
+            "model rms",
+            "95 %",
+            "max",
+            "law rms",
+            "other fate",
+            "seconds",
+            "Mrays/s",
+            "prepare s",
+            "memory",
+            "file",
+        ]
+    ]
     lines += [_line(row, id(row) in front) for row in measured.rows]
     reference = measured.reference
     notes = [
@@ -168,10 +183,17 @@ def floors_text(floors: Sequence[Floor]) -> str:
 def _line(row: AccuracyRow, on_front: bool) -> list[str]:
     errors = [f"{1e3 * e:.3g}" for e in (row.model_rms, row.model_p95, row.model_max, row.law_rms)]
     return [
-        "*" if on_front else "", row.rung, row.setting, *errors, f"{row.disagree:.2%}", f"{row.seconds:.3g}",
-        f"{row.rays_per_s / 1e6:.3g}", f"{row.prepare_s:.2g}", size(row.memory),
+        "*" if on_front else "",
+        row.rung,
+        row.setting,
+        *errors,
+        f"{row.disagree:.2%}",
+        f"{row.seconds:.3g}",
+        f"{row.rays_per_s / 1e6:.3g}",
+        f"{row.prepare_s:.2g}",
+        size(row.memory),
         "" if row.file_bytes is None else size(row.file_bytes),
-    ]  # fmt: skip
+    ]
 
 
 COMMANDS = (Command("accuracy", "judge", Accuracy, run),)

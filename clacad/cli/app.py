@@ -84,7 +84,9 @@ def _circumstances() -> dict[str, Any]:
     from clacad import __version__
 
     return {
-        "version": __version__, "python": platform.python_version(),
-        "system": f"{platform.system()} {platform.machine()}", "arguments": sys.argv[1:],
+        "version": __version__,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "arguments": sys.argv[1:],
         "folder": os.getcwd(),
-    }  # fmt: skip
+    }

@@ -56,10 +56,17 @@ def run(request: MakeAtlas, console: Console) -> int:
         )
     job = prepare(
         AtlasRequest(
-            scenes, request.out, request.size, request.samples, request.movies, request.movie_size,
-            request.rows,            request.measure, request.overwrite,
+            scenes,
+            request.out,
+            request.size,
+            request.samples,
+            request.movies,
+            request.movie_size,
+            request.rows,
+            request.measure,
+            request.overwrite,
         )
-    )  # fmt: skip
+    )
     with console.progress() as progress, console.forecast(ATLAS, atlas_seconds(job)):
         atlas = make_atlas(job, progress)
     console.show(lambda: _document(atlas), lambda: _text(atlas))

@@ -89,11 +89,16 @@ def _document(judged: Judged, forecast: list[dict[str, Any]], advice: Advice) ->
     from clacad.sheet.feasibility import describe
 
     return {
-        "design": judged.design.name, "derived": [list(row) for row in describe(judged.window, judged.facts)],
-        "recipe": dict(judged.window.recipe), "residual": dict(judged.window.residual),
-        "checks": [check.to_dict() for check in judged.checks], "forecast": forecast, "passed": judged.passes,
-        "verdict": verdict(judged), "advice": advice.to_dict(),
-    }  # fmt: skip
+        "design": judged.design.name,
+        "derived": [list(row) for row in describe(judged.window, judged.facts)],
+        "recipe": dict(judged.window.recipe),
+        "residual": dict(judged.window.residual),
+        "checks": [check.to_dict() for check in judged.checks],
+        "forecast": forecast,
+        "passed": judged.passes,
+        "verdict": verdict(judged),
+        "advice": advice.to_dict(),
+    }
 
 
 def verdict(judged: Judged) -> str:

@@ -132,9 +132,11 @@ def _facts(error: Exception) -> dict[str, Any]:
     import traceback
 
     return {
-        "kind": type(error).__name__, "sentence": str(error), "details": getattr(error, "details", ""),
+        "kind": type(error).__name__,
+        "sentence": str(error),
+        "details": getattr(error, "details", ""),
         "traceback": "".join(traceback.format_exception(error)).splitlines(),
-    }  # fmt: skip
+    }
 
 
 def status_of(error: Exception) -> int | None:

@@ -89,12 +89,14 @@ def _request(design: Design, given: Export) -> Request:
     quads, role = per_format("--quads", given.quads), per_format("--role", given.role)
     typed = {one.name: getattr(given, one.name) for one in fields(given) if one.name in OPTIONS}
     read = {
-        "slope_error": given.slope_error or "auto", "quads": asked_quads(_numbers(quads), given.formats),
+        "slope_error": given.slope_error or "auto",
+        "quads": asked_quads(_numbers(quads), given.formats),
         "step": one_of("step", given.step),
         "step_schema": one_of("step_schema", given.step_schema, str.lower),
-        "saddle_bevel": parse_bevel(given.saddle_bevel, design), "role": asked_roles(role, given.formats),
+        "saddle_bevel": parse_bevel(given.saddle_bevel, design),
+        "role": asked_roles(role, given.formats),
         "paper": one_of("paper", given.paper, str.lower),
-    }  # fmt: skip
+    }
     return Request(**{**typed, **read})
 
 
@@ -137,10 +139,14 @@ def _warn_of(name: str, entry: Mapping[str, Any], limit: float) -> None:
     """Print, even when quiet, that the light of a declared master is forecast beyond the limits."""
     if entry.get("role_overstated"):
         rms = entry.get("forecast_law_rms")
-        light = "too little light gets through it" if rms is None else (
-            f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit "
-            f"{1e3 * limit:.3g})"
-        )  # fmt: skip
+        light = (
+            "too little light gets through it"
+            if rms is None
+            else (
+                f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit "
+                f"{1e3 * limit:.3g})"
+            )
+        )
         others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
         light += f", beyond the limit of {', '.join(others)}" if others else ""
         say(f"warning: {name} was declared a master, and {light}")

@@ -134,12 +134,17 @@ def image_text(found: Image, unit: str) -> str:
     """Table of the image, rung by rung."""
     lines = [["rung", "predicted x, y, z", "found x, y, z", "apart", "spot rms x, y", "share", unit]]
     for one in found.rungs:
-        lines.append([
-            one.rung, _point(one.predicted), _point(one.found),
-            "" if one.predicted.missing or one.found.missing else f"{one.off:.3g}",
-            "" if one.found.missing else ", ".join(f"{v:.4g}" for v in one.found.spot),
-            f"{100.0 * one.share:.3g} %", "",
-        ])  # fmt: skip
+        lines.append(
+            [
+                one.rung,
+                _point(one.predicted),
+                _point(one.found),
+                "" if one.predicted.missing or one.found.missing else f"{one.off:.3g}",
+                "" if one.found.missing else ", ".join(f"{v:.4g}" for v in one.found.spot),
+                f"{100.0 * one.share:.3g} %",
+                "",
+            ]
+        )
     return "\n".join([table(lines), *_notes(found, unit)])
 
 

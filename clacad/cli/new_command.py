@@ -111,11 +111,15 @@ def _from_template(request: New, target: Path, console: Console) -> int:
     out = target.with_suffix("")
     console.show(
         lambda: {"path": str(target), "template": template, "text": text, "written": not request.dry_run},
-        lambda: text.rstrip("\n") if request.dry_run else (
-            f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format "
-            "step"
+        lambda: (
+            text.rstrip("\n")
+            if request.dry_run
+            else (
+                f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format"
+                " step"
+            )
         ),
-    )  # fmt: skip
+    )
     return 0
 
 
@@ -138,11 +142,17 @@ def _from_wish(request: New, target: Path, words: dict[str, Any], console: Conso
 
 def _document(found: Proposal, target: Path, *, written: bool) -> dict[str, Any]:
     return {
-        "path": str(target), "written": written, "wish": found.wish.words(), "text": found.text,
-        "design": found.design.to_dict(), "passed": found.judged.passes,
-        "checks": [check.to_dict() for check in found.judged.checks], "reasons": list(found.reasons),
-        "trade_offs": [trade.to_dict() for trade in found.trades], "judged": found.judgements,
-    }  # fmt: skip
+        "path": str(target),
+        "written": written,
+        "wish": found.wish.words(),
+        "text": found.text,
+        "design": found.design.to_dict(),
+        "passed": found.judged.passes,
+        "checks": [check.to_dict() for check in found.judged.checks],
+        "reasons": list(found.reasons),
+        "trade_offs": [trade.to_dict() for trade in found.trades],
+        "judged": found.judgements,
+    }
 
 
 def _text(found: Proposal, target: Path) -> str:
@@ -150,11 +160,16 @@ def _text(found: Proposal, target: Path) -> str:
     from clacad.advice.trade_offs import rows_of
 
     out = target.with_suffix("")
-    return "\n".join([
-        *found.reasons, "what other sizes would give, each built and traced:", table(rows_of(found.trades)),
-        f"wrote {target}: verify will pass ({found.judgements} designs were built and judged)",
-        f"next: clacad export {target} -o {out} --format step", f"      clacad verify {target} --files {out}",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            *found.reasons,
+            "what other sizes would give, each built and traced:",
+            table(rows_of(found.trades)),
+            f"wrote {target}: verify will pass ({found.judgements} designs were built and judged)",
+            f"next: clacad export {target} -o {out} --format step",
+            f"      clacad verify {target} --files {out}",
+        ]
+    )
 
 
 def _searched(words: dict[str, Any], request: New, target: Path, console: Console) -> Proposal:

@@ -125,9 +125,14 @@ def run(request: Optimise, console: Console) -> int:
         with console.forecast(TASK, ahead["seconds"]) as span:
             progress.expect(span.middle)
             found = optimise(
-                design, request.free, request.field, best_so_far, weights=weights,
-                tolerances=request.tolerances, seconds=request.seconds,
-            )  # fmt: skip
+                design,
+                request.free,
+                request.field,
+                best_so_far,
+                weights=weights,
+                tolerances=request.tolerances,
+                seconds=request.seconds,
+            )
         ended.append(found)
         private.write_text(design_text(found), encoding="utf-8", newline="\n")
 

@@ -231,9 +231,12 @@ def _document(picture: Picture, file: Path) -> dict[str, Any]:
 
     plan, several = picture.passage.plan, picture.passage.several
     shown = {
-        "file": str(file), "metadata": metadata_of(picture), "samples": int(picture.samples.sum()),
-        "error": float(picture.error.mean()), "plan": None if plan is None else plan.to_dict(),
-    }  # fmt: skip
+        "file": str(file),
+        "metadata": metadata_of(picture),
+        "samples": int(picture.samples.sum()),
+        "error": float(picture.error.mean()),
+        "plan": None if plan is None else plan.to_dict(),
+    }
     if several:
         plans = ((one.sheet.id, one.passage.plan) for one in several)
         shown["plans"] = {name: None if one is None else one.to_dict() for name, one in plans}
@@ -250,10 +253,13 @@ def _render_eye(request: Render, photo: Path, console: Console) -> int:
     if not photo.is_file():
         raise BadOption(f"{photo}: there is no such picture")
     view = EyeRequest(
-        request.scene, photo, _length(request, "--eye", request.eye),
+        request.scene,
+        photo,
+        _length(request, "--eye", request.eye),
         _length(request, "--distance", request.distance),
-        pixels=request.pixels or 480, samples=request.samples or 16,
-    )  # fmt: skip
+        pixels=request.pixels or 480,
+        samples=request.samples or 16,
+    )
     with console.progress() as progress:
         scene = _adjusted(eye_scene(view, request.set), request)
         out = request.out

@@ -234,25 +234,41 @@ def _show_forecast(design: Design, cells: int, numbers: tuple[float, float, floa
 def _document(design: Design, found: Shaped, seen: Rendered) -> dict[str, Any]:
     blur = found.blur
     return {
-        "cells": len(found.cells), "unit": design.unit, "rms_way": found.way,
+        "cells": len(found.cells),
+        "unit": design.unit,
+        "rms_way": found.way,
         "blur": {"all": blur.all, "cell": blur.cell, "source": blur.source, "diffraction": blur.diffraction},
-        "through": seen.through, "within_one_blur": seen.within, "elsewhere": seen.difference,
+        "through": seen.through,
+        "within_one_blur": seen.within,
+        "elsewhere": seen.difference,
         "elsewhere_by_lenses": seen.by_lenses,
-    }  # fmt: skip
+    }
 
 
 def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str:
     blur, unit = found.blur, design.unit
-    return "\n".join([
-        f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array 2, "
-        f"{found.way:.4g} {unit} aside (rms)",
-        f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
-        f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
-        f"  through           {100 * seen.through:.4g} % of the light, through lenses of one telescopelet",
-        f"  within one blur   {100 * seen.within:.4g} % of all light",
-        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as wide as "
-        f"a cell: light comes in {len(found.cells):,} spots; by the lenses {100 * seen.by_lenses:.3g} %",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            (
+                f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array"
+                f" 2, {found.way:.4g} {unit} aside (rms)"
+            ),
+            (
+                f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
+                f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}"
+            ),
+            (
+                f"  through           {100 * seen.through:.4g} % of the light, through lenses of one"
+                " telescopelet"
+            ),
+            f"  within one blur   {100 * seen.within:.4g} % of all light",
+            (
+                f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as"
+                f" wide as a cell: light comes in {len(found.cells):,} spots; by the lenses"
+                f" {100 * seen.by_lenses:.3g} %"
+            ),
+        ]
+    )
 
 
 def _pair(two: tuple[float, float]) -> str:

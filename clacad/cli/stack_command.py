@@ -174,11 +174,20 @@ def _stack_request(
         distance = parse_distance("--object", given.object_distance, first.unit, zero=True)
     step: Any = one_of("step", given.step)
     return StackRequest(
-        gaps=gaps, ids=ids, formats=tuple(dict.fromkeys(given.formats)), field=given.field,
-        object_distance=distance, rays=given.rays, cells=given.cells, quads=given.quads, step=step,
-        overwrite=given.overwrite, force=given.force, mesh_light=given.mesh,
+        gaps=gaps,
+        ids=ids,
+        formats=tuple(dict.fromkeys(given.formats)),
+        field=given.field,
+        object_distance=distance,
+        rays=given.rays,
+        cells=given.cells,
+        quads=given.quads,
+        step=step,
+        overwrite=given.overwrite,
+        force=given.force,
+        mesh_light=given.mesh,
         zone=_zone(given.zone, first.unit),
-    )  # fmt: skip
+    )
 
 
 def _zone(text: str | None, unit: str) -> tuple[float, float] | None:
@@ -242,9 +251,11 @@ def _judge(
 def _verdict(good: bool, checks: Sequence[Check]) -> str:
     from clacad.verification.checks import wrong
 
-    return "passed: every sheet as an optical master, and light through all of them" if good else (
-        f"failed: {', '.join(sorted({f'{check.id} ({check.subject})' for check in wrong(checks)}))}"
-    )  # fmt: skip
+    return (
+        "passed: every sheet as an optical master, and light through all of them"
+        if good
+        else (f"failed: {', '.join(sorted({f'{check.id} ({check.subject})' for check in wrong(checks)}))}")
+    )
 
 
 def _make(
@@ -372,8 +383,21 @@ def _sheets_text(sheets: Iterable[dict[str, Any]]) -> str:
 
 def _rungs_text(made: Stacked) -> str:
     """Table of one bundle of rays on every rung: result, distance from the exact surfaces, cost."""
-    rows = [["rung", "share", "x", "y", f"space x / {made.unit}", "y", "scatter x / pitch", "y",
-             "error / mrad", "other fate", "seconds"]]  # fmt: skip
+    rows = [
+        [
+            "rung",
+            "share",
+            "x",
+            "y",
+            f"space x / {made.unit}",
+            "y",
+            "scatter x / pitch",
+            "y",
+            "error / mrad",
+            "other fate",
+            "seconds",
+        ]
+    ]
     for one in made.light:
         x, y = one.meridians
         cells = [one.rung, f"{one.share:.4f}"]

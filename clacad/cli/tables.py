@@ -137,9 +137,10 @@ def role_text(entry: Mapping[str, Any], limit: float | None, facets: int | None,
         rms = entry["forecast_law_rms"]
         bound = "" if limit is None else f" (limit {1e3 * limit:.3g})"
         parts.append(
-            "too little light gets through to measure the law" if rms is None
+            "too little light gets through to measure the law"
+            if rms is None
             else f"light through it misses the law by {1e3 * rms:.3g} mrad rms{bound}"
-        )  # fmt: skip
+        )
     others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
     if others:
         parts.append(f"beyond the limit of {', '.join(others)}")
@@ -169,9 +170,14 @@ def check_text(
     light = [check for check in checks if check.where.startswith("surfaces") and check.kind is not RESIDUAL]
     rules = [check for check in checks if check not in light]
     blocks = (
-        derived_text(derived), "design rules", checks_text(rules), "light through one cell",
-        checks_text(light),         "what an export would cost", forecast_text(forecast),
-    )  # fmt: skip
+        derived_text(derived),
+        "design rules",
+        checks_text(rules),
+        "light through one cell",
+        checks_text(light),
+        "what an export would cost",
+        forecast_text(forecast),
+    )
     first = headline(checks)
     return "\n".join((title, *([f"  {first}"] if first else []), *blocks))
 

@@ -45,9 +45,16 @@ class DesignError(ValueError):
 
     @classmethod
     def at(
-        cls, design: FromText, key: str, message: str, *, code: str = "CL120", found: str = "", allowed: str = "",
+        cls,
+        design: FromText,
+        key: str,
+        message: str,
+        *,
+        code: str = "CL120",
+        found: str = "",
+        allowed: str = "",
         hint: str = "",
-    ) -> DesignError:  # fmt: skip
+    ) -> DesignError:
         """Refuse a design for a reason found after reading, at the position of one of its keys.
 
         Parameters

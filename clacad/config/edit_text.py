@@ -31,15 +31,26 @@ def parse(text: str) -> tuple[str, Any] | Mistake:
     key, equals, value = text.partition("=")
     key, value = key.strip(), value.strip()
     if not equals or not key or not value or "\n" in text or "\r" in text:
-        return Mistake("CL118", "an override is written key.path=value", path="--set", source_line=text,
-                       allowed='such as "law.eta=[-1.4,-1]" or pair.form=slab')  # fmt: skip
+        return Mistake(
+            "CL118",
+            "an override is written key.path=value",
+            path="--set",
+            source_line=text,
+            allowed='such as "law.eta=[-1.4,-1]" or pair.form=slab',
+        )
     try:
         return key, toml_value(value)
     except ValueError:
         if value[0] in "[{\"'" or not value.isprintable():
-            return Mistake("CL118", f"the value of {key} is not TOML", path="--set", source_line=text,
-                           column=text.find("=") + 2, width=len(value),
-                           allowed='a number, "text", [list], true or false')  # fmt: skip
+            return Mistake(
+                "CL118",
+                f"the value of {key} is not TOML",
+                path="--set",
+                source_line=text,
+                column=text.find("=") + 2,
+                width=len(value),
+                allowed='a number, "text", [list], true or false',
+            )
         return key, value
 
 

@@ -78,8 +78,12 @@ def located(
 
 
 def _one(
-    mistake: Mistake, places: KeyPlaces | None, lines: list[str], path: str, overrides: Sequence[tuple[KeyPath, str]]
-) -> Mistake:  # fmt: skip
+    mistake: Mistake,
+    places: KeyPlaces | None,
+    lines: list[str],
+    path: str,
+    overrides: Sequence[tuple[KeyPath, str]],
+) -> Mistake:
     """Mistake with its position: the last override that set its key,
     else the key or the value in the file.
     """

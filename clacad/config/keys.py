@@ -48,9 +48,14 @@ class Key:
 
 
 def key(
-    kind: Kind, about: str, default: Any = None, *, name: str = "", later: bool = False,
+    kind: Kind,
+    about: str,
+    default: Any = None,
+    *,
+    name: str = "",
+    later: bool = False,
     written: Callable[[Any, Any], Any] | None = None,
-) -> Any:  # fmt: skip
+) -> Any:
     """Field of a dataclass that is a key of a file; see `Key`.
 
     Parameters

@@ -193,10 +193,26 @@ def _pattern(family: units.Family) -> str:
 
 
 _SPELLINGS: Final = {
-    "micron": "um", "microns": "um", "micrometre": "um", "micrometer": "um", "u": "um", "millimetre": "mm",
-    "millimeter": "mm", "metre": "m", "meter": "m", "inch": "in", '"': "in", "nanometre": "nm", "degree": "deg",
-    "degrees": "deg", "degs": "deg", "radian": "rad", "radians": "rad", "milliradian": "mrad", "'": "arcmin",
-}  # fmt: skip
+    "micron": "um",
+    "microns": "um",
+    "micrometre": "um",
+    "micrometer": "um",
+    "u": "um",
+    "millimetre": "mm",
+    "millimeter": "mm",
+    "metre": "m",
+    "meter": "m",
+    "inch": "in",
+    '"': "in",
+    "nanometre": "nm",
+    "degree": "deg",
+    "degrees": "deg",
+    "degs": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "milliradian": "mrad",
+    "'": "arcmin",
+}
 
 
 def _nearest_unit(word: str, family: units.Family) -> str:

@@ -45,8 +45,14 @@ def read_text(name: str, what: str = "design") -> str:
             why = f"the file is too large for a {what}"
             raise DesignTooLarge([Mistake("CL100", why, path=name, allowed="up to 1 MB")]) from None
         why = (problem.strerror or str(problem)).lower()
-        _refuse(Mistake("CL100", f"cannot read the {what}: {why}", path=name,
-                        hint=_nearest_file(name) if problem.errno == ENOENT else ""))  # fmt: skip
+        _refuse(
+            Mistake(
+                "CL100",
+                f"cannot read the {what}: {why}",
+                path=name,
+                hint=_nearest_file(name) if problem.errno == ENOENT else "",
+            )
+        )
     except ValueError:
         _refuse(
             Mistake(
@@ -61,8 +67,17 @@ def read_text(name: str, what: str = "design") -> str:
     except UnicodeDecodeError as problem:
         line = raw.count(b"\n", 0, problem.start) + 1
         column = problem.start - raw.rfind(b"\n", 0, problem.start)
-        _refuse(Mistake("CL100", "the file is not UTF-8 text", path=name, line=line, column=column,
-                        found=f"byte 0x{raw[problem.start]:02x}", hint="save it as UTF-8"))  # fmt: skip
+        _refuse(
+            Mistake(
+                "CL100",
+                "the file is not UTF-8 text",
+                path=name,
+                line=line,
+                column=column,
+                found=f"byte 0x{raw[problem.start]:02x}",
+                hint="save it as UTF-8",
+            )
+        )
 
 
 def _nearest_file(name: str) -> str:
@@ -102,8 +117,12 @@ def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
         )
         slip = re.sub(r" \(at .*\)$|: line [0-9]+ column.*$", "", slip)[:200]
         slip = re.sub(r"\('(.*)',\)", r"[\1]", slip)
-        _refuse_syntax(f"not {'JSON' if is_json else 'TOML'}: {slip[:1].lower()}{slip[1:]}", name, text,
-                       syntax_place(problem, text))  # fmt: skip
+        _refuse_syntax(
+            f"not {'JSON' if is_json else 'TOML'}: {slip[:1].lower()}{slip[1:]}",
+            name,
+            text,
+            syntax_place(problem, text),
+        )
     if not isinstance(data, dict):
         _refuse(Mistake("CL104", f"a {what} is a table, not {kind_of(data)}", path=name, line=1, column=1))
     if too_deep(data):
@@ -167,8 +186,16 @@ def _refuse_deep_keys(text: str, name: str) -> None:
     """
     for number, line in enumerate(text.split("\n"), 1):
         if line.count(".", 0, 100_000) > DEEPEST and re.match(r"\s*\[*\s*(?:[^.=#\"'\[\]]*\.){65}", line):
-            _refuse(Mistake("CL100", f"a key nested more than {DEEPEST} deep", path=name, line=number, column=1,
-                            source_line=line))  # fmt: skip
+            _refuse(
+                Mistake(
+                    "CL100",
+                    f"a key nested more than {DEEPEST} deep",
+                    path=name,
+                    line=number,
+                    column=1,
+                    source_line=line,
+                )
+            )
 
 
 def too_deep(data: Any) -> bool:
@@ -178,8 +205,12 @@ def too_deep(data: Any) -> bool:
         depth += 1
         if depth > DEEPEST:
             return True
-        level = [item for part in level if isinstance(part, dict | list)
-                 for item in (part.values() if isinstance(part, dict) else part)]  # fmt: skip
+        level = [
+            item
+            for part in level
+            if isinstance(part, dict | list)
+            for item in (part.values() if isinstance(part, dict) else part)
+        ]
     return False
 
 

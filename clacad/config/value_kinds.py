@@ -94,9 +94,14 @@ def shown(value: object) -> str:
 def kind_of(value: object) -> str:
     """Return the kind of a TOML value in plain words."""
     names: tuple[tuple[type, str], ...] = (
-        (bool, "a truth value"), (int, "a whole number"), (float, "a number"), (str, "a text"),
-        (list, "a list"), (dict, "a table"), (type(None), "nothing"),
-    )  # fmt: skip
+        (bool, "a truth value"),
+        (int, "a whole number"),
+        (float, "a number"),
+        (str, "a text"),
+        (list, "a list"),
+        (dict, "a table"),
+        (type(None), "nothing"),
+    )
     return next((name for type_, name in names if isinstance(value, type_)), "a date or time")
 
 
@@ -214,8 +219,12 @@ class Text(WrittenAsRead):
             raise Refusal("CL106", "does not have the form needed", value, self.what)
         wrong = [c for c in value if not (c.isalnum() or c in " -_.,+()=")] if self.plain else []
         if wrong or (self.plain and not value[0].isalnum()):
-            raise Refusal("CL106", f"must not hold '{wrong[0]}'" if wrong else "must start with a letter or digit",
-                          value, self.what)  # fmt: skip
+            raise Refusal(
+                "CL106",
+                f"must not hold '{wrong[0]}'" if wrong else "must start with a letter or digit",
+                value,
+                self.what,
+            )
         return value
 
     def allowed(self, unit: Unit) -> str:

@@ -56,8 +56,13 @@ def refuse_beside_etas(design: Requested) -> None:
     for feature in FEATURES:
         reason = why_not(ETAS, feature.name)
         if reason and feature.present(values.get):
-            raise DesignError.at(design, feature.key, f"{feature.key} with {ETAS}: {reason}", code="CL125",
-                                 hint=feature.instead)  # fmt: skip
+            raise DesignError.at(
+                design,
+                feature.key,
+                f"{feature.key} with {ETAS}: {reason}",
+                code="CL125",
+                hint=feature.instead,
+            )
 
 
 def lattice_of(design: Requested) -> Lattice:

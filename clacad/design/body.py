@@ -170,7 +170,8 @@ def filling_count(kind: str, pitch: tuple[float, float], size: tuple[float, floa
     """Cells along the two lattice vectors that fill an outline; cells that extend beyond it are left out
     later.
 
-    A cell wholly inside a width w lies within ±w/2, so floor(w/p) columns centred on the origin miss none. Rows of a
+    A cell wholly inside a width w lies within ±w/2, so floor(w/p) columns centred on the origin miss none.
+    Rows of a
     hexagonal lattice are √3/2 of the pitch apart, and their cells are 2/√3 of the pitch high. Every other row
     is displaced by half a pitch, a quarter to either side of the centre: one more column than floor(w/p)
     misses none.

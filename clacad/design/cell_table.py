@@ -63,8 +63,16 @@ def table_path(design_path: str, file: str) -> str:
         except OSError as problem:
             why = f"cannot be read: {(problem.strerror or str(problem)).lower()}"
     if why:
-        raise DesignError([Mistake("CL124", f"the table {printable(file)} {why}", KEY,
-                                   allowed="the name of a CSV or NPZ file in the design's folder")])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL124",
+                    f"the table {printable(file)} {why}",
+                    KEY,
+                    allowed="the name of a CSV or NPZ file in the design's folder",
+                )
+            ]
+        )
     return path
 
 
@@ -78,8 +86,9 @@ def digest(path: str) -> str:
     """
     size, most = os.stat(path).st_size, BUDGETS["cell-table"].bytes
     if size > most:
-        raise DesignTooLarge([Mistake("CL124", f"the table has {size:,} bytes", KEY, path,
-                                      allowed=f"up to {most:,} bytes")])  # fmt: skip
+        raise DesignTooLarge(
+            [Mistake("CL124", f"the table has {size:,} bytes", KEY, path, allowed=f"up to {most:,} bytes")]
+        )
     made = sha256()
     with open(path, "rb") as stream:
         while block := stream.read(1 << 20):
@@ -118,9 +127,27 @@ def read_table(design_path: str, table: TableSpec, lattice: Lattice, eta: float)
     path = table_path(design_path, table.file)
     most = BUDGETS["cell-table"].items or 0
     if (count := lattice.count[0] * lattice.count[1]) > most:
-        raise DesignTooLarge([Mistake("CL124", f"{count:,} cells are more than the {most:,} that a table may have", KEY,
-                                      allowed=f"up to {most:,} cells")])  # fmt: skip
+        raise DesignTooLarge(
+            [
+                Mistake(
+                    "CL124",
+                    f"{count:,} cells are more than the {most:,} that a table may have",
+                    KEY,
+                    allowed=f"up to {most:,} cells",
+                )
+            ]
+        )
     if (found := digest(path)) != table.sha256:
-        raise DesignError([Mistake("CL124", f"{path} is not the table whose sha256 the design states", KEY, found=found,
-                                   allowed=table.sha256, hint="the name alone takes the table as it is")])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL124",
+                    f"{path} is not the table whose sha256 the design states",
+                    KEY,
+                    found=found,
+                    allowed=table.sha256,
+                    hint="the name alone takes the table as it is",
+                )
+            ]
+        )
     return TableFile(path, lattice, KEY, eta).numbers()

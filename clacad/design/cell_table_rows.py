@@ -23,7 +23,10 @@ ETA: Final = "eta"
 NOT_HERE: Final = (
     (
         "eta_",
-        "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be confocal in both",
+        (
+            "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be"
+            " confocal in both"
+        ),
     ),
 )
 LARGEST: Final = 1e6
@@ -118,8 +121,13 @@ class TableFile:
         twice[np.setdiff1d(np.arange(len(flat)), earliest)] = True
         if twice.any():
             row = int(np.argmax(twice))
-            rows.refuse(f"cell ({i[row]}, {j[row]}) stands in the table twice", first + row, lines[row], 0,
-                        allowed="each cell once")  # fmt: skip
+            rows.refuse(
+                f"cell ({i[row]}, {j[row]}) stands in the table twice",
+                first + row,
+                lines[row],
+                0,
+                allowed="each cell once",
+            )
         made[place, j] = numbers[:, 2:]
 
     def _less_rows(self) -> str:
@@ -151,7 +159,10 @@ class TableFile:
         """Describe the η that cells may have."""
         low, high = _eta_range(self.eta)
         low, high = max(low, -LARGEST), min(high, LARGEST)
-        return f"a number between {low:g} and {high:g}, |eta| >= {LEAST_ETA:g}: both lenses as law.eta = {self.eta:g} bends them"
+        return (
+            f"a number between {low:g} and {high:g}, |eta| >= {LEAST_ETA:g}: both lenses as law.eta ="
+            f" {self.eta:g} bends them"
+        )
 
     # --- NPZ ------------------------------------------------------------------------------------------
 
@@ -187,8 +198,10 @@ class TableFile:
         bad = ~(np.abs(deltas) <= LARGEST)
         if bad.any():
             i, j, axis = (int(v[0]) for v in np.nonzero(bad))
-            self.refuse(f"delta[{i}, {j}, {axis}] = {deltas[i, j, axis]} is out of range",
-                        allowed=f"numbers from -{LARGEST:g} to {LARGEST:g}")  # fmt: skip
+            self.refuse(
+                f"delta[{i}, {j}, {axis}] = {deltas[i, j, axis]} is out of range",
+                allowed=f"numbers from -{LARGEST:g} to {LARGEST:g}",
+            )
         return CellNumbers(deltas, None if etas is None else self._kept_etas(etas))
 
     def _entry(self, archive: zipfile.ZipFile, names: list[str], name: str) -> Floats | None:
@@ -219,8 +232,10 @@ class TableFile:
             self.refuse(f"array {name!r}: {error}", allowed=self._shapes())
         if shape != tuple(shapes[name]) or kind.kind not in "fiu" or fortran:
             pickled = ": pickled objects are not read" if kind.hasobject else ""
-            self.refuse(f"array {name!r} is {shape} of {kind}{', Fortran order' if fortran else ''}{pickled}",
-                        allowed=self._shapes())  # fmt: skip
+            self.refuse(
+                f"array {name!r} is {shape} of {kind}{', Fortran order' if fortran else ''}{pickled}",
+                allowed=self._shapes(),
+            )
         size = int(np.prod(shape)) * kind.itemsize
         data = stream.read(size + 1)
         if len(data) != size:

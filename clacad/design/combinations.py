@@ -96,31 +96,57 @@ FEATURES: Final = (
     Feature("seam", LATTICE.seam, lambda a: bool(a(LATTICE.seam))),
     Feature("outline", LATTICE.outline, lambda a: a(LATTICE.outline) is not None),
     Feature("tilt", LAW.euler, _tilted, "theta = 0"),
-    Feature("tilt where planes are imaged", LAW.euler, lambda a: _tilted(a) and _images(a), "theta = 0, or gradient or table instead of planes"),
+    Feature(
+        "tilt where planes are imaged",
+        LAW.euler,
+        lambda a: _tilted(a) and _images(a),
+        "theta = 0, or gradient or table instead of planes",
+    ),
     Feature("offset", LAW.delta, lambda a: any(a(LAW.delta) or ())),
     Feature("biconvex", PAIR.form, lambda a: a(PAIR.form) == "biconvex", 'form = "slab"'),
     Feature("plano", PAIR.form, lambda a: a(PAIR.form) == "plano", 'form = "slab"'),
     Feature("slab", PAIR.form, lambda a: a(PAIR.form) == "slab"),
-    Feature("given faces", PAIR.prescription, lambda a: a(PAIR.prescription) == "given", 'prescription = "derived"'),
+    Feature(
+        "given faces",
+        PAIR.prescription,
+        lambda a: a(PAIR.prescription) == "given",
+        'prescription = "derived"',
+    ),
     Feature("tolerances", "tolerances", _tolerated, "leave [tolerances] out"),
     Feature("aimed at a point", LATTICE.aperture, has_point, 'aperture = "centred", or a slope'),
     Feature("steered", LATTICE.aperture, _is_slope, 'aperture = "centred"'),
     Feature("traced vertices", PAIR.offset, lambda a: a(PAIR.offset) == "traced", 'offset = "paraxial"'),
     Feature("law that varies", LAW.varying, lambda a: a(LAW.varying) is not None, "leave one of the two out"),
-    Feature("other pitch", LATTICE.pitch_2, lambda a: a(LATTICE.pitch_2) is not None, "leave one of the two out"),
-    Feature("turned array", LATTICE.rotation_2, lambda a: bool(a(LATTICE.rotation_2)), "leave one of the two out"),
+    Feature(
+        "other pitch", LATTICE.pitch_2, lambda a: a(LATTICE.pitch_2) is not None, "leave one of the two out"
+    ),
+    Feature(
+        "turned array", LATTICE.rotation_2, lambda a: bool(a(LATTICE.rotation_2)), "leave one of the two out"
+    ),
     Feature("sharp pairs", PAIR.focus, _focused, "leave one of the two out"),
-    Feature("curved inside", PAIR.curved, lambda a: a(PAIR.form) == "plano" and a(PAIR.curved) == "inside", 'curved = "outside"'),
+    Feature(
+        "curved inside",
+        PAIR.curved,
+        lambda a: a(PAIR.form) == "plano" and a(PAIR.curved) == "inside",
+        'curved = "outside"',
+    ),
     Feature("thin recipe", PAIR.confocal, lambda a: a(PAIR.confocal) == "thin", 'confocal = "exact"'),
     Feature("confocal best", PAIR.confocal, lambda a: a(PAIR.confocal) == "best", 'confocal = "exact"'),
     Feature("plate with holes, corners or pins", BODY.holes, has_plate, "plain edges"),
-    Feature("plate with an outline of its own", BODY.outline, lambda a: a(BODY.outline) is not None, "body.border, or the edge of lattice.outline"),
+    Feature(
+        "plate with an outline of its own",
+        BODY.outline,
+        lambda a: a(BODY.outline) is not None,
+        "body.border, or the edge of lattice.outline",
+    ),
     Feature("field lens", PAIR.field_lens, lambda a: bool(a(PAIR.field_lens)), "field_lens = false"),
     Feature("baffle", BODY.baffle, lambda a: bool(a(BODY.baffle)), "baffle = false"),
-    Feature("eta_x and eta_y that differ", LAW.eta, lambda a: a(LAW.eta)[0] != a(LAW.eta)[1], "eta_x = eta_y"),
+    Feature(
+        "eta_x and eta_y that differ", LAW.eta, lambda a: a(LAW.eta)[0] != a(LAW.eta)[1], "eta_x = eta_y"
+    ),
     Feature("depth of a lens", PAIR.depth, lambda a: a(PAIR.depth) is not None, "leave depth out"),
     Feature("biconvex of a thickness to be found", PAIR.thickness, _auto_thickness, "thickness = a length"),
-)  # fmt: skip
+)
 
 
 POINT: Final = LATTICE.aperture
@@ -144,7 +170,10 @@ _NODAL: Final = "its cells look at the nodal point"
 _CHIEF: Final = "its cells look along its chief rays"
 _ALONG: Final = "its radii are for light along the axis alone"
 _FIELD: Final = "field lenses would stand in every cell at a place of their own"
-_HEIGHTS: Final = "its lenses 2 stand in the middle of their cells in one plane, and tilted pairs would need them to rise with their places"
+_HEIGHTS: Final = (
+    "its lenses 2 stand in the middle of their cells in one plane, and tilted pairs would need them to rise"
+    " with their places"
+)
 _PATTERN: Final = "which cells a plate keeps is asked of one pattern, and array 2's is another"
 _CHANNELS: Final = "the channels of a baffle are alike, and here each would lean its own way"
 _APART: Final = "its cells stand over their partners, and images of sharp pairs would not fall on one another"
@@ -167,7 +196,9 @@ _OWN_ARRAY: Final[Mapping[str, str]] = {
 """Features excluded from a sheet whose array 2 has another pitch, or is turned → reason."""
 
 _VARIED: Final[Mapping[str, str]] = {
-    "tilt where planes are imaged": "cells of a sheet that leans against its lenses stand at many distances from a plane across them",
+    "tilt where planes are imaged": (
+        "cells of a sheet that leans against its lenses stand at many distances from a plane across them"
+    ),
     "aimed at a point": _ONE_WAY,
     "other pitch": "its cells stand over their partners",
     "turned array": "its cells stand over their partners",
@@ -199,7 +230,9 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
         "given faces": "its faces are of one size as they are given",
         "eta_x and eta_y that differ": "its lenses are one figure in many sizes, the same along both axes",
         "depth of a lens": "the depth is that of lenses of one size",
-        "biconvex of a thickness to be found": "the thickness that is found is that for lenses of law.eta alone",
+        "biconvex of a thickness to be found": (
+            "the thickness that is found is that for lenses of law.eta alone"
+        ),
     },
     PITCH_2: _OWN_ARRAY,
     ROTATION_2: _OWN_ARRAY,

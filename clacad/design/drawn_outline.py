@@ -142,18 +142,29 @@ def _one_loop(entities: list[Entity], name: str) -> list[Vertex]:
         elif one.kind == "CIRCLE":
             circles.append((one.number(10, name), one.number(20, name), one.number(40, name)))
         else:
-            raise Unfit("CL141", f"{name}, line {one.line}: a {shown(one.kind[:20])} is no outline",
-                         "one closed polyline, or LINEs and ARCs that close",
-                         f"draw the outline alone on a layer {LAYER}: other layers are then left out")  # fmt: skip
+            raise Unfit(
+                "CL141",
+                f"{name}, line {one.line}: a {shown(one.kind[:20])} is no outline",
+                "one closed polyline, or LINEs and ARCs that close",
+                f"draw the outline alone on a layer {LAYER}: other layers are then left out",
+            )
     if circles:
         x, y, r = circles[0]
-        raise Unfit("CL141", f"{name}: {len(circles)} circle{'s' * (len(circles) > 1)} beside the outline",
-                     "one closed outline; holes are said in the design",
-                     f"body.holes = [{{diameter = {2 * r:g}, at = [[{x:g}, {y:g}]]}}], and the outline alone on a layer {LAYER}")  # fmt: skip
+        raise Unfit(
+            "CL141",
+            f"{name}: {len(circles)} circle{'s' * (len(circles) > 1)} beside the outline",
+            "one closed outline; holes are said in the design",
+            f"body.holes = [{{diameter = {2 * r:g}, at = [[{x:g}, {y:g}]]}}], and the outline alone on a"
+            f" layer {LAYER}",
+        )
     loops += _linked(pieces, name)
     if len(loops) != 1:
-        raise Unfit("CL141", f"{name}: {len(loops)} closed outlines are drawn in it", "exactly one",
-                     f"draw it alone on a layer {LAYER}; holes go into body.holes")  # fmt: skip
+        raise Unfit(
+            "CL141",
+            f"{name}: {len(loops)} closed outlines are drawn in it",
+            "exactly one",
+            f"draw it alone on a layer {LAYER}; holes go into body.holes",
+        )
     return loops[0]
 
 
@@ -184,8 +195,12 @@ def _polyline(one: Entity, name: str) -> list[Vertex]:
         points.pop()
     elif not flags & 1:
         gap = math.dist(points[0][:2], points[-1][:2]) if points else 0.0
-        raise Unfit("CL141", f"{name}, line {one.line}: the {one.kind} is open: its ends are {gap:.6g} apart", "a closed one",
-                     "close it in the drawing program")  # fmt: skip
+        raise Unfit(
+            "CL141",
+            f"{name}, line {one.line}: the {one.kind} is open: its ends are {gap:.6g} apart",
+            "a closed one",
+            "close it in the drawing program",
+        )
     return points
 
 
@@ -224,8 +239,11 @@ def _linked(pieces: list[tuple[Vertex, Vertex]], name: str) -> list[list[Vertex]
             others = [other for other in ends.at(last) if other[0] != number]
             if len(others) != 1:
                 why = "it is open" if not others else "more than two pieces meet"
-                raise Unfit("CL141", f"{name}: the outline does not close: at ({last[0]:.6g}, {last[1]:.6g}) {why}",
-                             "pieces that meet end to end")  # fmt: skip
+                raise Unfit(
+                    "CL141",
+                    f"{name}: the outline does not close: at ({last[0]:.6g}, {last[1]:.6g}) {why}",
+                    "pieces that meet end to end",
+                )
             number, backwards = others[0]
         loops.append(loop)
     return loops
@@ -246,8 +264,11 @@ class _Ends:
 
     def at(self, point: Vertex) -> list[tuple[int, bool]]:
         """Pieces that end at a point: index, and whether the end is the piece's last."""
-        return [(number, backwards) for number, backwards, end in self._around(point)
-                if math.dist(end[:2], point[:2]) <= self._near]  # fmt: skip
+        return [
+            (number, backwards)
+            for number, backwards, end in self._around(point)
+            if math.dist(end[:2], point[:2]) <= self._near
+        ]
 
     def _around(self, point: Vertex) -> Iterator[tuple[int, bool, Vertex]]:
         i, j = self._box(point)

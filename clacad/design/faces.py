@@ -44,7 +44,10 @@ class Radius:
 
     def allowed(self, unit: Unit) -> str:
         """Return the words of the message."""
-        return f"a length other than 0, > 0 where convex (bare = {unit.name}, or text with a unit: {SHOWN['length']}), or inf"
+        return (
+            f"a length other than 0, > 0 where convex (bare = {unit.name}, or text with a unit:"
+            f" {SHOWN['length']}), or inf"
+        )
 
     def schema(self) -> JsonSchema:
         """Return the JSON Schema of a number or text."""

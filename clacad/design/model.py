@@ -21,7 +21,8 @@ from clacad.design.read import read_changed, read_dict, read_file
 from clacad.design.sections import LatticeSpec, LawSpec, LightSpec, PairSpec
 
 _LATER = ("tolerances", "light")
-"""Sections younger than the first canonical texts, absent from them where nothing differs from the defaults."""
+"""Sections younger than the first canonical texts, absent from them where nothing differs from the
+defaults."""
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -169,8 +170,15 @@ class Design:
     def to_dict(self) -> dict[str, Any]:
         """Return every key with its value, defaults included; `Design.from_dict` of it is an equal design."""
         head = {"format": FORMAT, "name": self.name, "unit": self.unit}
-        specs = {"law": self.law_spec, "pair": self.pair, "lattice": self.lattice, "body": self.body,
-                 "check": self.check, "tolerances": self.tolerances, "light": self.light}  # fmt: skip
+        specs = {
+            "law": self.law_spec,
+            "pair": self.pair,
+            "lattice": self.lattice,
+            "body": self.body,
+            "check": self.check,
+            "tolerances": self.tolerances,
+            "light": self.light,
+        }
         tables = {
             name: written(spec, self._unit)
             for name, spec in specs.items()
@@ -188,7 +196,8 @@ class Design:
         Parameters
         ----------
         changes : mapping, or str
-            Dotted key, with an index for one element of a list, to value: {"law.eta.0": -0.5}; or one such key.
+            Dotted key, with an index for one element of a list, to value: {"law.eta.0": -0.5}; or one such
+            key.
         value : any
             Value of the one key: ``design.replace("pair.separation", 12)``.
 

@@ -78,20 +78,43 @@ class NumberRows:
                 yield RowBlock(self._numbers(lines, first), lines, first)
                 first += len(lines)
 
-    def refuse(self, message: str, row: int | None = None, line: str = "", column: int | None = None, *,
-               allowed: str = "", hint: str = "") -> NoReturn:  # fmt: skip
+    def refuse(
+        self,
+        message: str,
+        row: int | None = None,
+        line: str = "",
+        column: int | None = None,
+        *,
+        allowed: str = "",
+        hint: str = "",
+    ) -> NoReturn:
         """Refuse the table, at a column (from 0) of a row (from 1)."""
         place = None
         if column is not None:
             place = 1 + min(len(line), sum(len(part) + 1 for part in line.split(",")[:column]))
-        raise DesignError([Mistake("CL124", message, self.key, self.path, row, place, allowed=allowed, hint=hint,
-                                   source_line=line)])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL124",
+                    message,
+                    self.key,
+                    self.path,
+                    row,
+                    place,
+                    allowed=allowed,
+                    hint=hint,
+                    source_line=line,
+                )
+            ]
+        )
 
     def _header(self, line: str) -> None:
         names = [part.strip() for part in line.split(",")]
         if names != [*self.columns]:
-            wrong = next((k for k, pair in enumerate(zip(names, self.columns)) if pair[0] != pair[1]),
-                         min(len(names), len(self.columns)))  # fmt: skip
+            wrong = next(
+                (k for k, pair in enumerate(zip(names, self.columns)) if pair[0] != pair[1]),
+                min(len(names), len(self.columns)),
+            )
             hint = next(
                 (way for start, way in self.elsewhere for name in names if name.startswith(start)), ""
             )
@@ -160,6 +183,11 @@ class NumberRows:
                 except ValueError:
                     self.refuse(f"{self.columns[column]} is no number", row, line, column, allowed="a number")
             if len(parts) != len(self.columns):
-                self.refuse(f"{len(parts)} values in a row", row, line, min(len(parts), len(self.columns)),
-                            allowed=",".join(self.columns))  # fmt: skip
+                self.refuse(
+                    f"{len(parts)} values in a row",
+                    row,
+                    line,
+                    min(len(parts), len(self.columns)),
+                    allowed=",".join(self.columns),
+                )
         self.refuse("the rows are not numbers separated by commas", first, allowed=",".join(self.columns))

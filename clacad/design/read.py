@@ -67,15 +67,20 @@ def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path
 def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
     """Return converted values by dotted key, and every mistake.
 
-    For a faulty design, all convertible values of its sections are returned, so that the rules check the rest.
+    For a faulty design, all convertible values of its sections are returned, so that the rules check the
+    rest.
     """
     word = data.get("unit")
     reader = KeyReader(DESIGN, units.design_unit(word) if isinstance(word, str) else None)
     values = reader.top(data)
     for section in SECTIONS:
         values |= {f"{section}.{name}": value for name, value in reader.section(section, data).items()}
-    written = {f"{section}.{name}": value for section in SECTIONS if isinstance(data.get(section), dict)
-               for name, value in data[section].items()}  # fmt: skip
+    written = {
+        f"{section}.{name}": value
+        for section in SECTIONS
+        if isinstance(data.get(section), dict)
+        for name, value in data[section].items()
+    }
     mistakes = reader.mistakes
     whole = {section for section in SECTIONS if section in data and not isinstance(data[section], dict)}
     missing = {m.key for m in mistakes if m.code == "CL103"} | whole

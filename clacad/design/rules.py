@@ -57,28 +57,49 @@ def law_is_a_pair(a: Asked) -> Iterator[Mistake]:
         return
     for i, axis in enumerate("xy"):
         if eta[i] == 0.0:
-            yield Mistake("CL110", f"eta_{axis} = 0: no pair of lenses has it", f"{LAW.eta}.{i}",
-                          allowed="any other number; |eta| < 1 shrinks what is seen, eta < 0 turns it over",
-                          hint=f"eta_{axis} = -1 sends light on under minus the angle it came in")  # fmt: skip
+            yield Mistake(
+                "CL110",
+                f"eta_{axis} = 0: no pair of lenses has it",
+                f"{LAW.eta}.{i}",
+                allowed="any other number; |eta| < 1 shrinks what is seen, eta < 0 turns it over",
+                hint=f"eta_{axis} = -1 sends light on under minus the angle it came in",
+            )
         elif 0.0 < abs(eta[i]) < 1e-6:
-            yield Mistake("CL106", f"eta_{axis} = {eta[i]!r} is out of range", f"{LAW.eta}.{i}",
-                          allowed="1e-6 <= |eta| <= 1e6")  # fmt: skip
+            yield Mistake(
+                "CL106",
+                f"eta_{axis} = {eta[i]!r} is out of range",
+                f"{LAW.eta}.{i}",
+                allowed="1e-6 <= |eta| <= 1e6",
+            )
     if eta[0] == 1.0 and eta[1] == 1.0:
-        yield Mistake("CL110", "eta = 1 in both x and y: the sheet would be a plain window", LAW.eta,
-                      allowed="eta = 1 in at most one of x and y (a cylindrical sheet)")  # fmt: skip
+        yield Mistake(
+            "CL110",
+            "eta = 1 in both x and y: the sheet would be a plain window",
+            LAW.eta,
+            allowed="eta = 1 in at most one of x and y (a cylindrical sheet)",
+        )
     elif delta is not None:
         for i, axis in enumerate("xy"):
             if eta[i] == 1.0 and delta[i] != 0.0:
-                yield Mistake("CL111", f"eta_{axis} = 1 with delta_{axis} = {delta[i]:g}: a lens without power has "
-                              "no axis to offset", f"{LAW.delta}.{i}", allowed=f"delta_{axis} = 0, or eta_{axis} other than 1")  # fmt: skip
+                yield Mistake(
+                    "CL111",
+                    f"eta_{axis} = 1 with delta_{axis} = {delta[i]:g}: a lens without power has "
+                    "no axis to offset",
+                    f"{LAW.delta}.{i}",
+                    allowed=f"delta_{axis} = 0, or eta_{axis} other than 1",
+                )
 
 
 def lens_faces_forward(a: Asked) -> Iterator[Mistake]:
     """The lens axis must point through the sheet: |θ| < 90°."""
     euler = a(LAW.euler)
     if euler is not None and abs(euler[1]) >= 90.0:
-        yield Mistake("CL106", f"theta = {euler[1]:g} deg turns the lens axis out of the forward half", f"{LAW.euler}.1",
-                      allowed="-90 deg < theta < 90 deg")  # fmt: skip
+        yield Mistake(
+            "CL106",
+            f"theta = {euler[1]:g} deg turns the lens axis out of the forward half",
+            f"{LAW.euler}.1",
+            allowed="-90 deg < theta < 90 deg",
+        )
 
 
 def separation_or_thickness(a: Asked) -> Iterator[Mistake]:
@@ -87,19 +108,35 @@ def separation_or_thickness(a: Asked) -> Iterator[Mistake]:
     if form == "slab":
         number = a.given(PAIR.thickness) and thickness != "auto"
         if a.given(PAIR.separation) and number and thickness is not None:
-            yield Mistake("CL112", "a slab takes either separation or thickness, not both", PAIR.thickness,
-                          found=f"{a.says(PAIR.separation)} and {a.says(PAIR.thickness)}",
-                          allowed="separation = T/n, or thickness = T")  # fmt: skip
+            yield Mistake(
+                "CL112",
+                "a slab takes either separation or thickness, not both",
+                PAIR.thickness,
+                found=f"{a.says(PAIR.separation)} and {a.says(PAIR.thickness)}",
+                allowed="separation = T/n, or thickness = T",
+            )
         if not a.given(PAIR.separation) and not number:
-            yield Mistake("CL103", "a slab needs its separation or its thickness", PAIR.separation,
-                          allowed="separation = T/n, or thickness = T (exactly one)")  # fmt: skip
+            yield Mistake(
+                "CL103",
+                "a slab needs its separation or its thickness",
+                PAIR.separation,
+                allowed="separation = T/n, or thickness = T (exactly one)",
+            )
         if isinstance(a.written.get(PAIR.thickness), list) and thickness is not None:
-            yield Mistake("CL108", f"{a.says(PAIR.thickness)}: a slab is one body with one thickness",
-                          PAIR.thickness, allowed="one length")  # fmt: skip
+            yield Mistake(
+                "CL108",
+                f"{a.says(PAIR.thickness)}: a slab is one body with one thickness",
+                PAIR.thickness,
+                allowed="one length",
+            )
     elif form in ("biconvex", "plano") and not a.given(PAIR.separation):
         what = "centre to centre" if form == "biconvex" else "f1 + f2 in air"
-        yield Mistake("CL103", f"missing key pair.separation: a {form} pair needs it", PAIR.separation,
-                      allowed=f"a length > 0 ({what})")  # fmt: skip
+        yield Mistake(
+            "CL103",
+            f"missing key pair.separation: a {form} pair needs it",
+            PAIR.separation,
+            allowed=f"a length > 0 ({what})",
+        )
 
 
 def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
@@ -112,30 +149,62 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
         (LATTICE.seam_depth, ("plano", "slab")),
     ):
         if a.given(key) and form not in forms:
-            yield Mistake("CL114", f"{key} does not belong to a {form} pair", key,
-                          allowed=f"only with pair.form = {' | '.join(shown(f) for f in forms)}", hint="leave it out")  # fmt: skip
+            yield Mistake(
+                "CL114",
+                f"{key} does not belong to a {form} pair",
+                key,
+                allowed=f"only with pair.form = {' | '.join(shown(f) for f in forms)}",
+                hint="leave it out",
+            )
     if form != "biconvex" and a(PAIR.web):
-        yield Mistake("CL114", f"pair.web does not belong to a {form} pair: its body holds together by itself",
-                      PAIR.web, allowed='only with pair.form = "biconvex"', hint="leave it out")  # fmt: skip
+        yield Mistake(
+            "CL114",
+            f"pair.web does not belong to a {form} pair: its body holds together by itself",
+            PAIR.web,
+            allowed='only with pair.form = "biconvex"',
+            hint="leave it out",
+        )
     if form == "slab" and a(PAIR.confocal) == "thin":
-        yield Mistake("CL114", f"{a.says(PAIR.confocal)} does not belong to a slab", PAIR.confocal,
-                      allowed='"exact": a slab is afocal by construction; or "best": radii for the least error')  # fmt: skip
+        yield Mistake(
+            "CL114",
+            f"{a.says(PAIR.confocal)} does not belong to a slab",
+            PAIR.confocal,
+            allowed='"exact": a slab is afocal by construction; or "best": radii for the least error',
+        )
     if form == "slab" and a(TOLERANCES.separation):
-        yield Mistake("CL114", "tolerances.separation does not belong to a slab: its separation is its thickness",
-                      TOLERANCES.separation, allowed=TOLERANCES.thickness, hint="leave it out")  # fmt: skip
+        yield Mistake(
+            "CL114",
+            "tolerances.separation does not belong to a slab: its separation is its thickness",
+            TOLERANCES.separation,
+            allowed=TOLERANCES.thickness,
+            hint="leave it out",
+        )
     if form == "slab" and a(BODY.baffle):
-        yield Mistake("CL114", "a slab has no room for a baffle between its faces", BODY.baffle,
-                      allowed='false, or pair.form = "biconvex" | "plano"')  # fmt: skip
+        yield Mistake(
+            "CL114",
+            "a slab has no room for a baffle between its faces",
+            BODY.baffle,
+            allowed='false, or pair.form = "biconvex" | "plano"',
+        )
 
 
 def index_or_material(a: Asked) -> Iterator[Mistake]:
     """Require exactly one of index and material."""
     if a.given(PAIR.index) and a.given(PAIR.material):
-        yield Mistake("CL112", "index and material exclude each other", PAIR.material,
-                      found=f"{a.says(PAIR.index)} and {a.says(PAIR.material)}", allowed="exactly one of them")  # fmt: skip
+        yield Mistake(
+            "CL112",
+            "index and material exclude each other",
+            PAIR.material,
+            found=f"{a.says(PAIR.index)} and {a.says(PAIR.material)}",
+            allowed="exactly one of them",
+        )
     elif not a.given(PAIR.index) and not a.given(PAIR.material):
-        yield Mistake("CL103", "missing key pair.index (or pair.material)", PAIR.index,
-                      allowed='index = a number > 1, or material = a name such as "PMMA"')  # fmt: skip
+        yield Mistake(
+            "CL103",
+            "missing key pair.index (or pair.material)",
+            PAIR.index,
+            allowed='index = a number > 1, or material = a name such as "PMMA"',
+        )
 
 
 def material_is_known(a: Asked) -> Iterator[Mistake]:
@@ -180,14 +249,27 @@ def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
     """Conic belongs to a biconic, depth to an ellipsoid; a biconvex biconic needs its conic."""
     surface = a(PAIR.surface)
     if surface == "ellipsoid" and a.given(PAIR.conic):
-        yield Mistake("CL113", "pair.conic needs surface = \"biconic\"", PAIR.conic,
-                      allowed='surface = "biconic", or pair.depth to shape an ellipsoid')  # fmt: skip
+        yield Mistake(
+            "CL113",
+            'pair.conic needs surface = "biconic"',
+            PAIR.conic,
+            allowed='surface = "biconic", or pair.depth to shape an ellipsoid',
+        )
     if surface == "biconic" and a.given(PAIR.depth):
-        yield Mistake("CL113", "pair.depth needs surface = \"ellipsoid\"", PAIR.depth,
-                      allowed='surface = "ellipsoid", or pair.conic to shape a biconic')  # fmt: skip
+        yield Mistake(
+            "CL113",
+            'pair.depth needs surface = "ellipsoid"',
+            PAIR.depth,
+            allowed='surface = "ellipsoid", or pair.conic to shape a biconic',
+        )
     if surface == "biconic" and a(PAIR.form) == "biconvex" and not a.given(PAIR.conic):
-        yield Mistake("CL113", "a biconvex pair of biconics needs pair.conic: no conic is right by itself",
-                      PAIR.surface, allowed="conic = [K_x, K_y]", hint="conic = [0.0, 0.0] gives circular profiles")  # fmt: skip
+        yield Mistake(
+            "CL113",
+            "a biconvex pair of biconics needs pair.conic: no conic is right by itself",
+            PAIR.surface,
+            allowed="conic = [K_x, K_y]",
+            hint="conic = [0.0, 0.0] gives circular profiles",
+        )
 
 
 def faces_stand_alone(a: Asked) -> Iterator[Mistake]:
@@ -195,17 +277,32 @@ def faces_stand_alone(a: Asked) -> Iterator[Mistake]:
     given = a(PAIR.prescription) == "given"
     for key in (PAIR.face, PAIR.vertex, PAIR.search):
         if a.given(key) and a(PAIR.prescription) == "derived":
-            yield Mistake("CL113", f'{key} needs pair.prescription = "given"', key,
-                          allowed='prescription = "given", or leave it out')  # fmt: skip
+            yield Mistake(
+                "CL113",
+                f'{key} needs pair.prescription = "given"',
+                key,
+                allowed='prescription = "given", or leave it out',
+            )
     if not given:
         return
     for key in (PAIR.confocal, PAIR.surface, PAIR.conic, PAIR.depth):
         if a.given(key):
-            yield Mistake("CL112", f"{key} and given faces exclude each other: the faces stand as they are", key,
-                          found=a.says(key), allowed="leave it out", hint='or prescription = "derived" without pair.face')  # fmt: skip
+            yield Mistake(
+                "CL112",
+                f"{key} and given faces exclude each other: the faces stand as they are",
+                key,
+                found=a.says(key),
+                allowed="leave it out",
+                hint='or prescription = "derived" without pair.face',
+            )
     if a(PAIR.form) in ("biconvex", "plano") and a(PAIR.thickness) == "auto":
-        yield Mistake("CL113", "given faces need their thickness: it fixes where their vertices lie", PAIR.thickness,
-                      found=a.says(PAIR.thickness), allowed="a length > 0, or [lens 1, lens 2]")  # fmt: skip
+        yield Mistake(
+            "CL113",
+            "given faces need their thickness: it fixes where their vertices lie",
+            PAIR.thickness,
+            found=a.says(PAIR.thickness),
+            allowed="a length > 0, or [lens 1, lens 2]",
+        )
 
 
 def faces_are_of_the_form(a: Asked) -> Iterator[Mistake]:
@@ -218,14 +315,23 @@ def faces_are_of_the_form(a: Asked) -> Iterator[Mistake]:
     wanted = (2 if form == "slab" else 4) + 2 * lensed + 2 * in_three
     if len(faces) != wanted:
         what = f"a {form} pair" + (" with a field lens" if lensed else "")
-        yield Mistake("CL108", f"{len(faces)} given faces: {what} has {wanted}", PAIR.face,
-                      allowed=f"{wanted} tables [[pair.face]], in the order light meets them")  # fmt: skip
+        yield Mistake(
+            "CL108",
+            f"{len(faces)} given faces: {what} has {wanted}",
+            PAIR.face,
+            allowed=f"{wanted} tables [[pair.face]], in the order light meets them",
+        )
     elif form == "plano" or in_three:
         last = len(faces) - 1
         for k in (1, last - 1) if a(PAIR.curved) != "inside" else (0, last):
             if not faces[k].plane:
-                yield Mistake("CL114", f"pair.face[{k}] is the plane side of a plano lens", f"{PAIR.face}.{k}.radius",
-                              allowed="radius = inf and nothing else", hint='form = "biconvex" bends both sides')  # fmt: skip
+                yield Mistake(
+                    "CL114",
+                    f"pair.face[{k}] is the plane side of a plano lens",
+                    f"{PAIR.face}.{k}.radius",
+                    allowed="radius = inf and nothing else",
+                    hint='form = "biconvex" bends both sides',
+                )
 
 
 def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
@@ -236,9 +342,13 @@ def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
     for i, axis in enumerate("xy"):
         if eta[i] > 0.0:
             where = "there is none" if eta[i] == 1.0 else "it is virtual"
-            yield Mistake("CL126", f"eta_{axis} = {eta[i]:g}: a field lens stands at the common focus, and {where}",
-                          PAIR.field_lens, allowed="false, or eta < 0 in both x and y",
-                          hint=f"eta_{axis} = {-eta[i]:g}, or pair.field_lens = false")  # fmt: skip
+            yield Mistake(
+                "CL126",
+                f"eta_{axis} = {eta[i]:g}: a field lens stands at the common focus, and {where}",
+                PAIR.field_lens,
+                allowed="false, or eta < 0 in both x and y",
+                hint=f"eta_{axis} = {-eta[i]:g}, or pair.field_lens = false",
+            )
 
 
 def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
@@ -246,36 +356,77 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
     keys of a field lens need one.
     """
     if a.given(PAIR.field) and a(PAIR.field_lens) is False:
-        yield Mistake("CL113", "pair.field needs pair.field_lens = true", PAIR.field,
-                      allowed="field_lens = true, or leave it out")  # fmt: skip
+        yield Mistake(
+            "CL113",
+            "pair.field needs pair.field_lens = true",
+            PAIR.field,
+            allowed="field_lens = true, or leave it out",
+        )
     form, eta, euler = a(PAIR.form), a(LAW.eta), a(LAW.euler)
     if not a(PAIR.field_lens) or form is None or eta is None or euler is None:
         return
     if euler[1] != 0.0 and form != "biconvex":
-        yield Mistake("CL127", f"theta = {euler[1]:g} deg: a field lens of a tilted {form} pair is not made", f"{LAW.euler}.1",
-                      allowed="theta = 0", hint='pair.form = "biconvex", or theta = 0')  # fmt: skip
+        yield Mistake(
+            "CL127",
+            f"theta = {euler[1]:g} deg: a field lens of a tilted {form} pair is not made",
+            f"{LAW.euler}.1",
+            allowed="theta = 0",
+            hint='pair.form = "biconvex", or theta = 0',
+        )
     if eta[0] != eta[1]:
         if a(LATTICE.kind) == "hexagonal":
-            yield Mistake("CL127", "eta_x and eta_y differ: the field lens is two arrays of cylinders, which hexagonal cells "
-                          "would cut across", LATTICE.kind, allowed="square | rectangular", hint="eta_x = eta_y")  # fmt: skip
+            yield Mistake(
+                "CL127",
+                "eta_x and eta_y differ: the field lens is two arrays of cylinders, which hexagonal cells "
+                "would cut across",
+                LATTICE.kind,
+                allowed="square | rectangular",
+                hint="eta_x = eta_y",
+            )
         if (angle := euler[0] + euler[2]) % 90.0:
-            yield Mistake("CL127", f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: cells would cut across "
-                          "the cylinders of the field lens", f"{LAW.euler}.0", allowed="phi + psi = 0 deg, or a multiple of 90 deg",
-                          hint="eta_x = eta_y, or lenses along the cells")  # fmt: skip
+            yield Mistake(
+                "CL127",
+                f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: cells would cut across "
+                "the cylinders of the field lens",
+                f"{LAW.euler}.0",
+                allowed="phi + psi = 0 deg, or a multiple of 90 deg",
+                hint="eta_x = eta_y, or lenses along the cells",
+            )
         if euler[1] != 0.0 and form == "biconvex":
-            yield Mistake("CL127", f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
-                          "would fall into steps", f"{LAW.euler}.1", allowed="theta = 0", hint="eta_x = eta_y, or theta = 0")  # fmt: skip
+            yield Mistake(
+                "CL127",
+                f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
+                "would fall into steps",
+                f"{LAW.euler}.1",
+                allowed="theta = 0",
+                hint="eta_x = eta_y, or theta = 0",
+            )
         if a(BODY.baffle) and form != "slab":
-            yield Mistake("CL127", "eta_x and eta_y differ: between the two arrays of cylinders light would change its cell "
-                          "inside the glass of their plate, where no wall of a baffle can stand", BODY.baffle, allowed="false",
-                          hint="eta_x = eta_y, or no baffle")  # fmt: skip
+            yield Mistake(
+                "CL127",
+                "eta_x and eta_y differ: between the two arrays of cylinders light would change its cell "
+                "inside the glass of their plate, where no wall of a baffle can stand",
+                BODY.baffle,
+                allowed="false",
+                hint="eta_x = eta_y, or no baffle",
+            )
     if has_plate(a):
-        yield Mistake("CL127", "a field lens in a plate of holes, corners, pins or a polygon is not made", PAIR.field_lens,
-                      allowed="false, or plain edges", hint="a circle or a rectangle is made")  # fmt: skip
+        yield Mistake(
+            "CL127",
+            "a field lens in a plate of holes, corners, pins or a polygon is not made",
+            PAIR.field_lens,
+            allowed="false, or plain edges",
+            hint="a circle or a rectangle is made",
+        )
     field = a(PAIR.field)
     if field is not None and field.gap is not None and form != "slab":
-        yield Mistake("CL114", f"pair.field.gap does not belong to a {form} pair", PAIR.field,
-                      allowed='only with pair.form = "slab"', hint="leave it out")  # fmt: skip
+        yield Mistake(
+            "CL114",
+            f"pair.field.gap does not belong to a {form} pair",
+            PAIR.field,
+            allowed='only with pair.form = "slab"',
+            hint="leave it out",
+        )
 
 
 PAIR_RULES: Final[tuple[Rule, ...]] = (

@@ -168,7 +168,8 @@ class PairSpec:
     vertex: Pair2 | None = key(Several(LENGTH, _XY), "given: lens 2's offset (d_x, d_y) instead of delta f1")
     offset: Literal["paraxial", "traced"] | None = key(
         Word(("paraxial", "traced")),
-        "where lens 2 stands: by paraxial rays, or where the mean traced light of its cell obeys the law (default where cells differ)",
+        "where lens 2 stands: by paraxial rays, or where the mean traced light of its cell obeys the law"
+        " (default where cells differ)",
     )
     search: SearchRecord | None = key(
         Record(SearchRecord),

@@ -31,38 +31,71 @@ def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
     if kind is None or pitch is None:
         return
     if kind == "rectangular" and not isinstance(written, list | tuple):
-        yield Mistake("CL116", "a rectangular lattice needs two pitches", LATTICE.pitch,
-                      found=a.says(LATTICE.pitch), allowed="[x, y]",
-                      hint=f'write [{shown(written)}, {shown(written)}], or kind = "square"')  # fmt: skip
+        yield Mistake(
+            "CL116",
+            "a rectangular lattice needs two pitches",
+            LATTICE.pitch,
+            found=a.says(LATTICE.pitch),
+            allowed="[x, y]",
+            hint=f'write [{shown(written)}, {shown(written)}], or kind = "square"',
+        )
     if kind != "rectangular" and pitch[0] != pitch[1]:
-        yield Mistake("CL116", f"a {kind} lattice has one pitch", LATTICE.pitch, found=a.says(LATTICE.pitch),
-                      allowed="one length", hint='kind = "rectangular" takes two')  # fmt: skip
+        yield Mistake(
+            "CL116",
+            f"a {kind} lattice has one pitch",
+            LATTICE.pitch,
+            found=a.says(LATTICE.pitch),
+            allowed="one length",
+            hint='kind = "rectangular" takes two',
+        )
     second = a(LATTICE.pitch_2)
     if second is not None and kind != "rectangular" and second[0] != second[1]:
-        yield Mistake("CL116", f"a {kind} lattice has one pitch", LATTICE.pitch_2, found=a.says(LATTICE.pitch_2),
-                      allowed="one length", hint='kind = "rectangular" takes two')  # fmt: skip
+        yield Mistake(
+            "CL116",
+            f"a {kind} lattice has one pitch",
+            LATTICE.pitch_2,
+            found=a.says(LATTICE.pitch_2),
+            allowed="one length",
+            hint='kind = "rectangular" takes two',
+        )
     if second is not None and any(
         not 0.5 <= one / other <= 2.0 for one, other in zip(second, pitch, strict=True)
     ):
-        yield Mistake("CL106", f"{a.says(LATTICE.pitch_2)} is out of range", LATTICE.pitch_2,
-                      allowed="half to twice lattice.pitch")  # fmt: skip
+        yield Mistake(
+            "CL106",
+            f"{a.says(LATTICE.pitch_2)} is out of range",
+            LATTICE.pitch_2,
+            allowed="half to twice lattice.pitch",
+        )
     if a.unit is not None and min(pitch) * float(a.unit.metres) < SMALLEST_PITCH_M:
         metres = min(pitch) * float(a.unit.metres)
-        yield Mistake("CL115", f"{a.says(LATTICE.pitch)} is {metres * 1e6:.3g} um: below the wavelength of light",
-                      LATTICE.pitch, allowed="0.1 um and above",
-                      hint=f'check unit = "{a.unit.name}"')  # fmt: skip
+        yield Mistake(
+            "CL115",
+            f"{a.says(LATTICE.pitch)} is {metres * 1e6:.3g} um: below the wavelength of light",
+            LATTICE.pitch,
+            allowed="0.1 um and above",
+            hint=f'check unit = "{a.unit.name}"',
+        )
 
 
 def seam_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
     """The seam must be narrower than the cell, and lenslets must be joined."""
     seam, pitch = a(LATTICE.seam), a(LATTICE.pitch)
     if seam and pitch is not None and seam >= min(pitch):
-        yield Mistake("CL117", f"{a.says(LATTICE.seam)} leaves no lens in a cell of {a.says(LATTICE.pitch)}",
-                      LATTICE.seam, allowed=f"below the pitch, {min(pitch):g}")  # fmt: skip
+        yield Mistake(
+            "CL117",
+            f"{a.says(LATTICE.seam)} leaves no lens in a cell of {a.says(LATTICE.pitch)}",
+            LATTICE.seam,
+            allowed=f"below the pitch, {min(pitch):g}",
+        )
     if seam and a(PAIR.form) == "biconvex" and a.given(PAIR.web) and a(PAIR.web) == 0.0:
-        yield Mistake("CL117", "web = 0 with a seam: nothing would join the lenslets", PAIR.web,
-                      allowed="a length > 0, or leave pair.web out for the neck thickness",
-                      found=f"{a.says(PAIR.web)} and {a.says(LATTICE.seam)}")  # fmt: skip
+        yield Mistake(
+            "CL117",
+            "web = 0 with a seam: nothing would join the lenslets",
+            PAIR.web,
+            allowed="a length > 0, or leave pair.web out for the neck thickness",
+            found=f"{a.says(PAIR.web)} and {a.says(LATTICE.seam)}",
+        )
 
 
 def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
@@ -74,8 +107,12 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
     if outline.shape in ("polygon", "dxf"):
         return  # polygons and their holes are checked when the cells are placed
     if max(count) > MOST_CUT:
-        yield Mistake("CL106", f"{a.says(LATTICE.count)} is out of range where an outline cuts", LATTICE.count,
-                      allowed=f"up to {MOST_CUT} each way with lattice.outline, which keeps the cells within it alone")  # fmt: skip
+        yield Mistake(
+            "CL106",
+            f"{a.says(LATTICE.count)} is out of range where an outline cuts",
+            LATTICE.count,
+            allowed=f"up to {MOST_CUT} each way with lattice.outline, which keeps the cells within it alone",
+        )
         return
     from clacad.sheet.lattice import Circle, Lattice, Rectangle
 
@@ -86,10 +123,20 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
     least = lattice.least_outline()
     sides = (least.diameter,) if isinstance(least, Circle) else (least.width, least.height)
     need = ", ".join(map(rounded_up, sides))
-    yield Mistake("CL117", f"{a.says(LATTICE.outline)} holds no cell of {count[0]} x {count[1]}", LATTICE.outline,
-                  allowed=f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to the middle",
-                  hint="" if kind == "hexagonal" or all(n % 2 for n in count) else
-                  "with an odd lattice.count a cell lies in the middle")  # fmt: skip
+    yield Mistake(
+        "CL117",
+        f"{a.says(LATTICE.outline)} holds no cell of {count[0]} x {count[1]}",
+        LATTICE.outline,
+        allowed=(
+            f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to the"
+            " middle"
+        ),
+        hint=(
+            ""
+            if kind == "hexagonal" or all(n % 2 for n in count)
+            else "with an odd lattice.count a cell lies in the middle"
+        ),
+    )
 
 
 def count_or_outline(a: Asked) -> Iterator[Mistake]:
@@ -97,18 +144,28 @@ def count_or_outline(a: Asked) -> Iterator[Mistake]:
     if a.given(LATTICE.count) or not any(key.startswith("lattice.") for key in a.written):
         return
     if not a.given(LATTICE.outline):
-        yield Mistake("CL103", "missing key lattice.count", LATTICE.count,
-                      allowed=f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline, which is then "
-                      "filled")  # fmt: skip
+        yield Mistake(
+            "CL103",
+            "missing key lattice.count",
+            LATTICE.count,
+            allowed=(
+                f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline,"
+                " which is then filled"
+            ),
+        )
         return
     outline, pitch, kind = a(LATTICE.outline), a(LATTICE.pitch), a(LATTICE.kind)
     if outline is None or pitch is None or kind is None or outline.shape == "dxf":
         return
     most = max(across / along for across, along in zip(outline.box, pitch, strict=True))
     if most > LARGEST_COUNT / 2:  # rows of hexagons are closer than the pitch
-        yield Mistake("CL117", f"{a.says(LATTICE.outline)} is {most:.3g} cells wide", LATTICE.outline,
-                      allowed=f"at most {LARGEST_COUNT / 2:.3g} cells",
-                      hint="a smaller outline or a larger pitch")  # fmt: skip
+        yield Mistake(
+            "CL117",
+            f"{a.says(LATTICE.outline)} is {most:.3g} cells wide",
+            LATTICE.outline,
+            allowed=f"at most {LARGEST_COUNT / 2:.3g} cells",
+            hint="a smaller outline or a larger pitch",
+        )
 
 
 def outline_is_simple(a: Asked) -> Iterator[Mistake]:
@@ -121,8 +178,15 @@ def outline_is_simple(a: Asked) -> Iterator[Mistake]:
 
         why = fault(outline.points)
         if why:
-            yield Mistake("CL141", f"{key} is no outline: {why}", key,
-                          allowed="corners of a closed polygon in order, the first not repeated, whose sides meet at corners alone")  # fmt: skip
+            yield Mistake(
+                "CL141",
+                f"{key} is no outline: {why}",
+                key,
+                allowed=(
+                    "corners of a closed polygon in order, the first not repeated, whose sides meet at"
+                    " corners alone"
+                ),
+            )
 
 
 def one_edge(a: Asked) -> Iterator[Mistake]:
@@ -152,15 +216,31 @@ def plate_has_a_border(a: Asked) -> Iterator[Mistake]:
     shape = "rectangle" if outline is None else outline.shape
     for key in (BODY.corners, BODY.holes, BODY.pins):
         if a(key) and outline is None and not border:
-            yield Mistake("CL113", f"{key} needs land round the cells", key,
-                          allowed="body.border > 0, body.outline or lattice.outline")  # fmt: skip
+            yield Mistake(
+                "CL113",
+                f"{key} needs land round the cells",
+                key,
+                allowed="body.border > 0, body.outline or lattice.outline",
+            )
     if a(BODY.corners) and shape != "rectangle":
-        yield Mistake("CL114", f"body.corners does not belong to a {shape}", BODY.corners,
-                      allowed="a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border alone",
-                      hint="give a polygon's corners themselves: [x, y, bulge] bends a side")  # fmt: skip
+        yield Mistake(
+            "CL114",
+            f"body.corners does not belong to a {shape}",
+            BODY.corners,
+            allowed=(
+                "a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border"
+                " alone"
+            ),
+            hint="give a polygon's corners themselves: [x, y, bulge] bends a side",
+        )
     if a(BODY.pins) and a(PAIR.form) == "slab":
-        yield Mistake("CL114", "body.pins does not belong to a slab: it is one body", BODY.pins,
-                      allowed='pair.form = "biconvex" | "plano"', hint="leave it out")  # fmt: skip
+        yield Mistake(
+            "CL114",
+            "body.pins does not belong to a slab: it is one body",
+            BODY.pins,
+            allowed='pair.form = "biconvex" | "plano"',
+            hint="leave it out",
+        )
     for n in range(len(a(BODY.holes) or ())):
         yield from _one_way_to_place(a.written[BODY.holes][n], n, shape)
 
@@ -170,8 +250,15 @@ def _one_way_to_place(hole: dict[str, Any], n: int, shape: str) -> Iterator[Mist
     ways = [key for key in ("at", "circle", "corners") if key in hole]
     key = f"{BODY.holes}.{n}"
     if len(ways) != 1:
-        yield Mistake("CL112" if ways else "CL103", f"body.holes[{n}] says {'two ways' if ways else 'nothing'} of where its holes are",
-                      key, allowed="exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from both sides")  # fmt: skip
+        yield Mistake(
+            "CL112" if ways else "CL103",
+            f"body.holes[{n}] says {'two ways' if ways else 'nothing'} of where its holes are",
+            key,
+            allowed=(
+                "exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from"
+                " both sides"
+            ),
+        )
     elif ways == ["circle"] and "count" not in hole:
         yield Mistake(
             "CL103",
@@ -180,24 +267,45 @@ def _one_way_to_place(hole: dict[str, Any], n: int, shape: str) -> Iterator[Mist
             allowed="count = a whole number from 1 to 360",
         )
     elif ways != ["circle"] and {"count", "start"} & set(hole):
-        yield Mistake("CL113", f"body.holes[{n}]: count and start belong to circle", key, allowed="circle = a length > 0, or leave them out")  # fmt: skip
+        yield Mistake(
+            "CL113",
+            f"body.holes[{n}]: count and start belong to circle",
+            key,
+            allowed="circle = a length > 0, or leave them out",
+        )
     if ways == ["corners"] and shape != "rectangle":
-        yield Mistake("CL114", f"body.holes[{n}].corners does not belong to a {shape}", key,
-                      allowed="at = [[x, y], ...], or circle = diameter with count")  # fmt: skip
+        yield Mistake(
+            "CL114",
+            f"body.holes[{n}].corners does not belong to a {shape}",
+            key,
+            allowed="at = [[x, y], ...], or circle = diameter with count",
+        )
 
 
 def baffle_has_walls(a: Asked) -> Iterator[Mistake]:
     """A baffle needs its wall thickness, thinner than a cell; a wall needs a baffle."""
     wall, pitch = a(BODY.baffle_wall), a(LATTICE.pitch)
     if a(BODY.baffle) and not a.given(BODY.baffle_wall):
-        yield Mistake("CL113", "body.baffle = true needs body.baffle_wall", BODY.baffle,
-                      allowed="baffle_wall = a length > 0, below the pitch")  # fmt: skip
+        yield Mistake(
+            "CL113",
+            "body.baffle = true needs body.baffle_wall",
+            BODY.baffle,
+            allowed="baffle_wall = a length > 0, below the pitch",
+        )
     if a.given(BODY.baffle_wall) and a(BODY.baffle) is False:
-        yield Mistake("CL113", "body.baffle_wall needs body.baffle = true", BODY.baffle_wall,
-                      allowed="baffle = true, or leave baffle_wall out")  # fmt: skip
+        yield Mistake(
+            "CL113",
+            "body.baffle_wall needs body.baffle = true",
+            BODY.baffle_wall,
+            allowed="baffle = true, or leave baffle_wall out",
+        )
     if wall is not None and pitch is not None and wall >= min(pitch):
-        yield Mistake("CL117", f"{a.says(BODY.baffle_wall)} closes the channels", BODY.baffle_wall,
-                      allowed=f"below the pitch, {min(pitch):g}")  # fmt: skip
+        yield Mistake(
+            "CL117",
+            f"{a.says(BODY.baffle_wall)} closes the channels",
+            BODY.baffle_wall,
+            allowed=f"below the pitch, {min(pitch):g}",
+        )
 
 
 def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
@@ -206,25 +314,48 @@ def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
     if spec is None or eta is None:
         return
     if spec.table is not None and any(a(LAW.delta) or ()):
-        yield Mistake("CL112", "law.delta and a table of cells exclude each other: the table has the delta of every cell",
-                      LAW.delta, found=a.says(LAW.delta), allowed="leave it out")  # fmt: skip
+        yield Mistake(
+            "CL112",
+            "law.delta and a table of cells exclude each other: the table has the delta of every cell",
+            LAW.delta,
+            found=a.says(LAW.delta),
+            allowed="leave it out",
+        )
     if 1.0 in eta:
-        yield Mistake("CL111", "eta = 1 with a delta that varies: a lens without power has no axis to offset", LAW.varying,
-                      allowed="eta other than 1 in both x and y")  # fmt: skip
+        yield Mistake(
+            "CL111",
+            "eta = 1 with a delta that varies: a lens without power has no axis to offset",
+            LAW.varying,
+            allowed="eta other than 1 in both x and y",
+        )
     if separation is None:
         if spec.conjugates is not None and a(PAIR.form) == "slab" and a.given(PAIR.thickness):
-            yield Mistake("CL113", "law.varying.conjugates needs pair.separation", PAIR.separation,
-                          allowed="separation = T/n instead of thickness = T")  # fmt: skip
+            yield Mistake(
+                "CL113",
+                "law.varying.conjugates needs pair.separation",
+                PAIR.separation,
+                allowed="separation = T/n instead of thickness = T",
+            )
         return
     wanted = None if spec.conjugates is None else needed_eta(spec.conjugates, separation)
     if wanted is not None and any(abs(e - w) > MAGNIFIED * abs(w) for e, w in zip(eta, wanted, strict=True)):
         needed = ", ".join(repr(w) for w in wanted)
-        yield Mistake("CL112", "law.eta and the magnification exclude each other", LAW.eta, found=a.says(LAW.eta),
-                      allowed=f"eta = [{needed}]", hint="or leave magnification out: then it is as eta makes it")  # fmt: skip
+        yield Mistake(
+            "CL112",
+            "law.eta and the magnification exclude each other",
+            LAW.eta,
+            found=a.says(LAW.eta),
+            allowed=f"eta = [{needed}]",
+            hint="or leave magnification out: then it is as eta makes it",
+        )
     rows = gradient_of(spec, eta, separation)
     if rows is not None and not all(abs(v) < 1e9 for row in rows for v in row):
-        yield Mistake("CL106", "the gradient of delta is out of range", LAW.varying,
-                      allowed="planes farther from the sheet")  # fmt: skip
+        yield Mistake(
+            "CL106",
+            "the gradient of delta is out of range",
+            LAW.varying,
+            allowed="planes farther from the sheet",
+        )
 
 
 def focus_has_planes(a: Asked) -> Iterator[Mistake]:
@@ -235,19 +366,39 @@ def focus_has_planes(a: Asked) -> Iterator[Mistake]:
     if planes is None or eta is None:
         return
     if isinf(planes.object) and isinf(planes.image):
-        yield Mistake("CL113", "pair.focus with both planes at infinity: parallel light that leaves parallel is the afocal pair",
-                      PAIR.focus, allowed='a finite object or image, or "afocal"')  # fmt: skip
+        yield Mistake(
+            "CL113",
+            "pair.focus with both planes at infinity: parallel light that leaves parallel is the afocal pair",
+            PAIR.focus,
+            allowed='a finite object or image, or "afocal"',
+        )
     if 1.0 in eta:
-        yield Mistake("CL111", "eta = 1 with pair.focus: a lens without power focuses nothing", PAIR.focus,
-                      allowed="eta other than 1 in both x and y")  # fmt: skip
+        yield Mistake(
+            "CL111",
+            "eta = 1 with pair.focus: a lens without power focuses nothing",
+            PAIR.focus,
+            allowed="eta other than 1 in both x and y",
+        )
     if eta[0] == eta[1]:
         return
     if a(LATTICE.kind) == "hexagonal":
-        yield Mistake("CL116", "eta_x and eta_y differ: with pair.focus array 2 needs two pitches, and a hexagonal lattice has one",
-                      LATTICE.kind, allowed="square | rectangular", hint="eta_x = eta_y")  # fmt: skip
+        yield Mistake(
+            "CL116",
+            "eta_x and eta_y differ: with pair.focus array 2 needs two pitches, and a hexagonal lattice"
+            " has one",
+            LATTICE.kind,
+            allowed="square | rectangular",
+            hint="eta_x = eta_y",
+        )
     if euler is not None and (angle := euler[0] + euler[2]) % 90.0:
-        yield Mistake("CL125", f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: with pair.focus array 2's cells would "
-                      "be sheared", f"{LAW.euler}.0", allowed="phi + psi = 0 deg, or a multiple of 90 deg", hint="eta_x = eta_y")  # fmt: skip
+        yield Mistake(
+            "CL125",
+            f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: with pair.focus array 2's"
+            " cells would be sheared",
+            f"{LAW.euler}.0",
+            allowed="phi + psi = 0 deg, or a multiple of 90 deg",
+            hint="eta_x = eta_y",
+        )
 
 
 def sheet_is_built(a: Asked) -> Iterator[Mistake]:
@@ -256,8 +407,13 @@ def sheet_is_built(a: Asked) -> Iterator[Mistake]:
         for feature in FEATURES:
             reason = why_not(sheet, feature.name)
             if reason and feature.present(a):
-                yield Mistake("CL125", f"{feature.key} with {sheet}: {reason}", feature.key, allowed="one of the two",
-                              hint=feature.instead)  # fmt: skip
+                yield Mistake(
+                    "CL125",
+                    f"{feature.key} with {sheet}: {reason}",
+                    feature.key,
+                    allowed="one of the two",
+                    hint=feature.instead,
+                )
 
 
 RULES: Final[tuple[Rule, ...]] = (

@@ -38,7 +38,8 @@ def template(name: str, kind: str = "slab") -> str:
     name : str
         Name of the design, 1 to 80 letters, digits, spaces and - _ . , + ( ) =.
     kind : str
-        A key of `templates()`: "galilean", "hexagonal", "paper", "plano", "slab", "tilted", "window", or the name of
+        A key of `templates()`: "galilean", "hexagonal", "paper", "plano", "slab", "tilted", "window", or the
+        name of
         a shipped design, such as "fig3".
 
     Returns

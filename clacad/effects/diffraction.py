@@ -156,8 +156,8 @@ def bound(situation: Situation) -> Bound:
     wave = max(lines)
     angle = hypot(*(wave / (mean * window.unit)))
     why = (
-        f"lit slits of {mean[0] * millimetres(window.unit):.3g} by {mean[1] * millimetres(window.unit):.3g} mm spread "
-        f"{wave * 1e9:.0f} nm light by {angle:.2g} rad"
+        f"lit slits of {mean[0] * millimetres(window.unit):.3g} by {mean[1] * millimetres(window.unit):.3g}"
+        f" mm spread {wave * 1e9:.0f} nm light by {angle:.2g} rad"
     )
     return Bound(angle, 0.0, why, COST)
 

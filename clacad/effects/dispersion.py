@@ -79,14 +79,18 @@ def bound(situation: Situation) -> Bound:
         turns.append(epsilon * largest_turn(width / cells.separation, m, reach, aim, ghosts))
     tilt = tilt_term(window, epsilon)
     angle = 1.05 * hypot(*turns) + tilt
-    why = f"n changes by {epsilon:.2%} of n − 1 over {len(lines)} lines, which turns light by up to {angle:.2g} rad"
+    why = (
+        f"n changes by {epsilon:.2%} of n − 1 over {len(lines)} lines, which turns light by up to"
+        f" {angle:.2g} rad"
+    )
     return Bound(angle, 0.0, why, float(len(lines)))
 
 
 def largest_turn(ratio: float, m: float, reach: float, aim: float, ghosts: bool) -> float:
     """Largest |1 − m|/|m| |x − u|/s for light within `reach` of the field's middle.
 
-    x − u = (1 − m) x − s τ, |x| ≤ p/2, τ the slope off the pair's own undeviated slope t0; for light that stays with
+    x − u = (1 − m) x − s τ, |x| ≤ p/2, τ the slope off the pair's own undeviated slope t0; for light that
+    stays with
     its partner |u − u0| ≤ p/2 too.
     """
     half = 0.5 * ratio
@@ -124,9 +128,11 @@ def measured(situation: Situation) -> tuple[float, float]:
 
     window = situation.window
     light = measure(
-        lambda lit: trace(window, lit.rays, path="size"), of_rays(situation.rays), RequestedLaw(window.law),
+        lambda lit: trace(window, lit.rays, path="size"),
+        of_rays(situation.rays),
+        RequestedLaw(window.law),
         situation.wavelengths,
-    )  # fmt: skip
+    )
     base = traced_with(situation)
     turned = [angles(base, line.seen, Fate.GHOST) for line in light.lines]
     worst = max((float(np.quantile(one, MOST)) for one in turned if len(one)), default=0.0)

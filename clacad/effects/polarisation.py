@@ -1,17 +1,24 @@
-"""Polarisation: Fresnel's s and p shares of a 3-vector, a polariser over the scene and an analyser at the camera.
+"""Polarisation: Fresnel's s and p shares of a 3-vector, a polariser over the scene and an analyser at the
+camera.
 
 *Model.* The camera's analyser direction is carried along the ray as a field vector E ⊥ D. At a face
 
-    E' = τ_p Rot E + K (E·S) S,     S = D × D',   τ = sqrt(1 − r²),   Rot the least rotation that takes D to D',
+    E' = τ_p Rot E + K (E·S) S,     S = D × D',   τ = sqrt(1 − r²),   Rot the least rotation that takes D to
+    D',
     K = (τ_s − τ_p)/S² = −2 n1 n2 (r_p − r_s) / ((n2² − n1²) (D·D') (τ_s + τ_p)),
 
-which has no 0/0 at normal incidence. What arrives is E'² of the polariser's direction; by reciprocity this is the
-share of the scene's light that the camera gets (polarisation ray tracing: Yun, Crabtree and Chipman, Appl. Opt. 50,
-2855 (2011)). Without polariser and analyser: both polarisations averaged, as `fresnel` has them, but with what the
-faces themselves polarise. An ideal analyser or polariser halves unpolarised light. Retardance at total reflection
+which has no 0/0 at normal incidence. What arrives is E'² of the polariser's direction; by reciprocity this
+is the
+share of the scene's light that the camera gets (polarisation ray tracing: Yun, Crabtree and Chipman, Appl.
+Opt. 50,
+2855 (2011)). Without polariser and analyser: both polarisations averaged, as `fresnel` has them, but with
+what the
+faces themselves polarise. An ideal analyser or polariser halves unpolarised light. Retardance at total
+reflection
 and of coatings is left out; the straight path alone is polarised.
 *Law.* Malus: cos² of the angle between polariser and analyser; reciprocity; Fresnel's shares for one face.
-*On when* there is a polariser or analyser, or the faces polarise the light so much that the product of mean shares
+*On when* there is a polariser or analyser, or the faces polarise the light so much that the product of mean
+shares
 is off by more than the radiance that matters. Implies `fresnel`.
 """
 
@@ -65,8 +72,14 @@ def effect(window: Window, setting: Setting) -> Effect:
         assert result.hits is not None
         assert result.directions is not None
         traced = Traced(
-            rays.position, rays.direction, result.hits, result.directions, result.fate, result.surface, block.indices
-        )  # fmt: skip
+            rays.position,
+            rays.direction,
+            result.hits,
+            result.directions,
+            result.fate,
+            result.surface,
+            block.indices,
+        )
         polarisation_pass(traced, _pointing(setting.analyser), _pointing(setting.polariser), result.flux)
 
     bare = setting.coating == "none"
@@ -143,7 +156,8 @@ def cross_face(
 
 
 def bound(situation: Situation) -> Bound:
-    """Product of mean shares against mean of products: Σ over pairs of faces of their degrees of polarisation.
+    """Product of mean shares against mean of products: Σ over pairs of faces of their degrees of
+    polarisation.
 
     A face passes T̄ (1 ± D) of its own s and p light, D = (T_p − T_s)/(T_p + T_s). For any planes of
     incidence, two faces together change unpolarised light's share by D_i D_j at most.

@@ -1,4 +1,5 @@
-"""Light reflected inside and at the sheet: forward after two reflections, and back to the camera's side after one.
+"""Light reflected inside and at the sheet: forward after two reflections, and back to the camera's side
+after one.
 
 *Model.* Every path of up to `Setting.order` partial reflections is split off deterministically and followed
 exactly (`clacad.effects.engine.nonsequential`), with Fresnel's share at every face; it implies the losses of
@@ -48,7 +49,9 @@ def bound(situation: Situation) -> Bound:
 
 
 def measured(situation: Situation) -> tuple[float, float]:
-    """Light that split paths add: forward with the scene's contrast, back with the brightness of the camera's side."""
+    """Light that split paths add: forward with the scene's contrast, back with the brightness of the
+    camera's side.
+    """
     extra, own = light_with(situation, NAME), light_with(situation, FRESNEL)
     n = max(len(situation.met), 1)
     back = extra.direction[:, 2] < 0.0

@@ -14,9 +14,19 @@ if TYPE_CHECKING:
     from clacad.effects.engine.effect import Declaration
 
 NAMES = (
-    "ghosts", "walls", "fresnel", "absorption", "dispersion", "reflections", "tir_paths", "diffraction",
-    "scatter", "polarisation", "depth_of_field", "facets",
-)  # fmt: skip
+    "ghosts",
+    "walls",
+    "fresnel",
+    "absorption",
+    "dispersion",
+    "reflections",
+    "tir_paths",
+    "diffraction",
+    "scatter",
+    "polarisation",
+    "depth_of_field",
+    "facets",
+)
 
 
 @cache

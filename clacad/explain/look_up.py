@@ -65,7 +65,8 @@ def _see(key: str) -> str:
 
 
 def explain(text: str, more: Sequence[Entry] = ()) -> Entry:
-    """Look up a code ("CL337", "337"), a check ("wall"), a word ("moire"), a process, effect or material, a key ("pair.web").
+    """Look up a code ("CL337", "337"), a check ("wall"), a word ("moire"), a process, effect or material, a
+    key ("pair.web").
 
     The former name of a check finds the check; its title then states the present name.
 
@@ -121,7 +122,10 @@ def _key(name: str) -> Entry | None:
     key = (SECTIONS[section] if section else ROOT)[last]
     allowed = key.kind.allowed(Unit("the design's unit", LENGTHS["m"]))
     if place == PAIR.material:
-        allowed = f"one of the names of the table ({materials_text()}), or a page of the refractiveindex.info database (ri:…)"
+        allowed = (
+            f"one of the names of the table ({materials_text()}), or a page of the refractiveindex.info"
+            " database (ri:…)"
+        )
     return Entry("", place, f"key {place} of the design file", key.about, "", "", f"it takes {allowed}")
 
 

@@ -22,7 +22,8 @@ from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
 
 SHOWN = (550e-9, 4e-6, 10.6e-6)
-"""Wavelengths, metres, at which an index is printed where it is known: the eye's, the middle and the far infrared."""
+"""Wavelengths, metres, at which an index is printed where it is known: the eye's, the middle and the far
+infrared."""
 
 
 def named_things() -> Iterator[Entry]:
@@ -36,7 +37,9 @@ def named_things() -> Iterator[Entry]:
 
 
 def _combinations() -> Entry:
-    """Features that combine with non-uniform sheets: a matrix, from the table by which the reader refuses the others."""
+    """Features that combine with non-uniform sheets: a matrix, from the table by which the reader refuses
+    the others.
+    """
     (_, *sheets), *rows = matrix()
     codes: dict[str, str] = {}
     lines = [["", *(sheet.rpartition(".")[2] for sheet in sheets)]]
@@ -79,10 +82,19 @@ def materials_text() -> str:
 # --- processes ----------------------------------------------------------------------------------------------
 
 _LIMITS = (
-    ("edge", "edge at least {}"), ("neck", "between lenslets at least {}"), ("radius", "radii at least {}"),
-    ("pitch", "pitch at least {}"), ("sag", "structures up to {} high"), ("part_height", "parts up to {} high"), ("part_width", "parts up to {} wide"), ("wall", "walls up to {} high"),
-    ("clearance", "gap between bodies at least {}"), ("tool", "tool nose {}"), ("voxel", "voxels of {}"), ("layer", "layers of {}"),
-)  # fmt: skip
+    ("edge", "edge at least {}"),
+    ("neck", "between lenslets at least {}"),
+    ("radius", "radii at least {}"),
+    ("pitch", "pitch at least {}"),
+    ("sag", "structures up to {} high"),
+    ("part_height", "parts up to {} high"),
+    ("part_width", "parts up to {} wide"),
+    ("wall", "walls up to {} high"),
+    ("clearance", "gap between bodies at least {}"),
+    ("tool", "tool nose {}"),
+    ("voxel", "voxels of {}"),
+    ("layer", "layers of {}"),
+)
 """Limits in metres, and their sentences; 0 and infinity set none."""
 
 
@@ -96,9 +108,15 @@ def _process(one: ProcessProfile) -> Entry:
     told += [f"works {', '.join(_worked(one))}"] if one.materials else []
     limits = ", ".join(told) or "A part must exist, nothing more: no limit of a process is checked"
     return Entry(
-        "", one.name, f"process {one.name}", f"{limits[0].upper()}{limits[1:]}.", f"Limits from: {one.source}.", "",
-        f'check.process = "{one.name}" in the design file; a limit may be allowed to be passed with a reason (check.allow).',
-    )  # fmt: skip
+        "",
+        one.name,
+        f"process {one.name}",
+        f"{limits[0].upper()}{limits[1:]}.",
+        f"Limits from: {one.source}.",
+        "",
+        f'check.process = "{one.name}" in the design file; a limit may be allowed to be passed with a reason'
+        " (check.allow).",
+    )
 
 
 def _worked(one: ProcessProfile) -> list[str]:
@@ -131,10 +149,15 @@ def _effect(name: str) -> Entry:
         for word, more, said in zip(parts[1::3], parts[2::3], parts[3::3])
     }
     return Entry(
-        "", name, f"effect {name}: {title.rstrip('.')}", found["Model"], f"Its law: {found['Law']}", "",
-        f"It is simulated {found['On']} A scene switches it on or leaves it out by effects.force and effects.without; `clacad effects "
-        "SCENE` shows the plan.",
-    )  # fmt: skip
+        "",
+        name,
+        f"effect {name}: {title.rstrip('.')}",
+        found["Model"],
+        f"Its law: {found['Law']}",
+        "",
+        f"It is simulated {found['On']} A scene switches it on or leaves it out by effects.force and"
+        " effects.without; `clacad effects SCENE` shows the plan.",
+    )
 
 
 # --- formats ------------------------------------------------------------------------------------------------
@@ -160,10 +183,14 @@ def _format(one: Format) -> Entry:
     sheets = "non-uniform sheets too" if one.any_cells else "uniform sheets only"
     repeats = "; it stores one cell of a uniform sheet and its places" if one.repeats else ""
     return Entry(
-        "", name, f"format {one.word}", f"{one.about[0].upper()}{one.about[1:]}.",
-        f"It holds {sheets}{repeats}. Accuracy: {'; '.join(way.note for way in one.stored)}.", "",
+        "",
+        name,
+        f"format {one.word}",
+        f"{one.about[0].upper()}{one.about[1:]}.",
+        f"It holds {sheets}{repeats}. Accuracy: {'; '.join(way.note for way in one.stored)}.",
+        "",
         f"clacad export DESIGN --format {one.word}",
-    )  # fmt: skip
+    )
 
 
 # --- materials ----------------------------------------------------------------------------------------------
@@ -180,18 +207,25 @@ def _material(one: Material) -> Entry:
         f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm",
         "density not published" if one.density_kg_m3 is None else f"{one.density_kg_m3:g} kg/m³",
         "dn/dT not published" if thermal.dn_dt is None else _dn_dt(*thermal.dn_dt),
-        "expansion not published"
-        if thermal.expansion is None
-        else f"expansion {1e6 * thermal.expansion:.3g}e-6/K",
+        (
+            "expansion not published"
+            if thermal.expansion is None
+            else f"expansion {1e6 * thermal.expansion:.3g}e-6/K"
+        ),
         "absorption known" if one.extinction else "absorption not published",
     ]
     made = [rules.name for rules in profiles() if rules.materials and rules.works(one)]
     means.append(f"worked by {', '.join(made)}" if made else "worked by no process known here")
     why = f"From: {one.source}." + (f" Thermal numbers: {thermal.source}." if thermal.source else "")
     return Entry(
-        "", one.name, f"material {one.name} ({one.kind})", f"{'; '.join(means)}.", why, "",
+        "",
+        one.name,
+        f"material {one.name} ({one.kind})",
+        f"{'; '.join(means)}.",
+        why,
+        "",
         f'pair.material = "{one.name}" in the design file.',
-    )  # fmt: skip
+    )
 
 
 def _dn_dt(change: float, wave: float) -> str:

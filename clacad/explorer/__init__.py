@@ -1,7 +1,10 @@
-"""The explorer: one self-contained page with sliders for the numbers of a design, which shows the view through the sheet.
+"""The explorer: one self-contained page with sliders for the numbers of a design, which shows the view
+through the sheet.
 
-The page draws with rung `thin` in single precision, in the coordinates of each cell. It computes its verdict by the closed
-forms of `clacad.sheet.vignetting` and `clacad.sheet.feasibility.pitch_for_eye`, which JavaScript repeats and tests compare.
+The page draws with rung `thin` in single precision, in the coordinates of each cell. It computes its verdict
+by the closed
+forms of `clacad.sheet.vignetting` and `clacad.sheet.feasibility.pitch_for_eye`, which JavaScript repeats and
+tests compare.
 The page that `explore` writes needs no network and no other file.
 """
 

@@ -23,7 +23,8 @@ class FirstVerdict:
     """What an eye may expect of a thin pair.
 
     share, share_from_eye : float, 0 … 1
-        Of the light on a cell, what meets the partner: along the middle of the field, and of the light that reaches the eye
+        Of the light on a cell, what meets the partner: along the middle of the field, and of the light that
+        reaches the eye
         as a mean over the sheet.
     half_field, ghost_onset : (x, y), slopes in the lens frame
     sharpest_pitch : (x, y), lengths
@@ -55,9 +56,12 @@ def first_verdict(window: Window, eye: float, distance: float) -> FirstVerdict:
     cells = thin_cells(window)
     middle = np.array([[*aperture_slope(window), 1.0]])
     sharp = viewing(
-        focal_ratio(window.thin), (np.inf, np.inf), eye * window.unit, distance * window.unit,
+        focal_ratio(window.thin),
+        (np.inf, np.inf),
+        eye * window.unit,
+        distance * window.unit,
         window.wavelength or DEFAULT_WAVELENGTH,
-    )  # fmt: skip
+    )
     x, y = (pitch / window.unit for pitch in sharp.sharpest)
     return FirstVerdict(
         share=float(share(cells, middle)[0]),
@@ -70,7 +74,9 @@ def first_verdict(window: Window, eye: float, distance: float) -> FirstVerdict:
 
 
 def share_from_eye(window: Window, eye: tuple[float, float, float]) -> float:
-    """Mean over the sheet of the share of the light that meets its partner, of the light that reaches an eye (x, y, z), lengths."""
+    """Mean over the sheet of the share of the light that meets its partner, of the light that reaches an eye
+    (x, y, z), lengths.
+    """
     lattice = window.lattice
     wide, tall = lattice.count[0] * lattice.a1[0], lattice.count[1] * lattice.a2[1]
     at = (np.arange(GRID) + 0.5) / GRID - 0.5

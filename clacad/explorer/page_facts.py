@@ -24,7 +24,8 @@ from clacad.sheet.window import Window
 LAW, SHEET, VIEW = "Law", "Sheet", "View"
 
 FILLS = 0.8
-"""Part of the half field within which the whole sheet lies at the start, where the design names no place of the eye."""
+"""Part of the half field within which the whole sheet lies at the start, where the design names no place of
+the eye."""
 
 MARGIN = 1.3
 """Angle of view at the start over the angle the sheet takes."""
@@ -64,7 +65,9 @@ class Slider:
 
     @property
     def step(self) -> float:
-        """Of the handle: of a thousand places where ratios are equal, else a four-hundredth of the range, rounded."""
+        """Of the handle: of a thousand places where ratios are equal, else a four-hundredth of the range,
+        rounded.
+        """
         if self.log:
             return 1.0
         return float(f"{(self.high - self.low) / 400.0:.0e}")
@@ -79,7 +82,8 @@ def sheet_width(window: Window) -> Range:
 def places(design: Design, window: Window) -> tuple[float, float]:
     """Distances (lengths) of the eye and of what it looks at, where the page starts.
 
-    Those of [check]; else ten separations, and the distance from which all of the sheet is seen within the field.
+    Those of [check]; else ten separations, and the distance from which all of the sheet is seen within the
+    field.
     """
     viewer, distance = design.check.viewer, design.check.object
     if viewer is None:
@@ -105,14 +109,68 @@ def sliders(design: Design, window: Window) -> tuple[Slider, ...]:
         ("phi", "φ", LAW, "deg", phi, (-180.0, 180.0), False, "turn of the lenses about z"),
         ("theta", "θ", LAW, "deg", theta, (-60.0, 60.0), False, "turn of the lenses about x"),
         ("psi", "ψ", LAW, "deg", psi, (-180.0, 180.0), False, "turn of the lenses about z, once more"),
-        ("pitch", "pitch", SHEET, unit, pitch, _pitches(window), True, "width of a cell; the sheet keeps its size"),
-        ("separation", "separation", SHEET, unit, separation, (separation / 8.0, 8.0 * separation), True, "of the two lenses, in air"),
-        ("object", "object behind", VIEW, unit, distance, (distance / 50.0, 50.0 * distance), True, "from array 2 to what is looked at"),
+        (
+            "pitch",
+            "pitch",
+            SHEET,
+            unit,
+            pitch,
+            _pitches(window),
+            True,
+            "width of a cell; the sheet keeps its size",
+        ),
+        (
+            "separation",
+            "separation",
+            SHEET,
+            unit,
+            separation,
+            (separation / 8.0, 8.0 * separation),
+            True,
+            "of the two lenses, in air",
+        ),
+        (
+            "object",
+            "object behind",
+            VIEW,
+            unit,
+            distance,
+            (distance / 50.0, 50.0 * distance),
+            True,
+            "from array 2 to what is looked at",
+        ),
         ("eye", "eye before", VIEW, unit, eye, (eye / 20.0, 20.0 * eye), True, "from array 1 to the eye"),
-        ("azimuth", "eye aside", VIEW, "deg", 0.0, (-60.0, 60.0), False, "angle of the eye off the sheet's normal, to x"),
-        ("elevation", "eye above", VIEW, "deg", 0.0, (-60.0, 60.0), False, "angle of the eye off the sheet's normal, to y"),
-        ("fov", "angle of view", VIEW, "deg", min(fov, 120.0), (min(0.05 * fov, 5.0), 120.0), True, "of the picture's shorter side"),
-    )  # fmt: skip
+        (
+            "azimuth",
+            "eye aside",
+            VIEW,
+            "deg",
+            0.0,
+            (-60.0, 60.0),
+            False,
+            "angle of the eye off the sheet's normal, to x",
+        ),
+        (
+            "elevation",
+            "eye above",
+            VIEW,
+            "deg",
+            0.0,
+            (-60.0, 60.0),
+            False,
+            "angle of the eye off the sheet's normal, to y",
+        ),
+        (
+            "fov",
+            "angle of view",
+            VIEW,
+            "deg",
+            min(fov, 120.0),
+            (min(0.05 * fov, 5.0), 120.0),
+            True,
+            "of the picture's shorter side",
+        ),
+    )
     return tuple(
         Slider(id, label, group, unit, start, min(low, start), max(high, start), log, about)
         for id, label, group, unit, start, (low, high), log, about in rows
@@ -133,9 +191,15 @@ def _pitches(window: Window) -> Range:
 
 
 MOVED = {
-    ("law", "eta"): "eta", ("law", "delta"): "delta", ("law", "euler"): "euler", ("pair", "separation"): "separation",
-    ("lattice", "pitch"): "pitch", ("lattice", "count"): "count", ("check", "viewer"): "viewer", ("check", "object"): "object",
-}  # fmt: skip
+    ("law", "eta"): "eta",
+    ("law", "delta"): "delta",
+    ("law", "euler"): "euler",
+    ("pair", "separation"): "separation",
+    ("lattice", "pitch"): "pitch",
+    ("lattice", "count"): "count",
+    ("check", "viewer"): "viewer",
+    ("check", "object"): "object",
+}
 """Section and key of the file, and what moves it."""
 
 METRES = ("viewer", "object")
@@ -145,9 +209,11 @@ METRES = ("viewer", "object")
 def lines(design: Design) -> list[str | dict[str, Any]]:
     """Lines of the canonical text, those that sliders move as dictionaries.
 
-    A moved line has `key` (what moves it), `start` (the line as long as nothing is moved; None: there is none), `as` (what
+    A moved line has `key` (what moves it), `start` (the line as long as nothing is moved; None: there is
+    none), `as` (what
     precedes its value), `single` (one number, not a list) and `metres` (the value is a text in metres).
-    With no slider moved, the result is the canonical text. A slab given by its thickness gets the separation it is moved to instead.
+    With no slider moved, the result is the canonical text. A slab given by its thickness gets the separation
+    it is moved to instead.
     """
     found: list[str | dict[str, Any]] = []
     section, missing = "", list(METRES)
@@ -197,19 +263,35 @@ PRESETS: tuple[tuple[str, Mapping[str, float]], ...] = (
 
 
 def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str, Any]:
-    """All that the page's script needs, as plain JSON; lengths in the design's unit, wavelength and `unitM` in metres."""
+    """All that the page's script needs, as plain JSON; lengths in the design's unit, wavelength and `unitM`
+    in metres.
+    """
     need_equal_cells(window, "the page of sliders", "`clacad verify -o` writes a page that shows it")
     lattice, aperture = window.lattice, design.lattice.aperture
     assert not isinstance(aperture, AimedAt)  # a non-uniform sheet
     return {
-        "kind": lattice.kind, "form": window.form, "pitch": list(lattice.pitch), "count": list(lattice.count),
-        "outline": _outline(design), "seam": window.land.seam, "border": window.land.border, "opaque": window.land.opaque,
-        "given": design.pair.prescription == "given", "plate": isinstance(window.outline, Plate), "baffle": None if window.baffle is None else window.baffle.wall,
-        "aperture": aperture if isinstance(aperture, str) else list(aperture), "axes": design.law_spec.euler_axes,
-        "field": bool(window.thin.field), "index": window.bodies[0].index, "unitM": window.unit, "wavelength": window.wavelength or DEFAULT_WAVELENGTH,
-        "card": CARD * min(sheet_width(window)), "sliders": [asdict(one) for one in moved],
-        "presets": [[name, dict(changes)] for name, changes in PRESETS], "toml": lines(design),
-    }  # fmt: skip
+        "kind": lattice.kind,
+        "form": window.form,
+        "pitch": list(lattice.pitch),
+        "count": list(lattice.count),
+        "outline": _outline(design),
+        "seam": window.land.seam,
+        "border": window.land.border,
+        "opaque": window.land.opaque,
+        "given": design.pair.prescription == "given",
+        "plate": isinstance(window.outline, Plate),
+        "baffle": None if window.baffle is None else window.baffle.wall,
+        "aperture": aperture if isinstance(aperture, str) else list(aperture),
+        "axes": design.law_spec.euler_axes,
+        "field": bool(window.thin.field),
+        "index": window.bodies[0].index,
+        "unitM": window.unit,
+        "wavelength": window.wavelength or DEFAULT_WAVELENGTH,
+        "card": CARD * min(sheet_width(window)),
+        "sliders": [asdict(one) for one in moved],
+        "presets": [[name, dict(changes)] for name, changes in PRESETS],
+        "toml": lines(design),
+    }
 
 
 def _outline(design: Design) -> list[Any] | None:
@@ -222,7 +304,8 @@ def _outline(design: Design) -> list[Any] | None:
 def not_shown(design: Design, window: Window) -> tuple[str, ...]:
     """What of a design the page leaves out, one phrase each."""
     found = [
-        "aberration, reflections, diffraction, colour and the walls between cells: its lenses are thin and ideal"
+        "aberration, reflections, diffraction, colour and the walls between cells: its lenses are thin and"
+        " ideal"
     ]
     if window.form != "biconvex":
         glass = "slab" if window.form == "slab" else "plano lenses"
@@ -231,8 +314,8 @@ def not_shown(design: Design, window: Window) -> tuple[str, ...]:
         )
     if design.pair.prescription == "given":
         found.append(
-            "the faces as given: the design file keeps them until the law, the separation or the field lens is moved, then "
-            "they follow from these"
+            "the faces as given: the design file keeps them until the law, the separation or the field lens"
+            " is moved, then they follow from these"
         )
     if design.body.frame is not None:
         found.append("the frame")
@@ -242,6 +325,7 @@ def not_shown(design: Design, window: Window) -> tuple[str, ...]:
         found.append("what rough faces scatter")
     if max(window.lattice.count) > MOST_CELLS:
         found.append(
-            f"which of two neighbours a ray meets, for certain, more than {MOST_CELLS // 2} cells from the middle"
+            f"which of two neighbours a ray meets, for certain, more than {MOST_CELLS // 2} cells from the"
+            " middle"
         )
     return tuple(found)

@@ -47,9 +47,12 @@ class Explored:
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON."""
         return {
-            "file": str(self.file), "bytes": self.bytes, "written": self.written, "verdict": self.verdict.to_dict(),
+            "file": str(self.file),
+            "bytes": self.bytes,
+            "written": self.written,
+            "verdict": self.verdict.to_dict(),
             "not_shown": list(self.not_shown),
-        }  # fmt: skip
+        }
 
 
 def explore(
@@ -121,13 +124,24 @@ def page(design: Design) -> str:
     moved = sliders(design, window)
     script, digest = one_script(HERE / "closed_forms.js", HERE / "explorer.js")
     count = " × ".join(map(str, window.lattice.count))
-    return environment(HERE).get_template("page.html.j2").render(
-        name=design.name, about=f"confocal lenslet array pair, {window.form}, {window.lattice.kind} lattice of {count} cells",
-        facts=json.dumps(facts(design, window, moved), sort_keys=True, allow_nan=False),
-        groups=[(name, [one for one in moved if one.group == name]) for name in (LAW, SHEET, VIEW)],
-        presets=[name for name, _ in PRESETS], not_shown=not_shown(design, window), fine=FINE, digest=digest,
-        script=Markup(script), shader=Markup((HERE / "thin_sheet.glsl").read_text(encoding="utf-8")),
-    )  # fmt: skip
+    return (
+        environment(HERE)
+        .get_template("page.html.j2")
+        .render(
+            name=design.name,
+            about=(
+                f"confocal lenslet array pair, {window.form}, {window.lattice.kind} lattice of {count} cells"
+            ),
+            facts=json.dumps(facts(design, window, moved), sort_keys=True, allow_nan=False),
+            groups=[(name, [one for one in moved if one.group == name]) for name in (LAW, SHEET, VIEW)],
+            presets=[name for name, _ in PRESETS],
+            not_shown=not_shown(design, window),
+            fine=FINE,
+            digest=digest,
+            script=Markup(script),
+            shader=Markup((HERE / "thin_sheet.glsl").read_text(encoding="utf-8")),
+        )
+    )
 
 
 FINE = 12

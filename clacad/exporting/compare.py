@@ -77,7 +77,8 @@ def compare_mesh(
     name : str
         File name, for messages.
     volume : Integral or None
-        Exact volume of the window's bodies (`sheet.volume_and_extent.body_volume`); None: the volume is not compared.
+        Exact volume of the window's bodies (`sheet.volume_and_extent.body_volume`); None: the volume is not
+        compared.
 
     Raises
     ------
@@ -130,7 +131,8 @@ def _compare_box(found: Measure, window: Window, promise: Promise, slack: float,
     room = slack + promise.merge + promise.sag_error + 1e-6 * (high - low)
     if found.low[2] < low - room or found.high[2] > high + room:
         raise FileDisagrees(
-            f"{name}: heights {found.low[2]:.9g} … {found.high[2]:.9g} leave the design's {low:.9g} … {high:.9g}"
+            f"{name}: heights {found.low[2]:.9g} … {found.high[2]:.9g} leave the design's {low:.9g} …"
+            f" {high:.9g}"
         )
 
 
@@ -219,7 +221,8 @@ def _compare_shape(
         )
     if at_middle > 1.1 * promise.sag_error + slack + promise.merge:
         raise FileDisagrees(
-            f"{name}: a facet lies {at_middle:.3g} off the exact surface; its sag error is {promise.sag_error:.3g}"
+            f"{name}: a facet lies {at_middle:.3g} off the exact surface; its sag error is"
+            f" {promise.sag_error:.3g}"
         )
     area = 0.5 * np.abs(normal[optical, 2])
     share = 0.75 * off[:, 3] * area
@@ -252,8 +255,15 @@ def _pitch(window: Window) -> float:
     return min(window.lattice.pitch)
 
 
-def _compare_volume(found: Measure, window: Window, promise: Promise, chord: tuple[float, float], slack: float,
-                    volume: Integral, name: str) -> float:  # fmt: skip
+def _compare_volume(
+    found: Measure,
+    window: Window,
+    promise: Promise,
+    chord: tuple[float, float],
+    slack: float,
+    volume: Integral,
+    name: str,
+) -> float:
     """Compare the enclosed volume with the exact integral, allowing for the sampled chord volume."""
     exact, error = volume.value + promise.added, volume.error
     x0, x1, y0, y1 = whole_extent(window)
@@ -264,7 +274,8 @@ def _compare_volume(found: Measure, window: Window, promise: Promise, chord: tup
     room += error + 1e-12 * abs(exact) + _outline_room(window)
     if found.volume <= 0.0 or abs(found.volume - exact) > room:
         raise FileDisagrees(
-            f"{name}: it encloses {found.volume:.12g}, the design {exact:.12g}; chords explain {room:.2g} of difference"
+            f"{name}: it encloses {found.volume:.12g}, the design {exact:.12g}; chords explain {room:.2g} of"
+            " difference"
         )
     return exact
 

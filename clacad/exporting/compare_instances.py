@@ -24,7 +24,8 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import WALL, Body, Face, Window
 
 COVERED = 0.02
-"""Least share of a cell's area that a part's facets must cover to represent that cell; lenses may be small."""
+"""Least share of a cell's area that a part's facets must cover to represent that cell; lenses may be
+small."""
 
 SPILT = 1e-6
 """Share of a cell's area below which facets over it are slivers on its border."""
@@ -165,9 +166,11 @@ class Standing:
         """Text of the result, with numbers."""
         found = []
         for cells, number, what in zip(
-            (self.missing, self.doubled, self.outside), self.faults,
-            ("cells have no instance", "cells have more than one", "instances stand beside the sheet"), strict=True,
-        ):  # fmt: skip
+            (self.missing, self.doubled, self.outside),
+            self.faults,
+            ("cells have no instance", "cells have more than one", "instances stand beside the sheet"),
+            strict=True,
+        ):
             if number:
                 found.append(f"{number} {what}, such as {cells[0]}" if number > 1 else _one(what, cells[0]))
         if self.worst > self.limit:
@@ -182,7 +185,9 @@ def _one(what: str, cell: Cell) -> str:
     return {
         "cells have no instance": f"cell {cell} has no instance",
         "cells have more than one": f"cell {cell} has more than one instance",
-        "instances stand beside the sheet": f"an instance stands beside the sheet, where cell {cell} would be",
+        "instances stand beside the sheet": (
+            f"an instance stands beside the sheet, where cell {cell} would be"
+        ),
     }[what]
 
 
@@ -294,7 +299,9 @@ def _steps(centre: Floats, basis: Floats, first: int) -> tuple[Ints, Floats]:
 def _covered(
     parts: Sequence[Part], window: Window, place: Floats, factor: float
 ) -> tuple[dict[Side, Ints], bool]:
-    """Cells (k, 2) that facets at one place (4, 3) lie over, by body and side, lens faces only; whether they spill."""
+    """Cells (k, 2) that facets at one place (4, 3) lie over, by body and side, lens faces only; whether they
+    spill.
+    """
     area: dict[tuple[Side, Cell], float] = {}
     for part in parts:
         for corners, _ in part.pairs_at(place):
@@ -335,14 +342,20 @@ def _lying(corners: Floats, window: Window) -> Iterator[tuple[Side, Ints, Floats
 def _covering(
     found: Sequence[PartPlaces], mesh: FileMesh, window: Window, factor: float
 ) -> tuple[list[Cell], list[Cell], list[Cell], tuple[int, int, int]]:
-    """Cells without a place, cells with several, and places outside the sheet: the first few, and the counts."""
+    """Cells without a place, cells with several, and places outside the sheet: the first few, and the
+    counts.
+    """
     lattice = window.lattice
     whole = {number for number in range(len(window.bodies)) if not _stands_once(mesh, window, number, factor)}
     missing, doubled, outside = [_NONE], [_NONE], [_NONE]
     for side in {side for places in found for side in places.cells}:
-        index = np.concatenate([
-            (places.step[:, None] + places.cells[side][None]).reshape(-1, 2) for places in found if side in places.cells
-        ])  # fmt: skip
+        index = np.concatenate(
+            [
+                (places.step[:, None] + places.cells[side][None]).reshape(-1, 2)
+                for places in found
+                if side in places.cells
+            ]
+        )
         inside = lattice.contains(index)
         outside.append(_numbers(index[~inside]))
         cells, times = np.unique(_numbers(index[inside]), return_counts=True)

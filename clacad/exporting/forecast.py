@@ -1,4 +1,5 @@
-"""Cost of an export before any work: of each format closely, of all roughly, and of the common ones for `check`.
+"""Cost of an export before any work: of each format closely, of all roughly, and of the common ones for
+`check`.
 
 In the close forecast, facets and the bytes of STL and TIFF are exact, other bytes are within 20 %, seconds
 and memory are ranges.

@@ -67,9 +67,16 @@ class Job:
         """Names of all bodies."""
         return tuple(body.name for body in self.window.bodies)
 
-    def record(self, path: Path, format: str, unit: str = "mm", bodies: Sequence[str] | None = None,
-               facts: Mapping[str, Any] | None = None, checks: tuple[str, ...] = ("shape",),
-               heard: Overheard | None = None) -> FileRecord:  # fmt: skip
+    def record(
+        self,
+        path: Path,
+        format: str,
+        unit: str = "mm",
+        bodies: Sequence[str] | None = None,
+        facts: Mapping[str, Any] | None = None,
+        checks: tuple[str, ...] = ("shape",),
+        heard: Overheard | None = None,
+    ) -> FileRecord:
         """Describe a file that was written and passed its checks; `heard`: its hash from reading it back."""
         flush(path)
         whose = self.bodies if bodies is None else tuple(bodies)

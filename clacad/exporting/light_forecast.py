@@ -112,9 +112,12 @@ class Grade:
     def beyond(self, limits: LightLimits, part: float = 1.0) -> tuple[str, ...]:
         """Exceeded limits, by their keys in a design file."""
         pairs = (
-            ("law_rms", self.rms, limits.rms), ("law_bias", self.bias, limits.bias), ("eta", self.stretch, limits.stretch),
-            ("delta", self.offset, limits.offset), ("confocality", self.defocus, limits.defocus),
-        )  # fmt: skip
+            ("law_rms", self.rms, limits.rms),
+            ("law_bias", self.bias, limits.bias),
+            ("eta", self.stretch, limits.stretch),
+            ("delta", self.offset, limits.offset),
+            ("confocality", self.defocus, limits.defocus),
+        )
         return tuple(key for key, value, limit in pairs if not value <= part * limit)
 
 

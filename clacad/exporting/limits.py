@@ -90,8 +90,9 @@ def refuse_cells(n1: int, n2: int) -> None:
     if n1 * n2 > MOST_CELLS:
         side = isqrt(MOST_CELLS)
         raise LimitRefused(
-            f"{count_text(n1 * n2)} lenslets ({n1} x {n2}) are more than the {count_text(MOST_CELLS)} that are written; "
-            f"use lattice.count up to [{side}, {side}], or export a part with cells=({min(n1, 100)}, {min(n2, 100)})"
+            f"{count_text(n1 * n2)} lenslets ({n1} x {n2}) are more than the {count_text(MOST_CELLS)} that"
+            f" are written; use lattice.count up to [{side}, {side}], or export a part with"
+            f" cells=({min(n1, 100)}, {min(n2, 100)})"
         )
 
 
@@ -113,9 +114,9 @@ def _refuse_facets(
     else:
         ways.append("format 3mf or step, which repeat one cell")
     raise LimitRefused(
-        f"{format}: {'at least ' if at_least else ''}{count_text(facets)} facets, {size_text(size)} at {quads} quads a cell "
-        f"side, are more than {count_text(MOST_FACETS)} facets or {size_text(MOST_BYTES)}; use {' or '.join(ways)} "
-        "(or force it)"
+        f"{format}: {'at least ' if at_least else ''}{count_text(facets)} facets, {size_text(size)} at"
+        f" {quads} quads a cell side, are more than {count_text(MOST_FACETS)} facets or"
+        f" {size_text(MOST_BYTES)}; use {' or '.join(ways)} (or force it)"
     )
 
 
@@ -164,8 +165,9 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
         held = row.facets if row.stored is None else row.stored
         if family == "welded" and held is not None and held > MOST_WELDED:
             raise LimitRefused(
-                f"{row.format}: {count_text(held)} facets with shared vertices are more than "
-                f"{count_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or force it)"
+                f"{row.format}: {count_text(held)} facets with shared vertices are more than"
+                f" {count_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or"
+                " force it)"
             )
         if row.bytes > MOST_BYTES:
             raise LimitRefused(
@@ -174,8 +176,8 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
             )
         if row.memory[0] > MEMORY_SHARE * memory:
             raise LimitRefused(
-                f"{row.format}: at least {size_text(row.memory[0])} of memory, more than 80 % of the {size_text(memory)} that "
-                f"are free; {_smaller(row, window)} (or force it)"
+                f"{row.format}: at least {size_text(row.memory[0])} of memory, more than 80 % of the"
+                f" {size_text(memory)} that are free; {_smaller(row, window)} (or force it)"
             )
     total = sum(row.bytes for row in rows)
     if total > 0.95 * disk:
@@ -208,8 +210,8 @@ def refuse_many_places(window: Window, word: str, listed: int, what: str, most: 
         bodies = len(window.bodies)
         side = isqrt((most - 1000 * bodies) // bodies)
         raise LimitRefused(
-            f"{word}: {count_text(listed)} {what} are more than the {count_text(most)} that are read back; use {way} or "
-            f"--cells {side}x{side}"
+            f"{word}: {count_text(listed)} {what} are more than the {count_text(most)} that are read back;"
+            f" use {way} or --cells {side}x{side}"
         )
 
 
@@ -218,7 +220,10 @@ def _smaller(row: Forecast, window: Window) -> str:
     if smaller:
         return f"use {smaller}"
     if row.quads is not None:
-        return f"use fewer quads than {row.quads}, or fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}"
+        return (
+            f"use fewer quads than {row.quads}, or fewer cells than {window.lattice.count[0]} x"
+            f" {window.lattice.count[1]}"
+        )
     return f"use fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}, or format table"
 
 

@@ -32,12 +32,14 @@ class FileRecord:
     facts : mapping
         Keys of the manifest that the format has: mode, solids, faces, triangles, quads, slope_error_rms,
         sag_error_max, float, volume, volume_exact (file's unit cubed), saddles, wedges, merged_steps,
-        fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true ones),
+        fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true
+        ones),
         left_out (sentences: what the format cannot hold), objects and instances (meshes; of each object).
     checks : tuple of str
         Comparisons with the design that passed when the file was read back.
     role : mapping
-        What the file is for: role, role_declared; of meshes forecast_law_rms (radians; None: too little light gets
+        What the file is for: role, role_declared; of meshes forecast_law_rms (radians; None: too little
+        light gets
         through), forecast_beyond (keys of the limits not kept), role_overstated (declared a
         master all the same) and, of previews, master_quads and master_bytes (None: no grid makes a master).
     """
@@ -55,9 +57,15 @@ class FileRecord:
     def to_dict(self) -> dict[str, Any]:
         """Entry of the manifest's `files`."""
         plain = {
-            "name": self.name, "sha256": self.sha256, "bytes": self.bytes, "format": self.format, "unit": self.unit,
-            "bodies": list(self.bodies), "pose": "sheet frame", "checks": list(self.checks),
-        }  # fmt: skip
+            "name": self.name,
+            "sha256": self.sha256,
+            "bytes": self.bytes,
+            "format": self.format,
+            "unit": self.unit,
+            "bodies": list(self.bodies),
+            "pose": "sheet frame",
+            "checks": list(self.checks),
+        }
         return (
             plain | {key: value for key, value in self.facts.items() if value is not None} | dict(self.role)
         )
@@ -106,8 +114,14 @@ class Manifest:
         return canonical_json(self.document)
 
 
-def document(design: Design, window: Window, records: Sequence[FileRecord], options: Mapping[str, Any],
-             versions: Mapping[str, str], counts: Mapping[str, Any]) -> dict[str, Any]:  # fmt: skip
+def document(
+    design: Design,
+    window: Window,
+    records: Sequence[FileRecord],
+    options: Mapping[str, Any],
+    versions: Mapping[str, str],
+    counts: Mapping[str, Any],
+) -> dict[str, Any]:
     """Build the content of manifest.json.
 
     Parameters

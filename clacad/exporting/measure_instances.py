@@ -29,10 +29,14 @@ def measure_mesh(
         Receives and returns the corners (k, 3, 3) of the unrepeated parts, file unit.
     """
     single = [part for part in mesh.parts if not part.repeated]
-    return joined([
-        measure((passing(chunk) * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)),
-        measure_repeated(mesh, factor),
-    ])  # fmt: skip
+    return joined(
+        [
+            measure(
+                (passing(chunk) * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)
+            ),
+            measure_repeated(mesh, factor),
+        ]
+    )
 
 
 def measure_repeated(mesh: FileMesh, factor: float) -> Measure:
@@ -70,9 +74,13 @@ def joined(measures: Sequence[Measure]) -> Measure:
     high = np.max([one.high for one in measures], axis=0)
     sums = [sum(one.imbalance[k] for one in measures) % (1 << 64) for k in (0, 1)]
     return Measure(
-        sum(one.facets for one in measures), (sums[0], sums[1]), fsum(one.volume for one in measures),
-        fsum(one.area for one in measures), _triple(low), _triple(high),
-    )  # fmt: skip
+        sum(one.facets for one in measures),
+        (sums[0], sums[1]),
+        fsum(one.volume for one in measures),
+        fsum(one.area for one in measures),
+        _triple(low),
+        _triple(high),
+    )
 
 
 def _measures(part: Part, factor: float) -> Iterator[Measure]:
@@ -85,9 +93,13 @@ def _measures(part: Part, factor: float) -> Iterator[Measure]:
             (part.corners(k, k + CHUNK) @ turn for k in range(0, part.facet_count, CHUNK)), origin=np.zeros(3)
         )
         yield Measure(
-            one.facets * times, one.imbalance, one.volume * times, one.area * times,
-            _triple(one.low + first * factor), _triple(one.high + last * factor),
-        )  # fmt: skip
+            one.facets * times,
+            one.imbalance,
+            one.volume * times,
+            one.area * times,
+            _triple(one.low + first * factor),
+            _triple(one.high + last * factor),
+        )
 
 
 def _with(one: Measure, imbalance: tuple[int, int]) -> Measure:

@@ -1,4 +1,6 @@
-"""Facets per cell side of every format of an export, and the role of each file: as requested, and as chosen."""
+"""Facets per cell side of every format of an export, and the role of each file: as requested, and as
+chosen.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,9 @@ def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
 
 @dataclass(frozen=True, slots=True)
 class _Asked(Generic[T]):
-    """Per-format option: its name, its value's reader, the formats that have it, and what other formats lack."""
+    """Per-format option: its name, its value's reader, the formats that have it, and what other formats
+    lack.
+    """
 
     name: str
     read: Callable[[object], T]
@@ -80,7 +84,9 @@ class _Asked(Generic[T]):
 
 
 def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[str, T]:
-    """Value of each exported format, in export order: one for all formats that have the option, or as named."""
+    """Value of each exported format, in export order: one for all formats that have the option, or as
+    named.
+    """
     if asked is None:
         return {}
     if not isinstance(asked, Mapping):
@@ -106,7 +112,8 @@ def _grid(value: object) -> Quads:
     if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
         if value > MOST_QUADS:
             raise LimitRefused(
-                f"quads = {value}: a cell side is cut into {MOST_QUADS} at most: use auto, or format step for exact faces"
+                f"quads = {value}: a cell side is cut into {MOST_QUADS} at most: use auto, or format step for"
+                " exact faces"
             )
         return value
     hint = _near(value, ("auto",))

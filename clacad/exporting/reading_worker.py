@@ -1,4 +1,6 @@
-"""Worker process that reads an untrusted file with a native library: memory and CPU time limited by the file's size."""
+"""Worker process that reads an untrusted file with a native library: memory and CPU time limited by the
+file's size.
+"""
 
 from __future__ import annotations
 

@@ -87,7 +87,8 @@ class Request:
         Whether fused STEP files hold the exact parameter curves; without them they are smaller and readers
         recompute the curves.
     saddle_bevel : float, length
-        Meshes: width of the bevels that give columns which touch at a saddle real contact; 0: none, the columns
+        Meshes: width of the bevels that give columns which touch at a saddle real contact; 0: none, the
+        columns
         touch and the surface is exact. STEP is exact always.
     gpu_instancing : bool
         GLB: one node for all cells of a body (EXT_mesh_gpu_instancing) instead of one each.
@@ -101,56 +102,128 @@ class Request:
     paper : "a4", "a3" or "a2"
         Sheets of the drawing.
     fused : bool
-        One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB, which otherwise
+        One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB,
+        which otherwise
         repeat one cell of a uniform sheet without border.
     """
 
-    formats: tuple[str, ...] = _declared(("step", "stl"), Option(
-        "--format", "Formats, separated by commas: {formats}.", "F,G",
-    ))  # fmt: skip
-    slope_error: float | Literal["auto"] = _declared("auto", Option(
-        "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the coarsest facets that make a master; where none fit, "
-        "the finest that do, up to 64 quads a cell side, a declared preview.", "E",
-    ))  # fmt: skip
-    quads: Mapping[str, Quads] = _declared(dict, Option(
-        "--quads", "Facet grid: N quads per cell side, or 'auto': the coarsest grid that makes a master; of all meshes or "
-        "per format: 3mf=auto,stl=4.", "N|F=N,...",
-    ))  # fmt: skip
-    step: Literal["auto", "fused", "instanced"] = _declared("auto", Option(
-        "--step", "auto, fused or instanced.", words=("auto", "fused", "instanced"),
-    ))  # fmt: skip
-    cells: tuple[int, int] | None = _declared(None, Option(
-        "--cells", "A x B cells of the design, centred; default all.", "AxB",
-    ))  # fmt: skip
+    formats: tuple[str, ...] = _declared(
+        ("step", "stl"),
+        Option(
+            "--format",
+            "Formats, separated by commas: {formats}.",
+            "F,G",
+        ),
+    )
+    slope_error: float | Literal["auto"] = _declared(
+        "auto",
+        Option(
+            "--slope-error",
+            "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the coarsest facets that make a"
+            " master; where none fit, the finest that do, up to 64 quads a cell side, a declared preview.",
+            "E",
+        ),
+    )
+    quads: Mapping[str, Quads] = _declared(
+        dict,
+        Option(
+            "--quads",
+            "Facet grid: N quads per cell side, or 'auto': the coarsest grid that makes a master; of all"
+            " meshes or per format: 3mf=auto,stl=4.",
+            "N|F=N,...",
+        ),
+    )
+    step: Literal["auto", "fused", "instanced"] = _declared(
+        "auto",
+        Option(
+            "--step",
+            "auto, fused or instanced.",
+            words=("auto", "fused", "instanced"),
+        ),
+    )
+    cells: tuple[int, int] | None = _declared(
+        None,
+        Option(
+            "--cells",
+            "A x B cells of the design, centred; default all.",
+            "AxB",
+        ),
+    )
     overwrite: bool = _declared(False, Option("--overwrite", "Replace files of another origin."))
     force: bool = _declared(False, Option("--force", "Pass the limits on facets, bytes and memory."))
-    step_schema: Literal["ap242", "ap214"] = _declared("ap242", Option(
-        "--step-schema", "STEP: ap242 or ap214.", words=("ap242", "ap214"), rare=True,
-    ))  # fmt: skip
-    pcurves: bool = _declared(True, Option(
-        "--pcurves/--no-pcurves", "STEP: write exact parameter curves; without them files are smaller.", rare=True,
-    ))  # fmt: skip
-    saddle_bevel: float = _declared(0.0, Option(
-        "--saddle-bevel", "Meshes: fill the corners where cells only touch, W wide, e.g. '5 um'; default: they touch, the "
-        "surface is exact.", "W", rare=True,
-    ))  # fmt: skip
-    gpu_instancing: bool = _declared(False, Option(
-        "--gpu-instancing", "GLB: one node for all cells of a body.", rare=True,
-    ))  # fmt: skip
-    grey_levels: int = _declared(64, Option(
-        "--grey-levels", "GDSII: layers from lowest to highest.", "N", least=2, most=256, rare=True,
-    ))  # fmt: skip
-    role: Mapping[str, Role] = _declared(dict, Option(
-        "--role", "What files are for: master or preview; of all or per format: stl=preview. Default: what the light "
-        "through them allows.", "R|F=R,...",
-    ))  # fmt: skip
-    paper: Literal["a4", "a3", "a2"] = _declared("a3", Option(
-        "--paper", "Drawing: sheets of a4, a3 or a2.", words=("a4", "a3", "a2"), rare=True,
-    ))  # fmt: skip
-    fused: bool = _declared(False, Option(
-        "--fused", "One solid a connected piece in STEP, one mesh a body in 3MF and GLB, however large; default: STEP is fused up "
-        "to 2,500 cells, 3MF and GLB repeat one cell where the sheet is equal cells.", rare=True,
-    ))  # fmt: skip
+    step_schema: Literal["ap242", "ap214"] = _declared(
+        "ap242",
+        Option(
+            "--step-schema",
+            "STEP: ap242 or ap214.",
+            words=("ap242", "ap214"),
+            rare=True,
+        ),
+    )
+    pcurves: bool = _declared(
+        True,
+        Option(
+            "--pcurves/--no-pcurves",
+            "STEP: write exact parameter curves; without them files are smaller.",
+            rare=True,
+        ),
+    )
+    saddle_bevel: float = _declared(
+        0.0,
+        Option(
+            "--saddle-bevel",
+            "Meshes: fill the corners where cells only touch, W wide, e.g. '5 um'; default: they touch, the "
+            "surface is exact.",
+            "W",
+            rare=True,
+        ),
+    )
+    gpu_instancing: bool = _declared(
+        False,
+        Option(
+            "--gpu-instancing",
+            "GLB: one node for all cells of a body.",
+            rare=True,
+        ),
+    )
+    grey_levels: int = _declared(
+        64,
+        Option(
+            "--grey-levels",
+            "GDSII: layers from lowest to highest.",
+            "N",
+            least=2,
+            most=256,
+            rare=True,
+        ),
+    )
+    role: Mapping[str, Role] = _declared(
+        dict,
+        Option(
+            "--role",
+            "What files are for: master or preview; of all or per format: stl=preview. Default: what the"
+            " light through them allows.",
+            "R|F=R,...",
+        ),
+    )
+    paper: Literal["a4", "a3", "a2"] = _declared(
+        "a3",
+        Option(
+            "--paper",
+            "Drawing: sheets of a4, a3 or a2.",
+            words=("a4", "a3", "a2"),
+            rare=True,
+        ),
+    )
+    fused: bool = _declared(
+        False,
+        Option(
+            "--fused",
+            "One solid a connected piece in STEP, one mesh a body in 3MF and GLB, however large; default:"
+            " STEP is fused up to 2,500 cells, 3MF and GLB repeat one cell where the sheet is equal cells.",
+            rare=True,
+        ),
+    )
 
     def __post_init__(self) -> None:
         """Apply `fused` to the STEP mode.
@@ -170,9 +243,12 @@ class Request:
     def to_dict(self) -> dict[str, Any]:
         """Options as the manifest records them; rare ones only if they differ from the default."""
         plain = {
-            "formats": list(self.formats), "slope_error": self.slope_error, "quads": dict(self.quads) or None,
-            "step": self.step, "cells": None if self.cells is None else list(self.cells),
-        }  # fmt: skip
+            "formats": list(self.formats),
+            "slope_error": self.slope_error,
+            "quads": dict(self.quads) or None,
+            "step": self.step,
+            "cells": None if self.cells is None else list(self.cells),
+        }
         rare = {name: getattr(self, name) for name, option in OPTIONS.items() if option.rare}
         asked = {name: value for name, value in rare.items() if value != getattr(DEFAULTS, name)}
         roles = {"role": {name: str(role) for name, role in self.role.items()}} if self.role else {}

@@ -24,9 +24,12 @@ class Role(StrEnum):
 
 
 WORDS: Mapping[str, Role] = {
-    "master": Role.MASTER, "preview": Role.PREVIEW, "scan": Role.SCAN,
-    "optical-master": Role.MASTER, "shape-preview": Role.PREVIEW,
-}  # fmt: skip
+    "master": Role.MASTER,
+    "preview": Role.PREVIEW,
+    "scan": Role.SCAN,
+    "optical-master": Role.MASTER,
+    "shape-preview": Role.PREVIEW,
+}
 """Words by which a role is declared; "other" cannot be declared."""
 
 
@@ -47,7 +50,8 @@ class Prospect:
     beyond : tuple of str
         Limits of the design that the light is forecast to exceed, by their keys.
     master_quads, master_bytes : int or None
-        Facets, and size of the file, that a master of this format would take; None: no grid up to 1024 makes one.
+        Facets, and size of the file, that a master of this format would take; None: no grid up to 1024 makes
+        one.
     """
 
     role: Role

@@ -53,10 +53,15 @@ class RoughSheet:
         form, lattice = design.pair.form, design.lattice
         n1, n2 = (int(n) for n in lattice.count)
         return RoughSheet(
-            4 if form == "biconvex" else 2, 1 if form == "slab" else 2, n1 * n2, (n1, n2), lattice.kind == "hexagonal",
-            design.law.rotation.tolist() != IDENTITY, lattice.outline is None,
+            4 if form == "biconvex" else 2,
+            1 if form == "slab" else 2,
+            n1 * n2,
+            (n1, n2),
+            lattice.kind == "hexagonal",
+            design.law.rotation.tolist() != IDENTITY,
+            lattice.outline is None,
             design.law_spec.cylinders and design.law.rotation.tolist() == IDENTITY and not design.pair.given,
-        )  # fmt: skip
+        )
 
     @staticmethod
     def of_window(window: Window) -> RoughSheet:
@@ -66,9 +71,15 @@ class RoughSheet:
         lenses = [face for face in window.faces if face.array is not None]
         tilted = not all(face.untilted for face in lenses)
         return RoughSheet(
-            len(lenses), len(window.bodies), max(1, lattice.cell_count), (n1, n2), lattice.hexagonal, tilted,
-            window.uniform and window.outline is None, lens_squares(window, 2) == 2 * len(lenses),
-        )  # fmt: skip
+            len(lenses),
+            len(window.bodies),
+            max(1, lattice.cell_count),
+            (n1, n2),
+            lattice.hexagonal,
+            tilted,
+            window.uniform and window.outline is None,
+            lens_squares(window, 2) == 2 * len(lenses),
+        )
 
     def facets(self, quads: int) -> int:
         """Facets of one cell of all bodies: two per square of each lens grid, and some for walls of tilted

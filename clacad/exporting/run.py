@@ -190,8 +190,12 @@ def _impossible(
 
 
 def _forecast(
-    design: Design, meshes: Meshes, formats: tuple[str, ...], request: Request, where: tuple[Path, Worker] | None
-) -> list[Forecast]:  # fmt: skip
+    design: Design,
+    meshes: Meshes,
+    formats: tuple[str, ...],
+    request: Request,
+    where: tuple[Path, Worker] | None,
+) -> list[Forecast]:
     """Rows of all formats; all refusals are raised together, before the light through the meshes is forecast.
 
     where : target folder, and the worker that draws letters with little room; None: nothing is refused
@@ -285,7 +289,9 @@ def _with_role(record: FileRecord, row: Forecast) -> FileRecord:
 
 
 def _used(worker: Worker) -> float:
-    """Processor seconds so far, the worker's included; elapsed seconds where the system does not report them."""
+    """Processor seconds so far, the worker's included; elapsed seconds where the system does not report
+    them.
+    """
     pid = worker.pid
     return time.process_time() + (0.0 if pid is None else seconds_of(pid, time.monotonic()))
 

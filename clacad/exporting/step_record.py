@@ -61,18 +61,28 @@ def step_record(job: Job, word: str) -> FileRecord:
     checks = compare_step(written, found, job.window, exact, name)
     cube = job.scale**3
     facts = {
-        "mode": written["mode"], "schema": written["schema"], "solids": written["solids"], "faces": written["faces"],
-        "saddles": written["saddles"], "wedges": written["wedges"], "merged_steps": written["merged_steps"],
-        "volume": found.get("volume"), "volume_exact": None if exact is None else exact.value * cube, "float": "f64",
+        "mode": written["mode"],
+        "schema": written["schema"],
+        "solids": written["solids"],
+        "faces": written["faces"],
+        "saddles": written["saddles"],
+        "wedges": written["wedges"],
+        "merged_steps": written["merged_steps"],
+        "volume": found.get("volume"),
+        "volume_exact": None if exact is None else exact.value * cube,
+        "float": "f64",
         "saddle_policy": "exact" if written["saddles"] else None,
-        "fit_error": _stated(written["fit_error"]), "rim_error": _stated(written["rim_error"]),
+        "fit_error": _stated(written["fit_error"]),
+        "rim_error": _stated(written["rim_error"]),
         **({} if job.window.uniform else {"own_cells": True}),
-    }  # fmt: skip
+    }
     return job.record(path, word, facts=facts, checks=checks)
 
 
 def _stated(error: float) -> float | None:
-    """An error of fitted geometry (mm) as the manifest states it: two digits, rounded up; None where all is exact."""
+    """An error of fitted geometry (mm) as the manifest states it: two digits, rounded up; None where all is
+    exact.
+    """
     if error == 0.0:
         return None
     digit = 10.0 ** (floor(log10(error)) - 1)
@@ -89,14 +99,17 @@ def write(
 
 
 def read(path: str, window: Window, place: SheetPlace | None = None) -> dict[str, Any]:
-    """Read in the worker, with OCC if the file is not too large; `place`: one sheet of several in the file."""
+    """Read in the worker, with OCC if the file is not too large; `place`: one sheet of several in the
+    file.
+    """
     from clacad.formats.step.read_back import read_brep, read_step
 
     return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window, place=place)
 
 
-def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral | None, name: str
-                 ) -> tuple[str, ...]:  # fmt: skip
+def compare_step(
+    written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral | None, name: str
+) -> tuple[str, ...]:
     """Compare the file as read back with the written facts and the design; return the checks that were made.
 
     Raises
@@ -124,8 +137,8 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
     if stand is not None:
         if not stand["lattice_error"] <= room or stand["missing"] or stand["doubled"]:
             raise FileDisagrees(
-                f"{name}: an instance stands {stand['lattice_error']:.3g} mm off the lattice, {stand['missing']} lenses are "
-                f"missing, {stand['doubled']} stand there twice"
+                f"{name}: an instance stands {stand['lattice_error']:.3g} mm off the lattice,"
+                f" {stand['missing']} lenses are missing, {stand['doubled']} stand there twice"
             )
         checks.append("placement")
     if exact is not None and found["kernel"]:
@@ -151,8 +164,9 @@ def _compare_solids(written: dict[str, Any], found: dict[str, Any], name: str) -
         )
 
 
-def _compare_volume(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral, scale: float, name: str
-                    ) -> None:  # fmt: skip
+def _compare_volume(
+    written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral, scale: float, name: str
+) -> None:
     """Compare the volume that OCC finds with the exact integral; `scale`: millimetres per design unit."""
     x0, x1, y0, y1 = whole_extent(window)
     area = (x1 - x0) * (y1 - y0) * scale**2 * 2 * len(window.bodies)

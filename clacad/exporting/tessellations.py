@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 
 MERGE_STEPS = 5.0
-"""Largest distance of a vertex from its surface, in levels: 0.5 by rounding, the rest by merging at borders."""
+"""Largest distance of a vertex from its surface, in levels: 0.5 by rounding, the rest by merging at
+borders."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,9 @@ class Tessellation:
 
     @cached_property
     def single(self) -> Mesh:
-        """Mesh of a sheet of one cell, border and outline included: one telescopelet where cells are not repeated."""
+        """Mesh of a sheet of one cell, border and outline included: one telescopelet where cells are not
+        repeated.
+        """
         need_equal_cells(self.window, "the mesh of one cell for all")
         from clacad.mesh import tessellate
 

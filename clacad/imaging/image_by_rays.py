@@ -141,24 +141,49 @@ class Image:
         return {
             "object": self.source.tolist(),
             "width": None if self.width is None else list(self.width),
-            "zone": None if self.zone is None else {
-                "width": list(self.zone.width), "f_number": list(self.zone.f_number), "moire": list(self.zone.moire),
-            },
-            "sampling": None if self.sampling is None else {
-                "slope": self.sampling.slope, "found": self.sampling.smooth.point.tolist(), "spot": list(self.sampling.smooth.spot),
-            },
-            "instead": None if self.instead is None else {
-                "object": self.instead.source.tolist(), "rung": self.instead.rung, "share": self.instead.share,
-            },
+            "zone": (
+                None
+                if self.zone is None
+                else {
+                    "width": list(self.zone.width),
+                    "f_number": list(self.zone.f_number),
+                    "moire": list(self.zone.moire),
+                }
+            ),
+            "sampling": (
+                None
+                if self.sampling is None
+                else {
+                    "slope": self.sampling.slope,
+                    "found": self.sampling.smooth.point.tolist(),
+                    "spot": list(self.sampling.smooth.spot),
+                }
+            ),
+            "instead": (
+                None
+                if self.instead is None
+                else {
+                    "object": self.instead.source.tolist(),
+                    "rung": self.instead.rung,
+                    "share": self.instead.share,
+                }
+            ),
             "rungs": [
                 {
-                    "rung": one.rung, "predicted": one.predicted.point.tolist(), "found": one.found.point.tolist(),
-                    "off": one.off, "spot": list(one.found.spot), "share": one.share, "rays": one.found.rays,
-                    "missing": one.found.missing, "fates": dict(one.fates), "astray": one.astray,
+                    "rung": one.rung,
+                    "predicted": one.predicted.point.tolist(),
+                    "found": one.found.point.tolist(),
+                    "off": one.off,
+                    "spot": list(one.found.spot),
+                    "share": one.share,
+                    "rays": one.found.rays,
+                    "missing": one.found.missing,
+                    "fates": dict(one.fates),
+                    "astray": one.astray,
                 }
                 for one in self.rungs
             ],
-        }  # fmt: skip
+        }
 
 
 def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS, rays: int = RAYS) -> Image:
@@ -190,7 +215,8 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
         raise ValueError(f"the object is {source!r}, not three numbers x, y, z")
     if not place[2] < min(window.z_range[0], 0.0):
         raise ValueError(
-            f"the object lies at z = {place[2]:g}, not before the sheet, which begins at {min(window.z_range[0], 0.0):g}"
+            f"the object lies at z = {place[2]:g}, not before the sheet, which begins at"
+            f" {min(window.z_range[0], 0.0):g}"
         )
     if rays < 64:
         raise ValueError(f"{rays} rays tell of no image: at least 64")
@@ -217,7 +243,9 @@ def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
 
 
 def sent_to(window: Window, source: Floats, rays: int) -> tuple[Rays, Ints]:
-    """Rays from a source (3,) to points spread evenly over the sheet, and which of its kept cells (rays,) each aims at."""
+    """Rays from a source (3,) to points spread evenly over the sheet, and which of its kept cells (rays,)
+    each aims at.
+    """
     kept = window.lattice.cells()
     which = np.linspace(0, len(kept), rays, endpoint=False).astype(np.int64)
     cells = kept[which]

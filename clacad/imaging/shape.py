@@ -220,8 +220,16 @@ def rendered(window: Window, found: Shaped, distance: float, rays: int) -> Rende
     asked = found.target.light((edges[0], edges[1]), found.blur.cell)
     light, asked, spots = light.T[::-1] / rays, asked.T[::-1], spots.T[::-1] / rays
     corners = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
-    return Rendered(light, asked, spots, corners, float(np.mean(good)), float(near.sum() / rays),
-                    _elsewhere(light, asked), _elsewhere(light, spots))  # fmt: skip
+    return Rendered(
+        light,
+        asked,
+        spots,
+        corners,
+        float(np.mean(good)),
+        float(near.sum() / rays),
+        _elsewhere(light, asked),
+        _elsewhere(light, spots),
+    )
 
 
 def _elsewhere(one: Floats, other: Floats) -> float:
@@ -256,7 +264,10 @@ def _draw(figure: Any, seen: Rendered, name: str, unit: str) -> None:
     titles = (
         "asked, as wide as a cell",
         f"by rays: {100 * seen.within:.4g} % within one blur",
-        f"by rays less asked: {100 * seen.difference:.3g} % elsewhere,\nof which lenses alone make {100 * seen.by_lenses:.3g}",
+        (
+            f"by rays less asked: {100 * seen.difference:.3g} % elsewhere,\nof which lenses alone make"
+            f" {100 * seen.by_lenses:.3g}"
+        ),
     )
     for panel, title in zip(panels, titles, strict=True):
         panel.set_title(title, fontsize=8)

@@ -108,7 +108,8 @@ def of_picture(light: Floats, width: float) -> Target:
     Parameters
     ----------
     light : (h, w, 3) or (h, w) array
-        Linear light; row 0 is the top, +y, and column 0 the left, −x: as seen from behind the screen, towards the sheet.
+        Linear light; row 0 is the top, +y, and column 0 the left, −x: as seen from behind the screen,
+        towards the sheet.
     width : float, length
         Of the picture on the screen, centred on the sheet's axis.
 
@@ -150,8 +151,13 @@ def of_points(path: Path) -> Target:
         bad = ~(np.abs(numbers) <= 1e9) | (np.arange(numbers.shape[1]) == 2) & (numbers < 0.0)
         if bad.any():
             row, column = (int(v[0]) for v in np.nonzero(bad))
-            rows.refuse(f"{rows.columns[column]} is out of range", first + row, lines[row], column,
-                        allowed="a number >= 0" if column == 2 else "a length")  # fmt: skip
+            rows.refuse(
+                f"{rows.columns[column]} is out of range",
+                first + row,
+                lines[row],
+                column,
+                allowed="a number >= 0" if column == 2 else "a length",
+            )
         found.append(numbers)
     every = np.concatenate(found) if found else np.empty((0, len(rows.columns)))
     weights = every[:, 2] if weighted else np.ones(len(every))

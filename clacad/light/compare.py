@@ -129,7 +129,8 @@ def change_with_shift(window: Window, cell: tuple[int, int], rays: Rays) -> Floa
 
 
 def angles(one: TraceResult, other: TraceResult, last: Fate = Fate.ALIVE) -> Floats:
-    """Angles (k,), radians, between exit directions of rays that pass both traces with one fate, up to `last`,
+    """Angles (k,), radians, between exit directions of rays that pass both traces with one fate, up to
+    `last`,
     and one order.
     """
     same = (one.fate <= last) & (one.fate == other.fate) & (one.order == other.order).all(axis=1)

@@ -1,7 +1,9 @@
 """Light of a bundle of rays behind a sheet, compared with the law: error, bias, spread, share, fitted law.
 
-The caller gives the sender: any callable that traces a bundle. Only ALIVE rays count; a number from fewer rays
-than `Light.fewest` is NaN. Light of several wavelengths and temperatures is the light of all of them together,
+The caller gives the sender: any callable that traces a bundle. Only ALIVE rays count; a number from fewer
+rays
+than `Light.fewest` is NaN. Light of several wavelengths and temperatures is the light of all of them
+together,
 each with its weight; `Light.lines` holds them one by one.
 """
 
@@ -193,9 +195,13 @@ class Light:
 
 
 def measure(
-    send: Send, lit: Bundle, law: RequestedLaw, wavelengths: Weights = (), temperatures: Weights = (),
+    send: Send,
+    lit: Bundle,
+    law: RequestedLaw,
+    wavelengths: Weights = (),
+    temperatures: Weights = (),
     fewest: int = FEWEST,
-) -> Light:  # fmt: skip
+) -> Light:
     """Send a bundle of rays and compare it with the law.
 
     Parameters
@@ -317,6 +323,10 @@ def _together(lines: Sequence[Light], weights: Sequence[float]) -> Light:
     first = lines[0]
     lit = _joined([line.lit for line in lines])
     return Light(
-        lit, joined_results([line.seen for line in lines]), first.law, first.fewest,
-        np.repeat(weights, len(first.seen)), tuple(lines),
-    )  # fmt: skip
+        lit,
+        joined_results([line.seen for line in lines]),
+        first.law,
+        first.fewest,
+        np.repeat(weights, len(first.seen)),
+        tuple(lines),
+    )

@@ -144,7 +144,9 @@ class BodyMesh:
 
     @property
     def slope_error(self) -> float:
-        """Rms angle between facet and exact normal, area-weighted over optical facets, worse face (radians)."""
+        """Rms angle between facet and exact normal, area-weighted over optical facets, worse face
+        (radians).
+        """
         return self._errors[0]
 
     @property
@@ -258,7 +260,8 @@ class BodyMesh:
     def tags(self) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
         """Yield (kind (k,), cell (k, 2)) of the triangles of each block of `rows`; plain land has cell −2³¹.
 
-        Kinds are FRONT, FRONT_LAND, BACK, BACK_LAND and WALL of `clacad.mesh.cell_template`; optical are FRONT
+        Kinds are FRONT, FRONT_LAND, BACK, BACK_LAND and WALL of `clacad.mesh.cell_template`; optical are
+        FRONT
         and BACK, of the body's front and back face.
         """
         for block, first, last in self._portions():
@@ -295,7 +298,9 @@ class BodyMesh:
 
     @property
     def triangles(self) -> Ints:
-        """Vertex numbers (m, 3), outward counter-clockwise, in the order of `rows`. Expands the whole body."""
+        """Vertex numbers (m, 3), outward counter-clockwise, in the order of `rows`. Expands the whole
+        body.
+        """
         return self._expanded[1]
 
     def volume(self) -> float:
@@ -402,5 +407,9 @@ def _weld_positions(position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 def no_plain() -> Plain:
     """No land ring."""
-    return Plain(np.empty((0, 3)), np.empty((0, 4), dtype=np.int64), np.empty((0, 3), dtype=np.int64),
-                 np.empty(0, dtype=np.uint8))  # fmt: skip
+    return Plain(
+        np.empty((0, 3)),
+        np.empty((0, 4), dtype=np.int64),
+        np.empty((0, 3), dtype=np.int64),
+        np.empty(0, dtype=np.uint8),
+    )

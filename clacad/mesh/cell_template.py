@@ -155,9 +155,7 @@ class TemplateMaker:
                 point[local] = sides[cells[0][1]][0] if self.others is None else _AT_NODE + index
                 self._corner_of[local] = (index, place)
         self._next = {p: q for side in sides for p, q in zip(side[:-1].tolist(), side[1:].tolist())}
-        self._side_of = {
-            int(p): (k, i + 1) for k, side in enumerate(sides) for i, p in enumerate(side[1:-1])
-        }  # fmt: skip
+        self._side_of = {int(p): (k, i + 1) for k, side in enumerate(sides) for i, p in enumerate(side[1:-1])}
         return owner, point
 
     def _in_owner(self) -> Floats:
@@ -311,17 +309,20 @@ class TemplateMaker:
         point, level = point[used], level[used]
         owner, canonical = self.places[0][point], self.places[1][point]
         heights = np.asarray(level * self.tile.step, dtype=np.float64)
-        return Template(owner, canonical, level, self.xy[point], heights,
-                        renumber[triangles], kind)  # fmt: skip
+        return Template(owner, canonical, level, self.xy[point], heights, renumber[triangles], kind)
 
     def _walls(self, states: dict[Offset, int], code: bytes) -> list[tuple[tuple[int, int], ...]]:
         found: list[tuple[tuple[int, int], ...]] = []
         zero = (0, 0)
         for p, q, left, right in self._inner:
             found += strip(
-                p, q, (self._column(left, p), self._column(left, q)), (self._column(right, p), self._column(right, q)),
-                ((zero, left), (zero, right)), (self._ring(p, states, code), self._ring(q, states, code)),
-            )  # fmt: skip
+                p,
+                q,
+                (self._column(left, p), self._column(left, q)),
+                (self._column(right, p), self._column(right, q)),
+                ((zero, left), (zero, right)),
+                (self._ring(p, states, code), self._ring(q, states, code)),
+            )
         for k in range(len(self.tile.plan.sides)):
             step = self.lattice.steps[k]
             if self._apart and states[step] == NOTHING:
@@ -350,9 +351,13 @@ class TemplateMaker:
             if columns == others:
                 continue
             found += strip(
-                p, q, columns, others, (((0, 0), left), (step, right)),
+                p,
+                q,
+                columns,
+                others,
+                (((0, 0), left), (step, right)),
                 (self._ring(p, states, code), self._ring(q, states, code)),
-            )  # fmt: skip
+            )
         return found
 
     def border_levels(self, k: int, segment: int, face: int) -> tuple[int, int]:

@@ -81,7 +81,9 @@ def _square(zone: Floats, steps: tuple[int, int], diagonal: int) -> tuple[Floats
 
 
 def _hexagon(zone: Floats, q: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
-    """Points (n, 2), triangles (t, 3) and the points of each side of a convex polygon in q rings about its centre."""
+    """Points (n, 2), triangles (t, 3) and the points of each side of a convex polygon in q rings about its
+    centre.
+    """
     m = len(zone)
     ring = np.arange(1, q + 1)
     start = np.concatenate([[0], 1 + m * ring * (ring - 1) // 2])
@@ -193,8 +195,14 @@ def with_side_samples(planar: Planar, tile: Floats, samples: list[tuple[Floats, 
         return replace(planar, xy=xy, sides=tuple(sides))
     every = np.concatenate([xy, np.asarray(new).reshape(-1, 2)])
     fixed = np.concatenate([planar.fixed, np.ones(len(new), dtype=bool)])
-    return replace(planar, xy=every, triangles=np.asarray(triangles, dtype=np.int64), zone=np.asarray(zone),
-                   sides=tuple(sides), fixed=fixed)  # fmt: skip
+    return replace(
+        planar,
+        xy=every,
+        triangles=np.asarray(triangles, dtype=np.int64),
+        zone=np.asarray(zone),
+        sides=tuple(sides),
+        fixed=fixed,
+    )
 
 
 def _fan_side(triangles: list[list[int]], zone: list[bool], side: list[int], old: set[int]) -> None:

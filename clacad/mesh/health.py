@@ -263,9 +263,11 @@ def _decide(chunks: Chunks, doubtful: Words) -> tuple[int, int, Floats]:
 
 
 def _flux(corners: NDArray[Any]) -> float:
-    return fsum(flux(corners.astype(np.float64)).tolist()) if len(corners) < 100_000 else float(
-        np.sum(flux(corners.astype(np.float64)), dtype=np.longdouble)
-    )  # fmt: skip
+    return (
+        fsum(flux(corners.astype(np.float64)).tolist())
+        if len(corners) < 100_000
+        else float(np.sum(flux(corners.astype(np.float64)), dtype=np.longdouble))
+    )
 
 
 def flux(corners: Floats) -> Floats:

@@ -214,8 +214,8 @@ def _refuse_outside(window: Window, points: Floats, polygon: Floats, scale: floa
         if (across < -_TOUCH * scale).any():
             raise CannotBuild(
                 "CL136",
-                f"a cell of {window.name!r} reaches {-float(across.min()):.3g} beyond the outline {window.outline}; "
-                "a larger outline or fewer cells would hold it",
+                f"a cell of {window.name!r} reaches {-float(across.min()):.3g} beyond the outline"
+                f" {window.outline}; a larger outline or fewer cells would hold it",
             )
 
 

@@ -115,11 +115,18 @@ def cut(
     return plan, lens, side_of(plan.triangles, curve.value(lens)) > 0
 
 
-def _split(make: CellLevels, plan: pl.Planar, lens: Ints, roots: tuple[Ints, Ints, Floats], edges: tuple[Ints, Ints],
-           curves: list[Curve]) -> tuple[pl.Planar, Ints]:  # fmt: skip
+def _split(
+    make: CellLevels,
+    plan: pl.Planar,
+    lens: Ints,
+    roots: tuple[Ints, Ints, Floats],
+    edges: tuple[Ints, Ints],
+    curves: list[Curve],
+) -> tuple[pl.Planar, Ints]:
     """Put a point on every crossed edge, at (inside, outside, share), and split its triangles there.
 
-    `edges`: the triangles' edge numbers, and the new point on each edge or −1; the last curve is the one cut along.
+    `edges`: the triangles' edge numbers, and the new point on each edge or −1; the last curve is the one cut
+    along.
     """
     inside, outside, t = roots
     curve = curves[-1]
@@ -163,8 +170,8 @@ def _roots(make: CellLevels, xy: Floats, lens: Ints, inside: Ints, outside: Ints
     if (jump[true] > 1e-4 * make.window.lattice.circumradius).any():
         raise CannotBuild(
             "CL130",
-            f"a lenslet of body {make.body.name!r} ends inside its cell at its own equator, before it meets the "
-            "other face or land; a longer radius, a smaller pitch, or a web would close the body",
+            f"a lenslet of body {make.body.name!r} ends inside its cell at its own equator, before it meets"
+            " the other face or land; a longer radius, a smaller pitch, or a web would close the body",
         )
     here, there = curve.value(lens)[inside], curve.value(lens)[outside]
     t = np.where(true, t, here / (here - there))
@@ -328,7 +335,8 @@ class Prototile:
 
 
 def make_prototile(make: CellLevels, quads: int) -> Prototile:
-    """Mesh one cell of a body's tiling, with `quads` grid steps along each side of its optical zone that bends.
+    """Mesh one cell of a body's tiling, with `quads` grid steps along each side of its optical zone that
+    bends.
 
     Raises
     ------
@@ -344,8 +352,8 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
     if (part == VOID).all():
         raise CannotBuild(
             "CL138",
-            f"quads = {quads}: no point of the grid meets the lenslet of body {make.body.name!r}, whose rim lies well "
-            "inside its cell; more quads would find it",
+            f"quads = {quads}: no point of the grid meets the lenslet of body {make.body.name!r}, whose rim"
+            " lies well inside its cell; more quads would find it",
         )
     whole = not (part == VOID).any()
     lifted = None

@@ -55,8 +55,8 @@ def check_width(make: CellLevels, width: float) -> None:
     if not least <= width <= most:
         raise CannotBuild(
             "CL135",
-            f"a saddle bevel of {width:.6g} wide: this sheet takes {least:.3g} (float32 resolution at its rim) to "
-            f"{most:.6g} (a quarter of the pitch)",
+            f"a saddle bevel of {width:.6g} wide: this sheet takes {least:.3g} (float32 resolution at its"
+            f" rim) to {most:.6g} (a quarter of the pitch)",
         )
 
 
@@ -85,7 +85,7 @@ def bevelled(
         Cut further.
     lifted : (m, 2, 3) int64
         Level of front and back at each triangle's corners where it is raised, NONE elsewhere.
-    """  # fmt: skip
+    """
     land = make.land
     found = [corner for side in (0, 1) for corner in _corners(make, plan, lens, part, side_t, side)]
     for corner in found:
@@ -139,8 +139,9 @@ def _solid(plan: pl.Planar, part: NDArray[np.uint8], point: int) -> bool:
     return bool((part[(plan.triangles == point).any(axis=1)] != VOID).all())
 
 
-def _corner(make: CellLevels, plan: pl.Planar, lens: Ints, side_t: list[Floats], side: int, corner: int, top: int
-            ) -> LowCorner:  # fmt: skip
+def _corner(
+    make: CellLevels, plan: pl.Planar, lens: Ints, side_t: list[Floats], side: int, corner: int, top: int
+) -> LowCorner:
     """Legs along the two sides that meet in a corner, raised to the neighbours' levels."""
     m = len(plan.sides)
     legs = []
@@ -177,8 +178,9 @@ def _beyond(plan: pl.Planar, corner: LowCorner) -> Floats:
     return np.asarray(f)
 
 
-def _cut(make: CellLevels, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], corner: LowCorner
-         ) -> tuple[pl.Planar, Ints, NDArray[np.uint8]]:  # fmt: skip
+def _cut(
+    make: CellLevels, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], corner: LowCorner
+) -> tuple[pl.Planar, Ints, NDArray[np.uint8]]:
     """Split the triangles that the bevel's edge crosses."""
     f = _beyond(plan, corner)
     edges, number = pl.edges_of(plan.triangles)
@@ -198,8 +200,14 @@ def _cut(make: CellLevels, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8],
     return plan, np.concatenate([lens, new]), np.ascontiguousarray(tags[:, 1:])
 
 
-def _lift(plan: pl.Planar, lens: Ints, land: tuple[int, int], part: NDArray[np.uint8], corner: LowCorner, lifted: Ints
-          ) -> None:  # fmt: skip
+def _lift(
+    plan: pl.Planar,
+    lens: Ints,
+    land: tuple[int, int],
+    part: NDArray[np.uint8],
+    corner: LowCorner,
+    lifted: Ints,
+) -> None:
     """Write the raised levels of a bevel's triangles."""
     side = corner.side
     rows = np.flatnonzero(

@@ -47,14 +47,20 @@ class Ring:
         return out
 
     def _run(self, a: int, b: int, at: int) -> int:
-        """Number of the run of neighbouring wedges that cover [a, b] and contain wedge `at`; first run is 0."""
+        """Number of the run of neighbouring wedges that cover [a, b] and contain wedge `at`; first run is
+        0.
+        """
         return runs_round([c is not None and c[0] <= a and c[1] >= b for c in self.columns])[at]
 
 
 def strip(
-    p: int, q: int, left: tuple[Column, Column], right: tuple[Column, Column],
-    tags: tuple[Hashable, Hashable], rings: tuple[Ring, Ring],
-) -> list[tuple[Vertex, Vertex, Vertex]]:  # fmt: skip
+    p: int,
+    q: int,
+    left: tuple[Column, Column],
+    right: tuple[Column, Column],
+    tags: tuple[Hashable, Hashable],
+    rings: tuple[Ring, Ring],
+) -> list[tuple[Vertex, Vertex, Vertex]]:
     """Wall triangles over the footprint edge p → q.
 
     Parameters

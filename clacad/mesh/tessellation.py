@@ -165,9 +165,12 @@ MOST_QUADS = 2048  # a prototile of 17 M triangles
 
 
 def tessellate(
-    window: Window, slope_error: float | None = None, quads: int | None = None, merge: float | None = None,
+    window: Window,
+    slope_error: float | None = None,
+    quads: int | None = None,
+    merge: float | None = None,
     saddle_bevel: float = 0.0,
-) -> Mesh:  # fmt: skip
+) -> Mesh:
     """Mesh every body of a window, watertight by construction.
 
     Exactly one of `slope_error` and `quads` must be given.
@@ -194,7 +197,8 @@ def tessellate(
     TypeError
         A design in place of the window.
     ValueError
-        Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's surface ends
+        Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's
+        surface ends
         inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
     """
     need_window(window, "tessellate", ", quads=16")
@@ -276,8 +280,9 @@ def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) 
     if step > COARSEST * thick > 0.0:
         raise CannotBuild(
             "CL137",
-            f"heights near z = {max(map(abs, window.z_range)):.3g} are multiples of {step:.3g} in a float32 file, and "
-            f"body {body.name!r} is {thick:.3g} thick: no mesh holds it; STEP does, or a shorter pair.separation",
+            f"heights near z = {max(map(abs, window.z_range)):.3g} are multiples of {step:.3g} in a float32"
+            f" file, and body {body.name!r} is {thick:.3g} thick: no mesh holds it; STEP does, or a shorter"
+            " pair.separation",
         )
     gap = merge_steps(merge, step)
     cells = cell_complex(window, body, merge=gap * step, spacing=0.0)

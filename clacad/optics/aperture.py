@@ -23,7 +23,9 @@ STEPS = 64
 
 
 def equivalent_widths(polygon: ArrayLike) -> Floats:
-    """Widths (2,) along x and y of the slits whose patterns have the same core as a polygon (m, 2), lengths."""
+    """Widths (2,) along x and y of the slits whose patterns have the same core as a polygon (m, 2),
+    lengths.
+    """
     points = _about_middle(polygon)
     following = np.roll(points, -1, axis=0)
     cross = points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]
@@ -44,7 +46,8 @@ def pattern(polygon: ArrayLike, axis: int, frequency: ArrayLike) -> Complex:
 
     Notes
     -----
-    Green's theorem turns ∬ exp(−2πiνx) dA into a sum over the edges, each dy sinc(ν dx) exp(−2πiν x_m) i/(2πν): the
+    Green's theorem turns ∬ exp(−2πiνx) dA into a sum over the edges, each dy sinc(ν dx) exp(−2πiν x_m)
+    i/(2πν): the
     exact transform of a piecewise linear projection.
     """
     points = _about_middle(polygon)

@@ -64,7 +64,9 @@ class AskedLight:
 
 
 def law_residuals(sequence: Sequence[Interface], light: AskedLight) -> Floats:
-    """Residuals (2 n,) of n rays through surfaces, radians over √n: their sum of squares is the mean square error."""
+    """Residuals (2 n,) of n rays through surfaces, radians over √n: their sum of squares is the mean square
+    error.
+    """
     seen = trace_sequence(sequence, light.rays)
     off = (seen.direction - light.asked) @ light.across.T
     off[seen.fate != Fate.ALIVE] = LOST
@@ -85,7 +87,8 @@ def minimise(residuals: Residuals, start: Floats) -> Floats:
 
     Notes
     -----
-    K. Madsen, H. B. Nielsen, O. Tingleff, Methods for non-linear least squares problems, 2nd ed. (DTU, 2004), ch. 3.2;
+    K. Madsen, H. B. Nielsen, O. Tingleff, Methods for non-linear least squares problems, 2nd ed. (DTU,
+    2004), ch. 3.2;
     scaling after J. J. Moré, Lect. Notes Math. 630, 105 (1978).
     """
     here, left = start, residuals(start)

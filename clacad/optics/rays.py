@@ -140,9 +140,16 @@ class TraceResult:
         """Result of some of the rays."""
         of_surfaces = [None if one is None else one[:, part] for one in (self.hits, self.directions)]
         return TraceResult(
-            self.position[part], self.direction[part], self.fate[part], self.optical_path[part], self.cell[part],
-            self.order[part], self.surface[part], self.flux[part], *of_surfaces,
-        )  # fmt: skip
+            self.position[part],
+            self.direction[part],
+            self.fate[part],
+            self.optical_path[part],
+            self.cell[part],
+            self.order[part],
+            self.surface[part],
+            self.flux[part],
+            *of_surfaces,
+        )
 
 
 def joined_results(parts: Sequence[TraceResult]) -> TraceResult:
@@ -173,7 +180,8 @@ def as_rays(rays: Rays | OneRay) -> Rays:
     if isinstance(rays, tuple) and len(rays) == 2 and all(np.shape(one) == (3,) for one in rays):
         return Rays(*rays)
     raise TypeError(
-        f"rays are a {type(rays).__name__}, not clacad.Rays(positions, directions) or one ray ((x, y, z), (dx, dy, dz))"
+        f"rays are a {type(rays).__name__}, not clacad.Rays(positions, directions) or one ray ((x, y, z),"
+        " (dx, dy, dz))"
     )
 
 

@@ -35,7 +35,8 @@ touch.
 """
 
 FAR = 1024.0
-"""Travel over lateral distance from the vertex above which the plain step to the vertex plane loses digits."""
+"""Travel over lateral distance from the vertex above which the plain step to the vertex plane loses
+digits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,8 +130,10 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
     Returns
     -------
     TraceResult
-        ALIVE, BACKWARD (d_z <= 0 after the last surface), TIR, VIGNETTED, MISSED or INVALID. A hit at negative
-        distance is a miss (the start lies behind the first surface, or the ray passes outside the rim where two
+        ALIVE, BACKWARD (d_z <= 0 after the last surface), TIR, VIGNETTED, MISSED or INVALID. A hit at
+        negative
+        distance is a miss (the start lies behind the first surface, or the ray passes outside the rim where
+        two
         faces cross), and TIR if it is also beyond the critical angle.
 
     Raises
@@ -245,7 +248,9 @@ def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Fl
 
 
 def largest(rows: Floats) -> Floats:
-    """Largest absolute component (n,) of rows (n, 3); column by column, five times faster than a reduction of three."""
+    """Largest absolute component (n,) of rows (n, 3); column by column, five times faster than a reduction
+    of three.
+    """
     size = np.abs(rows)
     return np.asarray(np.maximum(np.maximum(size[:, 0], size[:, 1]), size[:, 2]))
 
@@ -344,7 +349,8 @@ def _proper(rotation: ArrayLike) -> Floats:
 
 
 STEP = 2e-3
-"""Entrance height of the outer differential rays over the radius of the aperture; half of it for the inner ones."""
+"""Entrance height of the outer differential rays over the radius of the aperture; half of it for the inner
+ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,7 +401,9 @@ def parabasal(seq: Sequence[Interface], rotation: Floats, point: Floats, size: f
 
 
 def _derivative(values: Floats, size: float) -> Floats:
-    """Derivative (2, 2) along u and v (columns) of values (8, 2) at heights ±size, ±size/2 along u, then along v."""
+    """Derivative (2, 2) along u and v (columns) of values (8, 2) at heights ±size, ±size/2 along u, then
+    along v.
+    """
     columns = []
     for k in (0, 4):
         wide = (values[k] - values[k + 1]) / (2.0 * size)

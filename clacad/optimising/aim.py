@@ -77,10 +77,23 @@ class Aim:
     def __post_init__(self) -> None:
         for part, weight in self.weights:
             if not (0.0 < part <= LARGEST_PART and 0.0 < weight and isfinite(weight)):
-                raise DesignError([Mistake("CL106", f"weight {shown(weight)} of {shown(part)} of the field", "weights", allowed=(
-                    f"part:weight, the part from above 0 to {LARGEST_PART:g}, the weight above 0"), hint=".5:1,1:1")])  # fmt: skip
+                raise DesignError(
+                    [
+                        Mistake(
+                            "CL106",
+                            f"weight {shown(weight)} of {shown(part)} of the field",
+                            "weights",
+                            allowed=(
+                                f"part:weight, the part from above 0 to {LARGEST_PART:g}, the weight above 0"
+                            ),
+                            hint=".5:1,1:1",
+                        )
+                    ]
+                )
         if not self.weights or len({part for part, _ in self.weights}) < len(self.weights):
-            raise DesignError([Mistake("CL106", "every part of the field has one weight", "weights", allowed=".5:1,1:1")])  # fmt: skip
+            raise DesignError(
+                [Mistake("CL106", "every part of the field has one weight", "weights", allowed=".5:1,1:1")]
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +189,18 @@ def kept_light(window: Window, field: float, design: Design, fewest: int = 1) ->
             if smaller > SMALLEST * field
             else "lattice.aperture aims it"
         )
-        raise DesignError([
-            Mistake("CL120", f"{len(rays)} of {RAYS:,} rays of the field reach their partner cell through ideal lenses, too few to search with",
-                    CHECK.field, allowed=f"a cone inside the field of view: {fewest} rays at least", hint=way)
-        ])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL120",
+                    f"{len(rays)} of {RAYS:,} rays of the field reach their partner cell through ideal"
+                    " lenses, too few to search with",
+                    CHECK.field,
+                    allowed=f"a cone inside the field of view: {fewest} rays at least",
+                    hint=way,
+                )
+            ]
+        )
     return AskedLight.of(rays, window.law.refract(rays.direction))
 
 
@@ -200,7 +221,9 @@ FIELDS = (0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Seen:
-    """Result of independent rays: field (radians), rms error to the law (radians), share in the partner cell."""
+    """Result of independent rays: field (radians), rms error to the law (radians), share in the partner
+    cell.
+    """
 
     field: float
     law_rms: float
@@ -214,8 +237,14 @@ def measured(window: Window, field: float, design: Design) -> Seen:
     small = window.with_cells((3, 3))
     points = sobol(FRESH, 4, skip=FRESH)
     middle = middle_direction(small, design.check.field_centre)
-    light = launched(small, small.lattice.over_cell(points[:, :2]), cone(middle, field, points[:, 2:]),
-                     central_cell(small), middle, field)  # fmt: skip
+    light = launched(
+        small,
+        small.lattice.over_cell(points[:, :2]),
+        cone(middle, field, points[:, 2:]),
+        central_cell(small),
+        middle,
+        field,
+    )
     found = measure(
         lambda lit: trace(small, lit.rays, path="numpy"), light, RequestedLaw(window.law), fewest=1
     )

@@ -77,7 +77,9 @@ class Walls:
 
     @staticmethod
     def of(design: Design, window: Window, field: float | None = None) -> Walls:
-        """Walls of a design and its built start window; field in radians, None: the design's `check.field`."""
+        """Walls of a design and its built start window; field in radians, None: the design's
+        `check.field`.
+        """
         rules = profile(design.check.process)
         kinds = (EDGE, NECK, RADIUS, SAG, SLOPE)
         edge, least_neck, radius, sag, slope = (process_limit(design, rules, kind)[0] for kind in kinds)
@@ -160,7 +162,9 @@ def _least_apart(body: Body, front: Floats, back: Floats) -> float:
 
 
 def _radicand(surface: Surface, points: Floats) -> float:
-    """Least 1 − (1 + K_x) c_x² x² − (1 + K_y) c_y² y² over points (n, 3) of the lens frame: finite where the height is not."""
+    """Least 1 − (1 + K_x) c_x² x² − (1 + K_y) c_y² y² over points (n, 3) of the lens frame: finite where the
+    height is not.
+    """
     kx, ky = given_conics(surface)
     a, b = (1.0 + kx) * surface.curvature_x**2, (1.0 + ky) * surface.curvature_y**2
     return float((1.0 - a * points[:, 0] ** 2 - b * points[:, 1] ** 2).min())
@@ -211,9 +215,14 @@ class FaceSearch:
     """Residuals of one search, and the best within the walls so far."""
 
     def __init__(
-        self, design: Design, window: Window, unknowns: Unknowns, aim: Aim, progress: Progress | None = None,
+        self,
+        design: Design,
+        window: Window,
+        unknowns: Unknowns,
+        aim: Aim,
+        progress: Progress | None = None,
         until: float = inf,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.design, self.window, self.unknowns, self.aim = design, window, unknowns, aim
         self.progress, self.until = progress, until
         self.walls = Walls.of(design, window, aim.field)
@@ -308,17 +317,32 @@ class FaceSearch:
         """Best result within the walls as a design that records its origin, checked as a design file is."""
         if self.best is None:
             slack, name = self.nearest
-            raise DesignError([
-                Mistake("CL120", f"no faces were found within the walls: the {name} stays {-slack:.3g} times its limit beyond it",
-                        PAIR.thickness, allowed="walls that leave room: the process, check.edge, check.graph, or more thickness")
-            ])  # fmt: skip
+            raise DesignError(
+                [
+                    Mistake(
+                        "CL120",
+                        f"no faces were found within the walls: the {name} stays {-slack:.3g} times its limit"
+                        " beyond it",
+                        PAIR.thickness,
+                        allowed=(
+                            "walls that leave room: the process, check.edge, check.graph, or more thickness"
+                        ),
+                    )
+                ]
+            )
         self._refuse_no_gain(self.best)
         faces, offset = self.unknowns.faces(self.best.vector)
         record = SearchRecord(
-            self.design.sha256, faces_digest(faces), free, degrees(self.aim.field), self.aim.weights,
-            self.aim.tolerances, self.kept_unknowns, RAYS,
+            self.design.sha256,
+            faces_digest(faces),
+            free,
+            degrees(self.aim.field),
+            self.aim.weights,
+            self.aim.tolerances,
+            self.kept_unknowns,
+            RAYS,
             tuple((float(at), 1e3 * rms) for at, rms in self.best.history),
-        )  # fmt: skip
+        )
         return given_design(self.design, self.window, faces, offset, record)
 
     @property
@@ -331,11 +355,18 @@ class FaceSearch:
             return
         rms, name = self.sharpest_beyond
         found = f"; {1e3 * rms:.4g} mrad lies beyond the wall of the {name}" if rms < best.rms else ""
-        raise DesignError([
-            Mistake("CL120", f"no faces within the walls are better than the start, which leaves {1e3 * self.before:.4g} mrad rms{found}; "
-                    "nothing is written", "free", allowed=f"a gain of at least {LEAST_GAIN:g}",
-                    hint="more words of --free, or --field of another size")
-        ])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL120",
+                    "no faces within the walls are better than the start, which leaves"
+                    f" {1e3 * self.before:.4g} mrad rms{found}; nothing is written",
+                    "free",
+                    allowed=f"a gain of at least {LEAST_GAIN:g}",
+                    hint="more words of --free, or --field of another size",
+                )
+            ]
+        )
 
     def _trial(self, vector: Floats) -> Window:
         faces, offset = self.unknowns.faces(vector)

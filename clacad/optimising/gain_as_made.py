@@ -82,11 +82,12 @@ class GainAsMade:
             word = f"the gain of {self.gain:.3g} times is lost"
         before, after = self.before, self.after
         return (
-            f"With array 2 aside by 1 µm, turned and tilted by 0.1 mrad, {word}. The error to the law is then "
-            f"{_mrad(before.made_rms)} before and {_mrad(after.made_rms)} mrad after, of which {_mrad(after.shift)} mrad is the "
-            f"image aside, which no face can take away; parallel light spreads by {_mrad(before.made_blur)} before and "
-            f"{_mrad(after.made_blur)} mrad after. At the corners of this sheet the turn alone moves the image by "
-            f"{_mrad(after.corner)} mrad, whatever the faces."
+            f"With array 2 aside by 1 µm, turned and tilted by 0.1 mrad, {word}. The error to the law is then"
+            f" {_mrad(before.made_rms)} before and {_mrad(after.made_rms)} mrad after, of which"
+            f" {_mrad(after.shift)} mrad is the image aside, which no face can take away; parallel light"
+            f" spreads by {_mrad(before.made_blur)} before and {_mrad(after.made_blur)} mrad after. At the"
+            f" corners of this sheet the turn alone moves the image by {_mrad(after.corner)} mrad, whatever"
+            " the faces."
         )
 
     def to_dict(self) -> dict[str, Any]:

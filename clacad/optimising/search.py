@@ -46,11 +46,19 @@ def refuse_lost_light(before: Sequence[Seen], after: Sequence[Seen]) -> None:
     worst = max(zip(before, after, strict=True), key=lambda pair: pair[0].throughput - pair[1].throughput)
     was, now = (seen.throughput for seen in worst)
     if not was - now <= MOST_LOST:
-        raise DesignError([
-            Mistake("CL120", f"the faces that were found take {now:.3f} of the light of a cone of {np.degrees(worst[0].field):.3g} deg "
-                    f"to its partner cell, the start {was:.3f}; nothing is written", "free", allowed=f"a loss of at most {MOST_LOST:g}",
-                    hint="fewer words of --free, or a smaller field")
-        ])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL120",
+                    f"the faces that were found take {now:.3f} of the light of a cone of"
+                    f" {np.degrees(worst[0].field):.3g} deg to its partner cell, the start {was:.3f}; nothing"
+                    " is written",
+                    "free",
+                    allowed=f"a loss of at most {MOST_LOST:g}",
+                    hint="fewer words of --free, or a smaller field",
+                )
+            ]
+        )
 
 
 def refuse_moved(start: Window, found: Window, *, traced: bool) -> None:
@@ -68,14 +76,23 @@ def refuse_moved(start: Window, found: Window, *, traced: bool) -> None:
     """
     apart = np.abs(_places(found, traced=traced) - _places(start, traced=traced)).max()
     if not apart <= SAME * start.thin.separation:
-        raise DesignError([
-            Mistake("CL120", f"the plates or cells would move by {apart:.3g}; nothing is written", PAIR.separation,
-                    allowed="plates and cells that stay where the start has them", hint='pair.confocal = "exact" in the design to start from')
-        ])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL120",
+                    f"the plates or cells would move by {apart:.3g}; nothing is written",
+                    PAIR.separation,
+                    allowed="plates and cells that stay where the start has them",
+                    hint='pair.confocal = "exact" in the design to start from',
+                )
+            ]
+        )
 
 
 def _places(window: Window, *, traced: bool) -> Floats:
-    """Lengths that fix the plates and cells: vertices of all faces, or only their heights, and displacements of arrays."""
+    """Lengths that fix the plates and cells: vertices of all faces, or only their heights, and displacements
+    of arrays.
+    """
     vertices = np.array([face.vertex for face in window.faces])
     return np.concatenate([(vertices[:, 2:] if traced else vertices).ravel(), np.ravel(window.shifts)])
 
@@ -137,22 +154,37 @@ class Optimised:
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers: what was free, errors before and after, the faces."""
         return {
-            "design": self.design.name, "from_sha256": self.start.sha256, "sha256": self.design.sha256,
-            "free": list(self.free), "left_out": list(self.left_out), "field": self.field,
-            "weights": [list(pair) for pair in self.aim.weights], "tolerances": self.aim.tolerances,
-            "unknowns": self.unknowns, "rays": RAYS, "evaluations": self.evaluations, "finished": self.finished,
-            "stopped": self.stopped, "before": [vars(seen) for seen in self.before],
+            "design": self.design.name,
+            "from_sha256": self.start.sha256,
+            "sha256": self.design.sha256,
+            "free": list(self.free),
+            "left_out": list(self.left_out),
+            "field": self.field,
+            "weights": [list(pair) for pair in self.aim.weights],
+            "tolerances": self.aim.tolerances,
+            "unknowns": self.unknowns,
+            "rays": RAYS,
+            "evaluations": self.evaluations,
+            "finished": self.finished,
+            "stopped": self.stopped,
+            "before": [vars(seen) for seen in self.before],
             "after": [vars(seen) for seen in self.after],
             "expected": None if self.expected is None else list(self.expected),
             "history": [list(one) for one in self.history],
             "faces": [face_table(face) for face in self.design.pair.face],
-        }  # fmt: skip
+        }
 
 
 def optimise(
-    design: Design, free: tuple[str, ...] = ("radii", "conic"), field: float | None = None, progress: Progress | None = None,
-    *, weights: Weights = WHOLE, tolerances: bool = False, seconds: float | None = None,
-) -> Optimised:  # fmt: skip
+    design: Design,
+    free: tuple[str, ...] = ("radii", "conic"),
+    field: float | None = None,
+    progress: Progress | None = None,
+    *,
+    weights: Weights = WHOLE,
+    tolerances: bool = False,
+    seconds: float | None = None,
+) -> Optimised:
     """Search for the faces with the least error to the law of a design, over a field.
 
     Parameters
@@ -208,9 +240,19 @@ def optimise(
     refuse_lost_light(before[: len(after)], after)
     expected = (search.error_of(window), search.best.rms) if tolerances else None
     return Optimised(
-        better, design, tuple(free), search.left_out, aim, search.kept_unknowns, search.evaluations, before, after,
-        expected, search.best.history, stopped,
-    )  # fmt: skip
+        better,
+        design,
+        tuple(free),
+        search.left_out,
+        aim,
+        search.kept_unknowns,
+        search.evaluations,
+        before,
+        after,
+        expected,
+        search.best.history,
+        stopped,
+    )
 
 
 def outlook(
@@ -274,8 +316,10 @@ def _about(found: Optimised) -> str:
     """Comments of the file before its first key."""
     lines = [
         f"{found.design.name}: faces found by clacad optimise {asked(found)}",
-        f"from the design {found.start.sha256} with {found.unknowns} unknowns, {RAYS} Sobol rays, "
-        f"{found.evaluations} evaluations.",
+        (
+            f"from the design {found.start.sha256} with {found.unknowns} unknowns, {RAYS} Sobol rays, "
+            f"{found.evaluations} evaluations."
+        ),
     ]
     lines += [left_out(found)] if found.left_out and found.finished else []
     if found.stopped:
@@ -284,7 +328,10 @@ def _about(found: Optimised) -> str:
     if found.after:
         lines += [
             "",
-            "Direction error to the law, rms over fresh rays, and share of light that gets to its partner cell:",
+            (
+                "Direction error to the law, rms over fresh rays, and share of light that gets to its partner"
+                " cell:"
+            ),
         ]
         lines += [f"  {text}" for text in gains(found)]
         lines += ["What is best over this field need not be over another."]

@@ -1,6 +1,7 @@
 """Unknowns of a search: words to a vector of order 1, and back to faces.
 
-A unit of an unknown changes the slope at the border of a cell by about 1: curvatures times half a cell, coefficients of
+A unit of an unknown changes the slope at the border of a cell by about 1: curvatures times half a cell,
+coefficients of
 order 2k times 2k (half a cell)^(2k − 1). Conic constants are scaled by ten. The two faces of a lens are alike
 unless it is bent.
 
@@ -169,7 +170,8 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
     free += _of_field(window, faces, words)
     d, half = window.recipe["d"], 0.5 * min(window.lattice.pitch)
     still = "offset" not in words
-    # an offset of delta f1 would follow the radii, and with it the cells of array 2, and tilted the separation
+    # an offset of delta f1 would follow the radii, and with it the cells of array 2, and tilted the
+    # separation
     offset = None if still and d[0] == d[1] == 0.0 else (float(d[0]), float(d[1]))
     free += [] if still else [Unknown("d", (), i) for i in (0, 1)]
     return Unknowns(faces, offset, tuple(free), half, still, ellipsoids)
@@ -183,7 +185,9 @@ def _groups(window: Window, lenses: list[int], *, bent: bool) -> list[tuple[int,
 
 
 def _of_field(window: Window, faces: tuple[FaceSpec, ...], words: tuple[str, ...]) -> list[Unknown]:
-    """Curvature and conic constant of every face of the field lens, in the meridians in which it has power."""
+    """Curvature and conic constant of every face of the field lens, in the meridians in which it has
+    power.
+    """
     found: list[Unknown] = []
     for k, face in enumerate(window.faces):
         if face.array != 2 or "field" not in words:
@@ -196,22 +200,73 @@ def _of_field(window: Window, faces: tuple[FaceSpec, ...], words: tuple[str, ...
 def _refuse(window: Window, words: tuple[str, ...]) -> None:
     for word in words:
         if word in NEVER:
-            raise DesignError([Mistake("CL107", f"{word} is not to be free: {NEVER[word]}", "free", found=word, allowed=", ".join(WORDS))])  # fmt: skip
+            raise DesignError(
+                [
+                    Mistake(
+                        "CL107",
+                        f"{word} is not to be free: {NEVER[word]}",
+                        "free",
+                        found=word,
+                        allowed=", ".join(WORDS),
+                    )
+                ]
+            )
         if word not in WORDS:
             hint = did_you_mean(near(word.lower(), WORDS, 0.5), quote='"')
-            raise DesignError([Mistake("CL107", f"{shown(word)} is nothing that can be free", "free", found=word, allowed=", ".join(WORDS), hint=hint)])  # fmt: skip
+            raise DesignError(
+                [
+                    Mistake(
+                        "CL107",
+                        f"{shown(word)} is nothing that can be free",
+                        "free",
+                        found=word,
+                        allowed=", ".join(WORDS),
+                        hint=hint,
+                    )
+                ]
+            )
     if "field" in words and not window.thin.field:
-        raise DesignError([Mistake("CL113", "field is free, but there is no field lens", "free", found="field",
-                                   allowed=", ".join(w for w in WORDS if w != "field"), hint="pair.field_lens = true")])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL113",
+                    "field is free, but there is no field lens",
+                    "free",
+                    found="field",
+                    allowed=", ".join(w for w in WORDS if w != "field"),
+                    hint="pair.field_lens = true",
+                )
+            ]
+        )
     if not words:
         raise DesignError([Mistake("CL107", "nothing is free", "free", allowed=", ".join(WORDS))])
     for higher, lower in (("a6", "a4"), ("a8", "a6")):
         if higher in words and lower not in words:
-            raise DesignError([Mistake("CL113", f"{higher} comes on top of {lower}, where that leaves too much", "free", found=higher,
-                                       allowed=", ".join(WORDS), hint=f"free {lower}, too")])  # fmt: skip
+            raise DesignError(
+                [
+                    Mistake(
+                        "CL113",
+                        f"{higher} comes on top of {lower}, where that leaves too much",
+                        "free",
+                        found=higher,
+                        allowed=", ".join(WORDS),
+                        hint=f"free {lower}, too",
+                    )
+                ]
+            )
     if "bending" in words and window.form != "biconvex":
-        raise DesignError([Mistake("CL114", f"bending needs two faces a lens; a {window.form} pair has one", "free", found="bending",
-                                   allowed="radii, conic, a4, a6, a8, offset", hint='pair.form = "biconvex" can be bent')])  # fmt: skip
+        raise DesignError(
+            [
+                Mistake(
+                    "CL114",
+                    f"bending needs two faces a lens; a {window.form} pair has one",
+                    "free",
+                    found="bending",
+                    allowed="radii, conic, a4, a6, a8, offset",
+                    hint='pair.form = "biconvex" can be bent',
+                )
+            ]
+        )
 
 
 def _spec(surface: Surface) -> FaceSpec:
@@ -224,7 +279,9 @@ def _spec(surface: Surface) -> FaceSpec:
 
 
 def _ellipsoidal(surface: Surface) -> bool:
-    """Whether a face is the ellipsoid that recipes build: one κ, the geometric mean of the curvatures; a plane is, too."""
+    """Whether a face is the ellipsoid that recipes build: one κ, the geometric mean of the curvatures; a
+    plane is, too.
+    """
     if not isinstance(surface, Quadric):
         return False
     cx, cy = surface.curvature_x, surface.curvature_y
@@ -232,9 +289,12 @@ def _ellipsoidal(surface: Surface) -> bool:
 
 
 def given_design(
-    design: Design, window: Window, faces: tuple[FaceSpec, ...], offset: tuple[float, float] | None,
+    design: Design,
+    window: Window,
+    faces: tuple[FaceSpec, ...],
+    offset: tuple[float, float] | None,
     record: SearchRecord | None = None,
-) -> Design:  # fmt: skip
+) -> Design:
     """Design with these faces and all values that its window fixed, checked as a design file is."""
     data = {key: dict(value) if isinstance(value, Mapping) else value for key, value in design.given.items()}
     pair = {key: value for key, value in data["pair"].items() if key not in (*OF_RECIPES, "search")}

@@ -45,17 +45,22 @@ QUADS = 8
 
 
 def solid_picture(scene: Scene) -> Bytes:
-    """Picture of a scene with its sheet drawn as solids of the colour `sheet.tint`, encoded bytes (h, w, 3)."""
+    """Picture of a scene with its sheet drawn as solids of the colour `sheet.tint`, encoded bytes (h, w,
+    3).
+    """
     window = prescribe(scene.design())
     tint = scene.sheet.tint
     scale = scene.unit_m / window.unit
     mesh = sheet_triangles(window)
     corners = np.concatenate([body.vertices[body.triangles] for body in mesh.bodies]) / scale
     background = tables(set_stage(scene))
-    glass = tables(stage_of(
-        [[Primitive(MESH, np.eye(3), np.zeros(3), (0, 0, 0, 0), (tint, tint), tree=mesh_tree(corners))]],
-        replace(scene.light, ambient=0.25, key=0.9), scene.background,
-    ))  # fmt: skip
+    glass = tables(
+        stage_of(
+            [[Primitive(MESH, np.eye(3), np.zeros(3), (0, 0, 0, 0), (tint, tint), tree=mesh_tree(corners))]],
+            replace(scene.light, ambient=0.25, key=0.9),
+            scene.background,
+        )
+    )
     view = aim(scene.camera)
     count = scene.camera.samples
     light = np.zeros((view.height * view.width, 3))

@@ -118,7 +118,10 @@ def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
     spread = np.linalg.norm(np.cross(directions, asked), axis=1).max()
     return [
         f"{window.name} with {design.law_spec.words()}, to scale.",
-        f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {1e3 * spread:.2g} mrad over this bundle.",
+        (
+            f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {1e3 * spread:.2g} mrad"
+            " over this bundle."
+        ),
     ]
 
 
@@ -160,7 +163,9 @@ def _offset(canvas: _Canvas, foot: Floats, lens2: Floats, axis: Floats, f2: floa
 
 
 class _Canvas:
-    """Transformation from sheet (z to the right, x up) to drawing coordinates, and the pieces of an SVG text."""
+    """Transformation from sheet (z to the right, x up) to drawing coordinates, and the pieces of an SVG
+    text.
+    """
 
     def __init__(self, low: Floats, high: Floats) -> None:
         margin = 0.08 * float((high - low)[0])
@@ -204,10 +209,13 @@ class _Canvas:
     def svg(self, parts: list[str]) -> str:
         """The whole drawing of the given parts."""
         style = (
-            "text{font:15px system-ui,sans-serif;fill:#333;paint-order:stroke;stroke:#fff;stroke-width:4px;stroke-linejoin:round}.caption{font-size:13px}polyline{fill:none}"
+            "text{font:15px"
+            " system-ui,sans-serif;fill:#333;paint-order:stroke;stroke:#fff;stroke-width:4px;stroke-linejoin:round}"
+            ".caption{font-size:13px}polyline{fill:none}"
             ".lens{fill:#bcd9ee;fill-opacity:.75;stroke:#3b6f9c}.ray{stroke:#c4483a;stroke-width:1.4}"
             ".axis{stroke:#555;stroke-dasharray:9 3 2 3}.plane{stroke:#2b7a4b;stroke-dasharray:5 4}"
-            ".normal{stroke:#999}.measure{stroke:#333;marker-start:url(#a);marker-end:url(#a)}.dot{fill:#c4483a}"
+            ".normal{stroke:#999}.measure{stroke:#333;marker-start:url(#a);marker-end:url(#a)}"
+            ".dot{fill:#c4483a}"
         )
         marker = (
             '<defs><marker id="a" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" '
@@ -215,7 +223,8 @@ class _Canvas:
         )
         body = "\n".join(part for part in parts if part)
         return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH:.0f}" height="{self.height + 44:.0f}" viewBox="0 0 {WIDTH:.0f} {self.height + 44:.0f}" '
-            f'role="img" aria-label="cross-section of a lenslet pair with rays">\n<style>{style}</style>{marker}\n'
-            f'<rect width="100%" height="100%" fill="#fff"/>\n{body}\n</svg>\n'
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH:.0f}" height="{self.height + 44:.0f}"'
+            f' viewBox="0 0 {WIDTH:.0f} {self.height + 44:.0f}" role="img" aria-label="cross-section of a'
+            f' lenslet pair with rays">\n<style>{style}</style>{marker}\n<rect width="100%" height="100%"'
+            f' fill="#fff"/>\n{body}\n</svg>\n'
         )

@@ -23,6 +23,9 @@ class AtlasFinding:
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
         return {
-            "what": self.what, "measured": self.measured, "expected": self.expected, "tolerance": self.tolerance,
+            "what": self.what,
+            "measured": self.measured,
+            "expected": self.expected,
+            "tolerance": self.tolerance,
             "passed": self.passed,
-        }  # fmt: skip
+        }

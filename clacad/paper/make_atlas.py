@@ -32,25 +32,30 @@ POLICY = "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; base-ur
 """Content security policy: no script, no frame, no font, nothing from other sites."""
 
 NOTE = (
-    "Figures F and W are drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows "
-    "the view flipped left-right. Figures V are drawn as the part shows it. Lengths are floor tiles in F, millimetres elsewhere. "
-    "Exact refraction at every lens face, ghosts included."
+    "Figures F and W are drawn left-handed (x to the right), as the paper's renderer draws: the part made"
+    " from a design shows the view flipped left-right. Figures V are drawn as the part shows it. Lengths are"
+    " floor tiles in F, millimetres elsewhere. Exact refraction at every lens face, ghosts included."
 )
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 76em; margin: 2em auto; padding: 0 1em; color: #222 }
-figure { display: inline-block; margin: 0 1em 1em 0; vertical-align: top } img { max-width: 100%; border: 1px solid #ccc }
+figure { display: inline-block; margin: 0 1em 1em 0; vertical-align: top }
+img { max-width: 100%; border: 1px solid #ccc }
 figcaption { font-size: 90%; color: #555 } table { border-collapse: collapse; margin: 0 0 2em }
-td, th { padding: .15em .8em; text-align: right; border-bottom: 1px solid #ddd } td:first-child, th:first-child { text-align: left }
+td, th { padding: .15em .8em; text-align: right; border-bottom: 1px solid #ddd }
+td:first-child, th:first-child { text-align: left }
 .fail { color: #b00; font-weight: bold }
-@media (prefers-color-scheme: dark) { body { background: #181a1c; color: #ddd } td, th { border-color: #444 } }
+@media (prefers-color-scheme: dark) { body { background: #181a1c; color: #ddd }
+  td, th { border-color: #444 } }
 """
 
 
 def page_of(
-    figures: Sequence[Figure], findings: Mapping[str, tuple[AtlasFinding, ...]], movies: Sequence[tuple[str, str]],
+    figures: Sequence[Figure],
+    findings: Mapping[str, tuple[AtlasFinding, ...]],
+    movies: Sequence[tuple[str, str]],
     names: Sequence[str],
-) -> str:  # fmt: skip
+) -> str:
     """The page of some figures.
 
     Parameters
@@ -72,7 +77,8 @@ def page_of(
             parts.append(_table(findings["F1"]))
     for figure in figures:
         parts.append(
-            f"<h2>{html.escape(figure.row)} &ndash; {html.escape(figure.title)}</h2><p>{html.escape(figure.says)}</p>"
+            f"<h2>{html.escape(figure.row)} &ndash;"
+            f" {html.escape(figure.title)}</h2><p>{html.escape(figure.says)}</p>"
         )
         parts += [_img(f"{stem}.png", label) for stem, label in figure.scenes]
         parts += [_img(f"{stem}.png", label) for stem, label, _ in figure.drawn]
@@ -80,11 +86,11 @@ def page_of(
         if figure.row in findings:
             parts.append(_table(findings[figure.row]))
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n<meta http-equiv="Content-Security-Policy" '
-        f'content="{POLICY}">\n<meta name="viewport" content="width=device-width"><title>Views through the sheet</title>'
-        f"<style>{STYLE}</style></head>\n<body><h1>Views through generalized confocal lenslet arrays</h1>\n"
-        + "\n".join(parts)
-        + "\n</body></html>\n"
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n<meta'
+        f' http-equiv="Content-Security-Policy" content="{POLICY}">\n<meta name="viewport"'
+        ' content="width=device-width"><title>Views through the'
+        f" sheet</title><style>{STYLE}</style></head>\n<body><h1>Views through generalized confocal lenslet"
+        " arrays</h1>\n" + "\n".join(parts) + "\n</body></html>\n"
     )
 
 
@@ -96,10 +102,14 @@ def _img(name: str, label: str) -> str:
 def _table(findings: Sequence[AtlasFinding]) -> str:
     rows = "".join(
         f"<tr><td>{html.escape(one.what)}</td><td>{one.measured:.4g}</td><td>{one.expected:.4g}</td>"
-        f"<td>{one.tolerance:.2g}</td><td{'' if one.passed else ' class=fail'}>{'pass' if one.passed else 'FAIL'}</td></tr>"
+        f"<td>{one.tolerance:.2g}</td>"
+        f"<td{'' if one.passed else ' class=fail'}>{'pass' if one.passed else 'FAIL'}</td></tr>"
         for one in findings
     )
-    head = "<tr><th>measured in the picture</th><th>measured</th><th>formula</th><th>tolerance</th><th></th></tr>"
+    head = (
+        "<tr><th>measured in the"
+        " picture</th><th>measured</th><th>formula</th><th>tolerance</th><th></th></tr>"
+    )
     return f"<table>{head}{rows}</table>"
 
 
@@ -359,7 +369,9 @@ def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]
 def _first_figure(
     stage: Stage, section: Scene, solids: Scene, *, measured: bool
 ) -> dict[str, tuple[AtlasFinding, ...]]:
-    """Figure 1: the section with rays as SVG, and the sheet itself as a picture; return the findings of both."""
+    """Figure 1: the section with rays as SVG, and the sheet itself as a picture; return the findings of
+    both.
+    """
     from clacad.paper.figure1 import solid_picture
     from clacad.paper.figure1_section import section_svg
 

@@ -73,8 +73,15 @@ def _turned(scene: Scene, k: int, degrees: float) -> Scene:
     return scene.replace({f"sheet.set.law.euler.{k}": degrees})
 
 
-DIRECT = {"eta_x = -0.25": 0.875, "eta_x = -0.5": 0.875, "eta_x = -1": 0.766, "eta_x = -2": 0.4375,
-          "phi = 45": 0.914, "theta = 0.5": 0.895, "theta = 1": 0.840}  # fmt: skip
+DIRECT = {
+    "eta_x = -0.25": 0.875,
+    "eta_x = -0.5": 0.875,
+    "eta_x = -1": 0.766,
+    "eta_x = -2": 0.4375,
+    "phi = 45": 0.914,
+    "theta = 0.5": 0.895,
+    "theta = 1": 0.840,
+}
 """Share of the light on the sheet that passes corresponding lenslets: mean of the closed form, product of x
 and y.
 """
@@ -146,8 +153,11 @@ def _before(scene: Scene) -> Iterator[AtlasFinding]:
 
 def _offset(load: Loader) -> Iterator[AtlasFinding]:
     for stem, dx, dy in (
-        ("0-0.01", 0.0, 0.01), ("0.005-0.01", 0.005, 0.01), ("0.01-0", 0.01, 0.0), ("m0.005-0.005", -0.005, 0.005),
-    ):  # fmt: skip
+        ("0-0.01", 0.0, 0.01),
+        ("0.005-0.01", 0.005, 0.01),
+        ("0.01-0", 0.01, 0.0),
+        ("m0.005-0.005", -0.005, 0.005),
+    ):
         found = _map(load(f"fig4-delta-{stem}"), 10.0)
         x, y = found.appears_at(0.0, 0.0)
         label = f"delta = ({dx:g}, {dy:g})"
@@ -280,8 +290,15 @@ def _mirror(matrix: Floats) -> float:
     return math.degrees(math.atan2(matrix[1, 0] + matrix[0, 1], matrix[0, 0] - matrix[1, 1]))
 
 
-CENTRES = {3.0: (-0.195, 0.133), 8.0: (0.175, -0.407), 10.0: (0.044, -0.393), 15.0: (-0.361, -0.688),
-           38.0: (0.494, 0.243), 60.0: (0.381, 0.143), FAR: (0.284, 0.065)}  # fmt: skip
+CENTRES = {
+    3.0: (-0.195, 0.133),
+    8.0: (0.175, -0.407),
+    10.0: (0.044, -0.393),
+    15.0: (-0.361, -0.688),
+    38.0: (0.494, 0.243),
+    60.0: (0.381, 0.143),
+    FAR: (0.284, 0.065),
+}
 """Positions on the sheet of Fig. 8 at which the axis point at z is seen."""
 
 SEEN, UNSEEN = (3.0, 8.0, 10.0, 38.0, 60.0), (5.0, 5.5, 6.0, 15.0, 18.0, 20.0, 22.0)
@@ -350,7 +367,9 @@ def unseen_zones(scene: Scene) -> list[float]:
 
 
 def _slopes_of_law(scene: Scene) -> tuple[Floats, Floats]:
-    """Slopes behind the sheet of light from the camera, (2,) + (2, 2) x₀, fitted over its crossing points x₀."""
+    """Slopes behind the sheet of light from the camera, (2,) + (2, 2) x₀, fitted over its crossing points
+    x₀.
+    """
     side = np.linspace(-HALF_SIDE, HALF_SIDE, 9)
     x0 = np.stack(np.meshgrid(side, side), axis=2).reshape(-1, 2)
     out = scene.design().law.refract(np.column_stack([x0, np.full(len(x0), D)]))
@@ -371,23 +390,65 @@ def piece_on_sheet(scene: Scene) -> tuple[Floats, float]:
 
 
 FIGURES: tuple[Figure, ...] = (
-    Figure("F2", "Fig. 2: eta_x varied", "Squashed or stretched in x only; at eta_x = -1/2 the image lies at the camera: a smear.",
-           tuple((f"fig2-eta-{e}", f"eta_x = -{e}, z = 10") for e in ("0.25", "0.5", "1", "2")), _squash),
-    Figure("F3", "Fig. 3: distance of the piece", "The stretch in x grows and changes its sign at z = 5, then that in y at z = 20.",
-           tuple((f"fig3-z-{z.replace('-', 'm')}", f"z = {z}") for z in ("-2", "2", "4.5", "8", "15", "38")), _distance),
-    Figure("F4", "Fig. 4: offset axes", "The view shifts; there is no shear.",
-           tuple((f"fig4-delta-{d}", f"delta = {label}") for d, label in (("0-0.01", "(0, 0.01)"), ("0.005-0.01", "(0.005, 0.01)"),
-                 ("0.01-0", "(0.01, 0)"), ("m0.005-0.005", "(-0.005, 0.005)"))), _offset),
-    Figure("F5", "Fig. 5: phi from 0 to 180 degrees", "The piece turns once round and distorts; the horizon only seesaws.",
-           tuple((f"fig5-phi-{f}", f"phi = {f}") for f in ("26.57", "45", "90", "135", "153.43")), _roll),
-    Figure("F6", "Fig. 6: theta varied, phi = 45 degrees", "The view shifts sideways.",
-           tuple((f"fig6-theta-{t}", f"theta = {t}") for t in ("0.25", "0.5", "1")), _tilt),
-    Figure("F7", "Fig. 7: psi from 0 to 360 degrees", "The view turns about the sheet's axis and distorts; it closes at 360 degrees.",
-           tuple((f"fig7-psi-{p}", f"psi = {p}") for p in ("45", "90", "180", "270")), _swing),
-    Figure("F8", "Fig. 8: distance behind the more complex sheet", "At z = 60 the piece is very small.",
-           tuple((f"fig8-z-{z}", f"z = {z}") for z in ("3", "8", "38", "60")), _vanish,
-           circled=("fig8-z-60",)),
-)  # fmt: skip
+    Figure(
+        "F2",
+        "Fig. 2: eta_x varied",
+        "Squashed or stretched in x only; at eta_x = -1/2 the image lies at the camera: a smear.",
+        tuple((f"fig2-eta-{e}", f"eta_x = -{e}, z = 10") for e in ("0.25", "0.5", "1", "2")),
+        _squash,
+    ),
+    Figure(
+        "F3",
+        "Fig. 3: distance of the piece",
+        "The stretch in x grows and changes its sign at z = 5, then that in y at z = 20.",
+        tuple((f"fig3-z-{z.replace('-', 'm')}", f"z = {z}") for z in ("-2", "2", "4.5", "8", "15", "38")),
+        _distance,
+    ),
+    Figure(
+        "F4",
+        "Fig. 4: offset axes",
+        "The view shifts; there is no shear.",
+        tuple(
+            (f"fig4-delta-{d}", f"delta = {label}")
+            for d, label in (
+                ("0-0.01", "(0, 0.01)"),
+                ("0.005-0.01", "(0.005, 0.01)"),
+                ("0.01-0", "(0.01, 0)"),
+                ("m0.005-0.005", "(-0.005, 0.005)"),
+            )
+        ),
+        _offset,
+    ),
+    Figure(
+        "F5",
+        "Fig. 5: phi from 0 to 180 degrees",
+        "The piece turns once round and distorts; the horizon only seesaws.",
+        tuple((f"fig5-phi-{f}", f"phi = {f}") for f in ("26.57", "45", "90", "135", "153.43")),
+        _roll,
+    ),
+    Figure(
+        "F6",
+        "Fig. 6: theta varied, phi = 45 degrees",
+        "The view shifts sideways.",
+        tuple((f"fig6-theta-{t}", f"theta = {t}") for t in ("0.25", "0.5", "1")),
+        _tilt,
+    ),
+    Figure(
+        "F7",
+        "Fig. 7: psi from 0 to 360 degrees",
+        "The view turns about the sheet's axis and distorts; it closes at 360 degrees.",
+        tuple((f"fig7-psi-{p}", f"psi = {p}") for p in ("45", "90", "180", "270")),
+        _swing,
+    ),
+    Figure(
+        "F8",
+        "Fig. 8: distance behind the more complex sheet",
+        "At z = 60 the piece is very small.",
+        tuple((f"fig8-z-{z}", f"z = {z}") for z in ("3", "8", "38", "60")),
+        _vanish,
+        circled=("fig8-z-60",),
+    ),
+)
 """Figures 2 to 8 of the paper."""
 
 MOVIES: tuple[tuple[str, str], ...] = (

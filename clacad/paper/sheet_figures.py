@@ -4,7 +4,8 @@ Figures of non-uniform sheets, beyond the paper's: aimed at an eye, imaging, mag
 
 Expected numbers are closed forms of thin lenses. A ray from the eye (0, 0, −D) through x of the sheet has the
 slope t = x/D. The sheet's lenses are a distance s apart, its body is T thick. The ray leaves with
-t' = (t − κ C)/η, C the centre of its cell, at x' = x + s t, and meets a screen in z at x' + (z − T) t'. Where cells are
+t' = (t − κ C)/η, C the centre of its cell, at x' = x + s t, and meets a screen in z at x' + (z − T) t'.
+Where cells are
 not aimed at the eye their light fills one side only. Light through corresponding lenslets then arrives, on
 average, s t/2 from C, and leaves as far on the other side of C + s t.
 
@@ -95,8 +96,9 @@ def _glens(load: Loader) -> Iterator[AtlasFinding]:
         real = 1.0 - (z - _thickness(window)) * (1.0 / FAR + middle / FOCAL)
         ideal = 1.0 - z * (1.0 / FAR + 1.0 / FOCAL)
         for scene, label, expected, slack in (
-            (cells, "cells, exact surfaces", real, 0.04), (smooth, "smooth law", ideal, 1e-9),
-        ):  # fmt: skip
+            (cells, "cells, exact surfaces", real, 0.04),
+            (smooth, "smooth law", ideal, 1e-9),
+        ):
             found = measure(scene, z, RAYS, compiled=True).matrix
             for axis, name in ((0, "x"), (1, "y")):
                 yield AtlasFinding(
@@ -149,10 +151,14 @@ def _shaped() -> Rendered:
     from clacad.imaging.target import of_picture
 
     data = {
-        "format": 1, "name": "shaped", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+        "format": 1,
+        "name": "shaped",
+        "unit": "mm",
+        "law": {"eta": [-1.0, -1.0]},
         "pair": {"form": "slab", "separation": 10, "material": "PMMA", "wavelength": 550},
-        "lattice": {"pitch": 0.5, "count": list(SHAPED_CELLS)}, "check": {"process": "none"},
-    }  # fmt: skip
+        "lattice": {"pitch": 0.5, "count": list(SHAPED_CELLS)},
+        "check": {"process": "none"},
+    }
     design = Design.from_dict(data)
     found = shaped(design, lattice_of(design), of_picture(_silhouette(), SHAPED_WIDTH), SHAPED_DISTANCE)
     with scratch_folder() as folder:
@@ -197,18 +203,39 @@ def _beam(load: Loader) -> Iterator[AtlasFinding]:
 
 
 DIFFERING: tuple[Figure, ...] = (
-    Figure("V1", "A window for one eye", "The 100 mm window from 400 mm. Of a sheet made for an eye at infinity most of the light "
-           "meets other lenslets than the partner; aimed at the eye, all of it obeys the law.",
-           (("window-400mm", "not aimed"), ("window-400mm-aimed", "aimed at the eye")), _window),
-    Figure("V2", "A glens", "f = 200 mm with eta = -1: cells that differ by the place of lens 2 image like a lens that has both foci on "
-           "one side; beside it the smooth law.",
-           (("glens-knight", "cells, exact surfaces"), ("glens-knight-law", "smooth law")), _glens),
-    Figure("V3", "A moiré magnifier", "Arrays of two pitches, 0.5 and 0.49 mm, make a lattice of lenses, each of many lenslets; behind it three knights, and "
-           "each is seen by a lens of its own.",
-           (("moire-magnifier", "pitch 0.5 and 0.49 mm"),), _moire),
-    Figure("V4", "A shaped beam", "A table of cells sends parallel light into the outline of a knight, 500 mm behind the sheet.",
-           (), _beam, drawn=(("shaped-beam", "asked; by rays through the sheet; the difference", _shaped_picture),)),
-)  # fmt: skip
+    Figure(
+        "V1",
+        "A window for one eye",
+        "The 100 mm window from 400 mm. Of a sheet made for an eye at infinity most of the light "
+        "meets other lenslets than the partner; aimed at the eye, all of it obeys the law.",
+        (("window-400mm", "not aimed"), ("window-400mm-aimed", "aimed at the eye")),
+        _window,
+    ),
+    Figure(
+        "V2",
+        "A glens",
+        "f = 200 mm with eta = -1: cells that differ by the place of lens 2 image like a lens that has both"
+        " foci on one side; beside it the smooth law.",
+        (("glens-knight", "cells, exact surfaces"), ("glens-knight-law", "smooth law")),
+        _glens,
+    ),
+    Figure(
+        "V3",
+        "A moiré magnifier",
+        "Arrays of two pitches, 0.5 and 0.49 mm, make a lattice of lenses, each of many lenslets; behind it"
+        " three knights, and each is seen by a lens of its own.",
+        (("moire-magnifier", "pitch 0.5 and 0.49 mm"),),
+        _moire,
+    ),
+    Figure(
+        "V4",
+        "A shaped beam",
+        "A table of cells sends parallel light into the outline of a knight, 500 mm behind the sheet.",
+        (),
+        _beam,
+        drawn=(("shaped-beam", "asked; by rays through the sheet; the difference", _shaped_picture),),
+    ),
+)
 """Figures of non-uniform sheets."""
 
 
@@ -248,7 +275,9 @@ def _seen(scene: Scene, fate: Fate) -> tuple[float, Floats]:
 
 
 def _share_of_field(slope: float, scene: Scene) -> float:
-    """Share of the light by the law without a field lens: mean of the closed form over rays of the camera to the sheet."""
+    """Share of the light by the law without a field lens: mean of the closed form over rays of the camera to
+    the sheet.
+    """
     aside = np.linspace(-0.5, 0.5, 201) * SIDE / -scene.camera.position[2]
     x, y = (
         float(np.clip(1.0 - np.abs(t + aside) * SEPARATION / PITCH, 0.0, 1.0).mean()) for t in (slope, 0.0)
@@ -291,9 +320,14 @@ def _label(angle: float, field_lens: bool) -> str:
 
 
 FIELD_LENS = Figure(
-    "W1", "A field lens: window-100mm over its field",
-    "Without it ghosts (drawn in pink) take the place of the light that obeys the law; with it all light obeys, up to 2.8 degrees.",
-    tuple((_stem(angle, with_one), _label(angle, with_one)) for with_one in (False, True) for angle in ANGLES), _field,
+    "W1",
+    "A field lens: window-100mm over its field",
+    "Without it ghosts (drawn in pink) take the place of the light that obeys the law; with it all light"
+    " obeys, up to 2.8 degrees.",
+    tuple(
+        (_stem(angle, with_one), _label(angle, with_one)) for with_one in (False, True) for angle in ANGLES
+    ),
+    _field,
     ghosts_marked=True,
-)  # fmt: skip
+)
 """window-100mm at three angles, without and with a field lens."""

@@ -196,9 +196,11 @@ def _refuse_table(design: Design) -> None:
     cells = design.lattice.count[0] * design.lattice.count[1]
     if design.pair.offset != "paraxial" and cells > MOST_TRACED:
         raise NoSuchLens(
-            f"a sheet aimed at a point cannot have a table of more than {MOST_TRACED} vertices", key=LATTICE.count,
-            code="CL121", hint='pair.offset = "paraxial", or fewer cells',
-        )  # fmt: skip
+            f"a sheet aimed at a point cannot have a table of more than {MOST_TRACED} vertices",
+            key=LATTICE.count,
+            code="CL121",
+            hint='pair.offset = "paraxial", or fewer cells',
+        )
 
 
 def _refuse_near(aim: AimPoint, window: Window) -> None:
@@ -206,10 +208,12 @@ def _refuse_near(aim: AimPoint, window: Window) -> None:
     z, least = aim.point[2], NEAREST * window.thin.separation
     if abs(z) < least:
         raise NoSuchLens(
-            f"the viewer of lattice.aperture is {abs(z):.6g} from the sheet, nearer than {NEAREST:g} separations",
-            key="lattice.aperture.point.2", code="CL122",
+            f"the viewer of lattice.aperture is {abs(z):.6g} from the sheet, nearer than {NEAREST:g}"
+            " separations",
+            key="lattice.aperture.point.2",
+            code="CL122",
             hint=f"z <= {-least:.6g} (before array 1) or z >= {least:.6g}; or a smaller separation",
-        )  # fmt: skip
+        )
 
 
 def _refuse_steep(aim: AimPoint, window: Window, design: Design, place: CellPlacement, cells: Ints) -> None:
@@ -221,10 +225,12 @@ def _refuse_steep(aim: AimPoint, window: Window, design: Design, place: CellPlac
     used = float(np.hypot(*far)) + half
     if used > STEEPEST * radius:
         raise NoSuchLens(
-            f"in cell ({cell[0]}, {cell[1]}) lens 2 would be used {used:.4g} from its vertex, {used / radius:.2f} of its radius "
-            f"{radius:.4g}, where at most {STEEPEST:g} sends light right",
-            key=LATTICE.aperture, code="CL123", hint=_way_out(aim, window, cells),
-        )  # fmt: skip
+            f"in cell ({cell[0]}, {cell[1]}) lens 2 would be used {used:.4g} from its vertex,"
+            f" {used / radius:.2f} of its radius {radius:.4g}, where at most {STEEPEST:g} sends light right",
+            key=LATTICE.aperture,
+            code="CL123",
+            hint=_way_out(aim, window, cells),
+        )
 
 
 def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> None:
@@ -232,10 +238,13 @@ def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: In
     off, (x, y) = _stray(aim, window, place, cells)
     if off > OFF * min(window.lattice.pitch):
         raise NoSuchLens(
-            f"at ({x:.4g}, {y:.4g}) the light of the viewer would land {off:.4g} from the middle of its cell of array 2, more than "
-            f"{OFF:g} of the pitch: refraction bends it too much for a lattice that is only scaled",
-            key=LATTICE.aperture, code="CL123", hint=_way_out(aim, window, cells),
-        )  # fmt: skip
+            f"at ({x:.4g}, {y:.4g}) the light of the viewer would land {off:.4g} from the middle of its cell"
+            f" of array 2, more than {OFF:g} of the pitch: refraction bends it too much for a lattice that is"
+            " only scaled",
+            key=LATTICE.aperture,
+            code="CL123",
+            hint=_way_out(aim, window, cells),
+        )
 
 
 def _farthest(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[Ints, Floats]:

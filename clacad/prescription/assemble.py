@@ -90,9 +90,17 @@ def _intent(design: Design) -> Intent:
     if neck is None:
         neck = max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
     return Intent(
-        design, law, law.rotation, design.law_spec.eta, design.law_spec.delta, index, material,
-        _lattice(design), GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth), neck,
-    )  # fmt: skip
+        design,
+        law,
+        law.rotation,
+        design.law_spec.eta,
+        design.law_spec.delta,
+        index,
+        material,
+        _lattice(design),
+        GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth),
+        neck,
+    )
 
 
 def _find(name: str) -> Material:
@@ -102,7 +110,9 @@ def _find(name: str) -> Material:
 
 
 def _conic(design: Design, index: float) -> Pair2 | None:
-    """Conic constants of a biconic; the default makes the axial beam stigmatic (plano outside: a start value)."""
+    """Conic constants of a biconic; the default makes the axial beam stigmatic (plano outside: a start
+    value).
+    """
     pair = design.pair
     if pair.surface != "biconic":
         return None
@@ -162,18 +172,23 @@ def _refuse_radius(intent: Intent) -> None:
             sag = reach * reach / (2.0 * radius) if radius > reach else reach
             if isfinite(radius) and sag < LEAST_SAG * separation_of(intent):
                 raise NoSuchLens(
-                    f"lens {number} would rise by {sag:.3g} over its cell in {axis}, less than its place between "
-                    f"lenses {separation_of(intent):.6g} apart is known to",
+                    f"lens {number} would rise by {sag:.3g} over its cell in {axis}, less than its place"
+                    f" between lenses {separation_of(intent):.6g} apart is known to",
                     key=PAIR.separation,
-                    hint=f"a smaller separation or a larger pitch: the height must be above {LEAST_SAG:g} of the separation",
+                    hint=(
+                        f"a smaller separation or a larger pitch: the height must be above {LEAST_SAG:g} of"
+                        " the separation"
+                    ),
                 )
             if radius < reach:
                 raise NoSuchLens(
-                    f"lens {number} would have the radius {radius:.6g} in {axis}, less than half the {where} of "
-                    f"its cell ({reach:.6g}): the surface ends inside the cell",
+                    f"lens {number} would have the radius {radius:.6g} in {axis}, less than half the {where}"
+                    f" of its cell ({reach:.6g}): the surface ends inside the cell",
                     key=LATTICE.pitch,
-                    hint=f"{_smaller_pitch(intent, axis, where, radius / reach)}, or separation > "
-                    f"{separation_of(intent) * reach / radius:.6g}",
+                    hint=(
+                        f"{_smaller_pitch(intent, axis, where, radius / reach)}, or separation > "
+                        f"{separation_of(intent) * reach / radius:.6g}"
+                    ),
                 )
 
 
@@ -352,8 +367,9 @@ def _slab_scaled(intent: Intent, scale: float) -> Window:
     body = slab_body(
         lenses,
         (LensPose(np.zeros(3), intent.turn), LensPose(place.lens_2 - np.array([*moved, 0.0]), intent.turn)),
-        intent.shape, intent.index,
-    )  # fmt: skip
+        intent.shape,
+        intent.index,
+    )
     return _assemble_window(intent, (body,), moved, lenses, offset, separation)
 
 
@@ -373,9 +389,11 @@ def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
     thickness = n * (min(first) - gap), n * (min(second) - gap)
     if min(thickness) <= 0.0:
         raise NoSuchLens(
-            f"air gaps of {gap:.6g} leave a plate no thickness", key=PAIR.field,
-            hint=f"gap < {min(*first, *second):.6g}", code="CL129",
-        )  # fmt: skip
+            f"air gaps of {gap:.6g} leave a plate no thickness",
+            key=PAIR.field,
+            hint=f"gap < {min(*first, *second):.6g}",
+            code="CL129",
+        )
     lenses = _one_faced(intent, separation, thickness).scaled(scale)
     return _plano_with_field(intent, lenses, separation)
 
@@ -389,9 +407,11 @@ def _plano_with_field(intent: Intent, lenses: LensPair, separation: float) -> Wi
     before, behind = min(first) - glass[0] / n, min(second) - glass[1] / n
     if before <= 0.0:
         raise NoSuchLens(
-            f"lens 1 would reach {-before:.4g} beyond its focus", key=PAIR.separation,
-            hint="a larger separation, or a thinner lens 1", code="CL129",
-        )  # fmt: skip
+            f"lens 1 would reach {-before:.4g} beyond its focus",
+            key=PAIR.separation,
+            hint="a larger separation, or a thinner lens 1",
+            code="CL129",
+        )
     foci = (glass[0] + first[0] - glass[0] / n, glass[0] + first[1] - glass[0] / n)
     plate = one_plate(intent, (first, second), foci, behind)
     behind -= 0.0 if plate.crossed else plate.thickness / n
@@ -438,8 +458,10 @@ def _plano_scaled(intent: Intent, scale: float) -> Window:
     if gap <= 0.0:
         raise NoSuchLens(
             f"the plane faces would meet: the air gap separation - (T1 + T2)/n is {gap:.6g}",
-            hint=f"T1 + T2 < {intent.index * separation:.6g}, separation > "
-            f"{(thickness[0] + thickness[1]) / intent.index:.6g}, or curved = 'inside'",
+            hint=(
+                f"T1 + T2 < {intent.index * separation:.6g}, separation > "
+                f"{(thickness[0] + thickness[1]) / intent.index:.6g}, or curved = 'inside'"
+            ),
         )
 
     if intent.law.theta != 0.0:
@@ -493,10 +515,12 @@ def _plano_auto_of(intent: Intent, separation: float, trial: LensPair) -> Pair2:
     """Smallest vertex-to-plane thickness, as `_plano_auto`, for the lenses of `trial`."""
     trial = replace(trial, thickness=(0.0, 0.0))
     window = _plano_placed(
-        _untraced(intent), trial, np.array([0.0, 0.0, separation]),
+        _untraced(intent),
+        trial,
+        np.array([0.0, 0.0, separation]),
         intent.turn if intent.design.pair.curved == "outside" else poses.shallower(intent.law, intent.index),
         np.zeros(2),
-    )  # fmt: skip
+    )
     found = []
     for body in window.bodies:
         curved = body.front if body.front.array is not None else body.back
@@ -550,12 +574,19 @@ def _entry(window: Window, intent: Intent) -> Floats:
 
 
 def _assemble_window(
-    intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: LensPair, offset: Floats, separation: float,
-    field: Pair2 | None = None, told: Mapping[str, Any] | None = None,
-) -> Window:  # fmt: skip
+    intent: Intent,
+    bodies: tuple[Body, ...],
+    moved: Pair2,
+    lenses: LensPair,
+    offset: Floats,
+    separation: float,
+    field: Pair2 | None = None,
+    told: Mapping[str, Any] | None = None,
+) -> Window:
     """Window of placed bodies: thin pair, land, outline; lengths in design units.
 
-    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacement of the
+    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacement
+    of the
     field lens's cells; `told` : the recipe's entries for the field lens.
     """
     design = intent.design
@@ -568,9 +599,9 @@ def _assemble_window(
     )
     land = Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border)
     window = Window(
-        form="plano"
-        if design.pair.form == "slab" and len(bodies) == 3
-        else design.pair.form,  # the form as built
+        form=(
+            "plano" if design.pair.form == "slab" and len(bodies) == 3 else design.pair.form
+        ),  # the form as built
         bodies=tuple(replace(body, material=intent.material) for body in bodies),
         lattice=intent.lattice,
         placements=tuple(
@@ -662,7 +693,10 @@ def _refuse_empty(lattice: Lattice, moved: Pair2, wider: float) -> None:
     raise NoSuchLens(
         f"lattice.outline holds no cell that is whole in both arrays: they stand {hypot(*moved):.4g} apart",
         key=LATTICE.outline,
-        hint=f"outline = {{{shape}}} or larger; or smaller angles, delta or separation, which bring the arrays together",
+        hint=(
+            f"outline = {{{shape}}} or larger; or smaller angles, delta or separation, which bring the arrays"
+            " together"
+        ),
         code="CL117",
     )
 
@@ -718,7 +752,7 @@ def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float)
         "material": pair.material,
         "curved": pair.curved if pair.form == "plano" else None,
         "warnings": [],
-    } | _search(pair)  # fmt: skip
+    } | _search(pair)
 
 
 def _search(pair: PairSpec) -> dict[str, Any]:

@@ -40,7 +40,9 @@ def border_points(window: Window, number: int, array: int = 0) -> Floats:
 
 
 def zone_points(window: Window, array: int = 0) -> Floats:
-    """Points of the optical zone of an array's cell: its border samples, then a grid inside, (n, 2), lengths."""
+    """Points of the optical zone of an array's cell: its border samples, then a grid inside, (n, 2),
+    lengths.
+    """
     tile = optical_tile(window, array)
     borders = [border_points(window, k, array) for k in range(len(tile))]
     # a fan of scaled outlines: a grid that fits any convex cell
@@ -111,7 +113,8 @@ def face_range(window: Window, face: Face) -> tuple[float, float]:
     z = z[np.isfinite(z)]
     if not len(z):
         raise NoSuchLens(
-            f"the surface of lens {1 + (face.array or 0)} ends before it reaches its cell: no point of the cell is lens",
+            f"the surface of lens {1 + (face.array or 0)} ends before it reaches its cell: no point of the"
+            " cell is lens",
             key=LATTICE.aperture,
             hint="a smaller displacement of the cells, a smaller tilt, or a smaller pitch",
         )
@@ -216,8 +219,8 @@ def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, 
         for number, t in enumerate(thickness, start=1):
             if not 0.0 < t < limit:
                 raise NoSuchLens(
-                    f"no centre thickness below {limit:.6g} covers the cell of lens {number} and joins it to its "
-                    f"neighbours (tried {t:.6g})",
+                    f"no centre thickness below {limit:.6g} covers the cell of lens {number} and joins it to"
+                    f" its neighbours (tried {t:.6g})",
                     hint="a larger separation, a smaller pitch, less tilt, or a seam with a web",
                 )
     return thickness[0], thickness[1]

@@ -97,7 +97,9 @@ def plano_body(
     curved_front: bool,
     plane_z: float,
 ) -> Body:
-    """Lens `number` of a plano pair: one curved face at the reference point, one plane parallel to the sheet."""
+    """Lens `number` of a plano pair: one curved face at the reference point, one plane parallel to the
+    sheet.
+    """
     side = +1 if curved_front else -1
     curved = Face(
         shape.face(lenses.radius[number], side, number), pose.vertex(0.0), _shared(pose.rotation), number

@@ -69,8 +69,8 @@ def refuse_too_steep(radius: float, intent: Intent, axis: int | None) -> None:
         separation = intent.design.pair.separation
         further = "" if separation is None else f", or separation > {separation / scale:.6g}"
         raise NoSuchLens(
-            f"the field lens would have the radius {radius:.6g}, less than {STEEPEST * half:.6g}: its surface ends inside "
-            "the cell",
+            f"the field lens would have the radius {radius:.6g}, less than {STEEPEST * half:.6g}: its surface"
+            " ends inside the cell",
             key=LATTICE.pitch,
             hint=f"pitch < {max(intent.lattice.pitch) * scale:.6g}{further}",
             code="CL128",
@@ -155,8 +155,10 @@ def paired_plates(eta: float, separation: float, gap: float) -> Plates:
     if gap >= 2.0 * min(f1, f2):
         raise NoSuchLens(
             f"an air gap of {gap:.6g} is too wide for field faces of focal length {min(f1, f2):.6g}",
-            key=PAIR.field , hint=f"gap < {2.0 * min(f1, f2):.6g}", code="CL129",
-        )  # fmt: skip
+            key=PAIR.field,
+            hint=f"gap < {2.0 * min(f1, f2):.6g}",
+            code="CL129",
+        )
     a1, a2 = (f / (1.0 - 0.5 * gap / f) for f in (f1, f2))
     return Plates((a1, a2), (f1, f2), gap)
 
@@ -212,16 +214,24 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
 
     first = Body(
         lens(0, +1, np.zeros(2), 0.0),
-        Face(_face(intent, _sphere(inner[0], -1, conic), 0), _vertex(-half, thickness[0]), array=ARRAY), n, "array1",
-    )  # fmt: skip
+        Face(_face(intent, _sphere(inner[0], -1, conic), 0), _vertex(-half, thickness[0]), array=ARRAY),
+        n,
+        "array1",
+    )
     second = Body(
         Face(_face(intent, _sphere(inner[1], +1, conic), 1), _vertex(half, top), array=ARRAY),
-        lens(1, -1, lens_2 - moved, top + thickness[1]), n, "array2",
-    )  # fmt: skip
+        lens(1, -1, lens_2 - moved, top + thickness[1]),
+        n,
+        "array2",
+    )
     told = {
-        "R": inner, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic, "gap": plates.gap,
-        "thickness": thickness, "equal_plates": _equal(first, second),
-    }  # fmt: skip
+        "R": inner,
+        "f": field_focal_lengths(intent.eta, separation)[0],
+        "conic": conic,
+        "gap": plates.gap,
+        "thickness": thickness,
+        "equal_plates": _equal(first, second),
+    }
     return FieldBodies((first, second), _pair(moved), _pair(centre), offset, told)
 
 
@@ -311,8 +321,8 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
         if thickness < least:
             apart = least / n
             raise NoSuchLens(
-                f"the foci lie {abs(foci[0] - foci[1]):.4g} apart, so that the plate between the field faces would be "
-                f"{thickness:.4g} thick: they need {least:.4g}",
+                f"the foci lie {abs(foci[0] - foci[1]):.4g} apart, so that the plate between the field faces"
+                f" would be {thickness:.4g} thick: they need {least:.4g}",
                 key=LAW.eta,
                 hint=f"eta_x = eta_y (one field lens), or focal lengths f1 at least {apart:.4g} apart",
                 code="CL129",
@@ -326,12 +336,16 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
     if room <= 0.0 or behind <= 0.0:
         raise NoSuchLens(
             f"there is no room for the field plate: it would reach {-room:.4g} into the body behind it",
-            key=PAIR.separation, hint="a larger separation, or thinner lenses", code="CL129",
-        )  # fmt: skip
+            key=PAIR.separation,
+            hint="a larger separation, or thinner lenses",
+            code="CL129",
+        )
     told: dict[str, object] = {
-        "R": radius if crossed else radius[0], "f": power if crossed else power[0],
-        "conic": _conic(intent, -(n**2)), "thickness": thickness,
-    }  # fmt: skip
+        "R": radius if crossed else radius[0],
+        "f": power if crossed else power[0],
+        "conic": _conic(intent, -(n**2)),
+        "thickness": thickness,
+    }
     return FieldPlate(foci, thickness, told)
 
 

@@ -61,7 +61,8 @@ def given_surface(face: FaceSpec, side: int) -> Surface:
 
 
 def given_pair(pair: PairSpec, thickness: Pair2, index: float) -> LensPair:
-    """Focal lengths of the given faces about their own axes, in air (slab: R/(n − 1)); radii of each lens's front.
+    """Focal lengths of the given faces about their own axes, in air (slab: R/(n − 1)); radii of each lens's
+    front.
 
     Thick lensmaker's equation per meridian: 1/f = (n − 1)(c + c' − (n − 1) T c c'/n), convex positive.
     """
@@ -98,11 +99,14 @@ def refuse_crossed(pair: PairSpec) -> None:
     axis = "xy"[powers[0].index(True)]
     other = "yx"[powers[0].index(True)]
     raise NoSuchLens(
-        f"lens 1 is a cylinder with power in {axis}, lens 2 one with power in {other}: eta = -f2/f1 is infinite in {axis} "
-        f"and 0 in {other}, for each axis needs two lenses",
+        f"lens 1 is a cylinder with power in {axis}, lens 2 one with power in {other}: eta = -f2/f1 is"
+        f" infinite in {axis} and 0 in {other}, for each axis needs two lenses",
         key="pair.face.0.radius",
-        hint=f"power in {axis} on both lenses (law.eta = {'[-1, 1]' if axis == 'x' else '[1, -1]'}), and a sheet with power in {other} "
-        f"(law.eta = {'[1, -1]' if axis == 'x' else '[-1, 1]'}) behind it, at a separation of its own: clacad stack A.toml B.toml",
+        hint=(
+            f"power in {axis} on both lenses (law.eta = {'[-1, 1]' if axis == 'x' else '[1, -1]'}), and a"
+            f" sheet with power in {other} (law.eta = {'[1, -1]' if axis == 'x' else '[-1, 1]'}) behind it,"
+            " at a separation of its own: clacad stack A.toml B.toml"
+        ),
     )
 
 
@@ -171,7 +175,8 @@ def _refuse_crossing(window: Window, body: Body, after: int) -> None:
         left = face_range(window, body.back)[0] - face_range(window, body.front)[1]
     if left <= 0.0:
         raise NoSuchLens(
-            f"faces {after - 1} and {after} cross over their cell: {left:.4g} is left between them where they are nearest",
+            f"faces {after - 1} and {after} cross over their cell: {left:.4g} is left between them where they"
+            " are nearest",
             key=PAIR.thickness if window.form != "slab" else PAIR.separation,
             hint=f"more than {-left:.4g} more thickness, or longer radii",
         )

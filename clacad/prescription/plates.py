@@ -58,8 +58,12 @@ def with_plate(window: Window, body: BodySpec) -> Window:
     if isinstance(kept, Plate):
         many = window.lattice.count[0] * window.lattice.count[1]
         if many > MOST_CELLS:
-            raise NoSuchLens(f"lattice.count asks {many:,} cells whether the plate holds them", LATTICE.count,
-                             f"at most {MOST_CELLS:,}", "CL106")  # fmt: skip
+            raise NoSuchLens(
+                f"lattice.count asks {many:,} cells whether the plate holds them",
+                LATTICE.count,
+                f"at most {MOST_CELLS:,}",
+                "CL106",
+            )
         kept = replace(kept, moved=window.shifts[1])
         window = replace(window, lattice=replace(window.lattice, outline=kept), outline=kept)
         _refuse_empty(window, kept)
@@ -101,8 +105,12 @@ def _plate(outline: Outline, body: BodySpec) -> Plate:
 def _rectangular(size: Pair2, body: BodySpec) -> Plate:
     corners = None if body.corners is None else (body.corners.shape, body.corners.size)
     if corners is not None and not 2.0 * corners[1] < min(size):
-        raise NoSuchLens(f"body.corners: {corners[0]} = {corners[1]:g} leaves no side of {size[0]:g} x {size[1]:g}", BODY.corners,
-                         f"{corners[0]} below {0.5 * min(size):g}", "CL141")  # fmt: skip
+        raise NoSuchLens(
+            f"body.corners: {corners[0]} = {corners[1]:g} leaves no side of {size[0]:g} x {size[1]:g}",
+            BODY.corners,
+            f"{corners[0]} below {0.5 * min(size):g}",
+            "CL141",
+        )
     return _with_holes(plate_of_rectangle(*size, corners), size, body)
 
 
@@ -132,13 +140,21 @@ def _fitting(plate: Plate, others: list[Hole], hole: Hole, key: str) -> Hole:
     if not gap > 0.5 * hole.diameter:
         inward = rounded_up(0.5 * hole.diameter - gap)
         less = f"a diameter below {2.0 * gap:.6g}, or the hole" if gap > 0.0 else "the hole"
-        raise NoSuchLens(f"{what} {'cuts' if gap > -0.5 * hole.diameter else 'lies outside'} the edge of the plate", key,
-                         f"{less} more than {inward} farther in", "CL141")  # fmt: skip
+        raise NoSuchLens(
+            f"{what} {'cuts' if gap > -0.5 * hole.diameter else 'lies outside'} the edge of the plate",
+            key,
+            f"{less} more than {inward} farther in",
+            "CL141",
+        )
     for other in others:
         apart = float(np.hypot(hole.x - other.x, hole.y - other.y))
         if not apart > 0.5 * (hole.diameter + other.diameter):
-            raise NoSuchLens(f"{what} meets that at ({other.x:.6g}, {other.y:.6g})", key,
-                             f"their middles more than {0.5 * (hole.diameter + other.diameter):.6g} apart", "CL141")  # fmt: skip
+            raise NoSuchLens(
+                f"{what} meets that at ({other.x:.6g}, {other.y:.6g})",
+                key,
+                f"their middles more than {0.5 * (hole.diameter + other.diameter):.6g} apart",
+                "CL141",
+            )
     return hole
 
 
@@ -146,8 +162,12 @@ def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
     """Refuse an edge, hole or corner that cuts a cell of the lattice."""
     lattice = window.lattice
     if lattice.count[0] * lattice.count[1] > MOST_CELLS:
-        raise NoSuchLens(f"{lattice.count[0]:,} x {lattice.count[1]:,} cells are too many beside holes", LATTICE.count,
-                         f"at most {MOST_CELLS:,}", "CL106")  # fmt: skip
+        raise NoSuchLens(
+            f"{lattice.count[0]:,} x {lattice.count[1]:,} cells are too many beside holes",
+            LATTICE.count,
+            f"at most {MOST_CELLS:,}",
+            "CL106",
+        )
     cells = lattice.cells()
     held = plate.holds(lattice.tile(), lattice.centres(cells), plate.room(lattice.pitch))
     if held.all():
@@ -157,7 +177,8 @@ def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
     edge = BODY.outline if body.outline is not None else BODY.corners
     key = edge if cut_by_edge or not plate.holes else BODY.holes
     raise NoSuchLens(
-        f"{key}: {int((~held).sum())} of {len(cells)} cells are cut, or come nearer than {plate.room(lattice.pitch):.3g} to an edge",
+        f"{key}: {int((~held).sum())} of {len(cells)} cells are cut, or come nearer than"
+        f" {plate.room(lattice.pitch):.3g} to an edge",
         key,
         _room_for_cells(plate, body, lattice.outline is not None),
         "CL141",
@@ -184,7 +205,7 @@ def _refuse_empty(window: Window, plate: Plate) -> None:
     raise NoSuchLens(
         "lattice.outline holds no whole cell off its edge and holes",
         LATTICE.outline,
-        f"it reaches from ({x0:.6g}, {y0:.6g}) to ({x1:.6g}, {y1:.6g}); cells stand about the origin: a larger outline, a "
-        "smaller lattice.pitch, or the outline moved there",
+        f"it reaches from ({x0:.6g}, {y0:.6g}) to ({x1:.6g}, {y1:.6g}); cells stand about the origin: a"
+        " larger outline, a smaller lattice.pitch, or the outline moved there",
         "CL117",
     )

@@ -34,7 +34,9 @@ class Placement:
 
 
 def biconvex_placement(turn: Floats, offset: Floats, separation: float) -> Placement:
-    """Lens 2's centre at R (d_x, d_y, s); turn R (3, 3) lens → sheet, offset (2,) and separation in lengths."""
+    """Lens 2's centre at R (d_x, d_y, s); turn R (3, 3) lens → sheet, offset (2,) and separation in
+    lengths.
+    """
     return Placement(turn @ np.array([offset[0], offset[1], separation]), turn)
 
 
@@ -64,8 +66,8 @@ def plano_outside_axis(turn: Floats, index: float, thickness: tuple[float, float
     air, _ = refract(axis[None], up, axis[None, 2], index, 1.0)
     if not np.isfinite(air).all():
         raise NoSuchLens(
-            f"a tilt of {np.degrees(np.arccos(axis[2])):.4g} deg sends the lens axis beyond total reflection at the "
-            "plane faces",
+            f"a tilt of {np.degrees(np.arccos(axis[2])):.4g} deg sends the lens axis beyond total reflection"
+            " at the plane faces",
             key=LAW.euler,
             hint=f"theta < {np.degrees(asin(1.0 / index)):.4g} deg, or form = 'biconvex' or 'slab'",
         )
@@ -74,7 +76,9 @@ def plano_outside_axis(turn: Floats, index: float, thickness: tuple[float, float
 
 
 def shallower(law: Law, index: float) -> Floats:
-    """R (3, 3), lens → sheet, with θ replaced by asin(sin θ / n): the tilt of the lens axis inside the glass."""
+    """R (3, 3), lens → sheet, with θ replaced by asin(sin θ / n): the tilt of the lens axis inside the
+    glass.
+    """
     return rotation(law.phi, asin(np.sin(law.theta) / index), law.psi, law.axes)
 
 
@@ -105,8 +109,9 @@ def best_gap(build: Callable[[float], Window], turn: Floats, guess: float) -> fl
     return gap
 
 
-def displacement(bodies: tuple[Body, ...], aperture: Aperture, lateral: Floats, height: float, chief: bool
-                 ) -> tuple[float, float]:  # fmt: skip
+def displacement(
+    bodies: tuple[Body, ...], aperture: Aperture, lateral: Floats, height: float, chief: bool
+) -> tuple[float, float]:
     """Displacement of the cells of array 2 (lengths).
 
     Parameters

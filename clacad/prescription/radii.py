@@ -147,9 +147,12 @@ def _exact_meridian(eta: float, separation: float, thickness: Pair2, index: floa
     f1 = _root(lambda size: defect(copysign(size, thin1)), low, 4.0 * abs(thin1))
     if f1 != f1:
         raise NoSuchLens(
-            f"no pair of biconvex lenses of thickness {thickness[0]:.6g}, {thickness[1]:.6g} is confocal in {axis} "
-            f"with centres {separation:.6g} apart",
-            hint=f"thickness well below n f = {index * min(abs(thin1), abs(thin2)):.6g}, or a larger separation",
+            f"no pair of biconvex lenses of thickness {thickness[0]:.6g}, {thickness[1]:.6g} is confocal in"
+            f" {axis} with centres {separation:.6g} apart",
+            hint=(
+                f"thickness well below n f = {index * min(abs(thin1), abs(thin2)):.6g}, or a larger"
+                " separation"
+            ),
         )
     f1 = copysign(f1, thin1)
     return f1, -eta * f1
@@ -162,8 +165,8 @@ def refuse_too_thick(
     for number, (f, t) in enumerate(zip((f1, f2), thickness, strict=True), start=1):
         if f > 0.0 and t >= index * f:
             raise NoSuchLens(
-                f"{t:.6g} is too thick for the focal length of lens {number} in {axis}: a biconvex lens needs "
-                f"thickness < n f, and f{number}_{axis} = {f:.6g} makes n f = {index * f:.6g}",
+                f"{t:.6g} is too thick for the focal length of lens {number} in {axis}: a biconvex lens needs"
+                f" thickness < n f, and f{number}_{axis} = {f:.6g} makes n f = {index * f:.6g}",
                 hint=f"thickness < {index * f:.6g}, or separation > {separation * t / (index * f):.6g}",
             )
 

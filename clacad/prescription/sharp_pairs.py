@@ -60,8 +60,12 @@ def sharp_pairs(eta: Pair2, separation: float, planes: Planes) -> tuple[SharpPai
     for axis, value, pair in zip("xy", eta, found, strict=True):
         why = _no_telescopelet(value, separation, pair)
         if why:
-            raise NoSuchLens(f"focus: {why} in {axis}: the planes lie too near to the foci of the lenses", key=KEY,
-                             hint=_farther(eta, separation, planes), code="CL120")  # fmt: skip
+            raise NoSuchLens(
+                f"focus: {why} in {axis}: the planes lie too near to the foci of the lenses",
+                key=KEY,
+                hint=_farther(eta, separation, planes),
+                code="CL120",
+            )
     return found
 
 
@@ -151,7 +155,8 @@ def _thick_meridian(
     lost, pair = (0.0, 0.0), SharpPair.of(eta, separation, planes.object, planes.image)
     for _ in range(ROUNDS):
         before = lost
-        lost = tuple(0.5 * hiatus(f, t, index) for f, t in zip(pair.focal_lengths, thickness, strict=True))  # type: ignore[assignment]
+        (f1, f2), (t1, t2) = pair.focal_lengths, thickness
+        lost = (0.5 * hiatus(f1, t1, index), 0.5 * hiatus(f2, t2, index))
         pair = SharpPair.of(
             eta, separation - lost[0] - lost[1], planes.object + lost[0], planes.image - lost[1]
         )
@@ -198,13 +203,20 @@ def with_focus(window: Window, design: Design) -> Window:
         pairs = sharp_pairs(eta, separation, seen_through(planes, (t1, t2), index))
     pitch = _spread(window, pairs)
     made = spread_to(window, pitch, chief_focal_lengths(design, (t1, t2), index, separation))
-    told = {"object": planes.object, "image": planes.image, "pitch_2": list(pitch),
-            "magnification": [pair.magnification for pair in thin]}  # fmt: skip
+    told = {
+        "object": planes.object,
+        "image": planes.image,
+        "pitch_2": list(pitch),
+        "magnification": [pair.magnification for pair in thin],
+    }
     return replace(
         made,
         thin=replace(made.thin, focal_length=_lens_by_lens(thin), pitch=_spread(window, thin)),
-        recipe={**window.recipe, "focus": {name: None if value in (inf, -inf) else value for name, value in told.items()}},
-    )  # fmt: skip
+        recipe={
+            **window.recipe,
+            "focus": {name: None if value in (inf, -inf) else value for name, value in told.items()},
+        },
+    )
 
 
 def behind_plates(design: Design) -> bool:

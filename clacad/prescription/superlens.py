@@ -36,8 +36,12 @@ def with_pitch_2(window: Window, design: Design) -> Window:
     focal = window.recipe["f"][0]
     if not np.isfinite(focal).all():
         key = "rotation_2" if pitch is None else "pitch_2"
-        raise NoSuchLens(f"eta = 1 with {key}: a lens without power has no axis to stand aside of",
-                         key=f"lattice.{key}", code="CL111", hint="eta other than 1 in both x and y")  # fmt: skip
+        raise NoSuchLens(
+            f"eta = 1 with {key}: a lens without power has no axis to stand aside of",
+            key=f"lattice.{key}",
+            code="CL111",
+            hint="eta other than 1 in both x and y",
+        )
     return spread_to(window, pitch, focal, turn)
 
 
@@ -59,7 +63,7 @@ def _gradient(
     window: Window, place: CellPlacement, focal: Pair2
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """K, 1/length: rows lens axes, columns sheet axes."""
-    (gx, gy) = place.scale(window.lattice)
+    gx, gy = place.scale(window.lattice)
     axes = window.law.rotation[:2, :2]
     aside = np.diag([gx - 1.0, gy - 1.0])
     if place.turn:

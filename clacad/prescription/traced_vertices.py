@@ -179,8 +179,10 @@ def _moves_of(window: Window, light: CellLight) -> Floats:
             return np.asarray(np.rint(moves / grid) * grid)
     raise NoSuchLens(
         f"the vertices of lens 2 change too sharply from cell to cell to be told within {FIT:g} of the pitch",
-        key=light.key, code="CL123", hint=WAY_OUT,
-    )  # fmt: skip
+        key=light.key,
+        code="CL123",
+        hint=WAY_OUT,
+    )
 
 
 def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) -> tuple[Floats, float]:
@@ -243,8 +245,10 @@ def _solved(window: Window, light: CellLight) -> Floats:
     raise NoSuchLens(
         f"no place of lens 2 within {BRACKET:g} of the pitch sends the light of slope "
         f"({slopes[worst, 0]:.4g}, {slopes[worst, 1]:.4g}) where the law asks",
-        key=light.key, code="CL123", hint=WAY_OUT,
-    )  # fmt: skip
+        key=light.key,
+        code="CL123",
+        hint=WAY_OUT,
+    )
 
 
 def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:

@@ -130,10 +130,13 @@ def _refuse_steps(window: Window, laws: CellLaws, cells: Ints, etas: Floats) -> 
         if apart[worst] > STEP * (1.0 + ROUNDED) + ROUNDED:
             (i, j), (k, m) = cells[worst].tolist(), beside[worst].tolist()
             raise NoSuchLens(
-                f"biconvex cells ({i}, {j}) and ({k}, {m}) with eta = {etas[worst]:g} and {there[worst]:g}: columns of lenses so "
-                f"unlike do not meet in their border; neighbours may differ by {STEP:g}",
-                SIZES_KEY, "eta that changes more slowly, or pair.form = \"slab\" or \"plano\"", "CL125",
-            )  # fmt: skip
+                f"biconvex cells ({i}, {j}) and ({k}, {m}) with eta = {etas[worst]:g} and {there[worst]:g}:"
+                " columns of lenses so unlike do not meet in their border; neighbours may differ by"
+                f" {STEP:g}",
+                SIZES_KEY,
+                'eta that changes more slowly, or pair.form = "slab" or "plano"',
+                "CL125",
+            )
 
 
 def _refuse_small(window: Window, cells: Ints, etas: Floats, sizes: Floats) -> None:
@@ -146,10 +149,13 @@ def _refuse_small(window: Window, cells: Ints, etas: Floats, sizes: Floats) -> N
         if radius[worst] < reach:
             i, j = cells[worst].tolist()
             raise NoSuchLens(
-                f"lens {array + 1} of cell ({i}, {j}), eta = {etas[worst]:g}, would have the radius {radius[worst]:.6g}, less than "
-                f"half the diagonal of its cell ({reach:.6g}): the surface ends inside the cell",
-                SIZES_KEY, f"pitch < {max(window.lattice.pitch) * radius[worst] / reach:.6g}, or an eta nearer to the others",
-            )  # fmt: skip
+                f"lens {array + 1} of cell ({i}, {j}), eta = {etas[worst]:g}, would have the radius"
+                f" {radius[worst]:.6g}, less than half the diagonal of its cell ({reach:.6g}): the surface"
+                " ends inside the cell",
+                SIZES_KEY,
+                f"pitch < {max(window.lattice.pitch) * radius[worst] / reach:.6g}, or an eta nearer to the"
+                " others",
+            )
 
 
 KEY = LAW.varying
@@ -174,8 +180,13 @@ def with_varying_law(window: Window, design: Design) -> Window:
     laws = cell_laws(design)
     n1, n2 = design.lattice.count
     if n1 * n2 > MOST_TRACED:
-        raise NoSuchLens(f"a sheet whose law varies has a table of vertices: {n1 * n2:,} cells are more than the "
-                         f"{MOST_TRACED:,} that it may have", key=LATTICE.count, code="CL125", hint="fewer cells")  # fmt: skip
+        raise NoSuchLens(
+            f"a sheet whose law varies has a table of vertices: {n1 * n2:,} cells are more than the "
+            f"{MOST_TRACED:,} that it may have",
+            key=LATTICE.count,
+            code="CL125",
+            hint="fewer cells",
+        )
     cells = window.lattice.cells()
     deltas = laws.deltas(window.lattice, cells)
     sizes = None if laws.ratios is None else sizes_of(window, design, laws)
@@ -295,13 +306,15 @@ def _refuse_far(window: Window, cells: Ints, moved: Floats, sizes: CellSizes | N
                 )
             )
             way = (
-                f"|delta_{'xy'[axis]}| up to {most / over:.4g} (here {most:.4g}): planes farther off by {over:.3g}, or a smaller sheet"
+                f"|delta_{'xy'[axis]}| up to {most / over:.4g} (here {most:.4g}): planes farther off by"
+                f" {over:.3g}, or a smaller sheet"
                 if over > 0.0
                 else "a smaller pitch, or a larger separation"
             )
             raise NoSuchLens(
-                f"cell ({i}, {j}) would reach {place[worst]:.4g} from the vertex of its lens 2 in {'xy'[axis]}, which is "
-                f"{steep[worst]:.3g} of the radius there; its light cannot be held beyond {STEEPEST:g}",
+                f"cell ({i}, {j}) would reach {place[worst]:.4g} from the vertex of its lens 2 in"
+                f" {'xy'[axis]}, which is {steep[worst]:.3g} of the radius there; its light cannot be held"
+                f" beyond {STEEPEST:g}",
                 key=KEY,
                 code="CL123",
                 hint=way,

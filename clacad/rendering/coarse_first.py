@@ -95,15 +95,22 @@ class CoarseView:
         added = _spread(small.light - cheap.light, _on_sheet(self.scene, fine.window))
         spread = np.hypot(small.error, cheap.error) / BROAD
         return replace(
-            fine, light=np.maximum(0.0, fine.light + added), passage=self.passage,
+            fine,
+            light=np.maximum(0.0, fine.light + added),
+            passage=self.passage,
             error=np.hypot(fine.error, enlarge(spread, fine.samples.shape)),
             blockwise=tuple((name, BROAD * BLOCK) for name in self.blockwise),
-        )  # fmt: skip
+        )
 
 
 def view_coarsely(
-    scene: Scene, passage: Passage, *, threads: int | None = None, progress: Progress | None = None, frames: int = 1
-) -> CoarseView:  # fmt: skip
+    scene: Scene,
+    passage: Passage,
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    frames: int = 1,
+) -> CoarseView:
     """Draw a still small, with every effect; in numpy where kernels would have to be compiled first.
 
     Parameters

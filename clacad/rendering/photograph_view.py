@@ -83,7 +83,9 @@ def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
 
 
 def _camera_and_screen(request: EyeRequest, window: Window, photo: str) -> dict[str, Any]:
-    """A scene's camera at the eye, and its only object: the photograph on a screen; lengths in design units."""
+    """A scene's camera at the eye, and its only object: the photograph on a screen; lengths in design
+    units.
+    """
     x0, x1, y0, y1 = window.lattice.extent()
     side = max(x1 - x0, y1 - y0)
     eye = 4.0 * side if request.eye is None else request.eye
@@ -97,16 +99,22 @@ def _camera_and_screen(request: EyeRequest, window: Window, photo: str) -> dict[
     right, up = request.aside
     return {
         "camera": {
-            "position": [-right, up, -eye], "frame": frame, "pixels": [request.pixels, request.pixels],
+            "position": [-right, up, -eye],
+            "frame": frame,
+            "pixels": [request.pixels, request.pixels],
             "samples": request.samples,
         },
         "object": [
             {
-                "id": "photo", "kind": "screen", "at": [0.0, 0.0, window.z_range[1] + distance],
-                "size": [height * ratio, height], "pattern": "image", "file": photo,
+                "id": "photo",
+                "kind": "screen",
+                "at": [0.0, 0.0, window.z_range[1] + distance],
+                "size": [height * ratio, height],
+                "pattern": "image",
+                "file": photo,
             }
         ],
-    }  # fmt: skip
+    }
 
 
 def _read(text: str) -> tuple[str, Any]:

@@ -69,8 +69,13 @@ class Picture:
         return f"Picture({self.scene.name!r}, {width} x {height} pixels)"
 
 
-def render(scene: Scene | str | os.PathLike[str], *, threads: int | None = None, progress: Progress | None = None,
-           compiled: bool | None = None) -> Floats:  # fmt: skip
+def render(
+    scene: Scene | str | os.PathLike[str],
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    compiled: bool | None = None,
+) -> Floats:
     """Render a still: the camera's view past and through the sheet.
 
     Parameters
@@ -96,8 +101,9 @@ def render(scene: Scene | str | os.PathLike[str], *, threads: int | None = None,
     return view_through(made, threads=threads, progress=progress, compiled=compiled).light
 
 
-def render_movie(scene: Scene | str | os.PathLike[str], *, threads: int | None = None,
-                 progress: Progress | None = None) -> Iterator[Picture]:  # fmt: skip
+def render_movie(
+    scene: Scene | str | os.PathLike[str], *, threads: int | None = None, progress: Progress | None = None
+) -> Iterator[Picture]:
     """Render the frames of an animation, one at a time.
 
     Raises
@@ -146,9 +152,16 @@ def checked_frames(scene: Scene) -> list[Scene]:
     return stills
 
 
-def view_through(scene: Scene, *, threads: int | None = None, progress: Progress | None = None,
-                 compiled: bool | None = None, passage: Passage | None = None, sheet: bool = True,
-                 window: Window | None = None) -> Picture:  # fmt: skip
+def view_through(
+    scene: Scene,
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    compiled: bool | None = None,
+    passage: Passage | None = None,
+    sheet: bool = True,
+    window: Window | None = None,
+) -> Picture:
     """Render a still and return the `Picture` with its data; parameters as in `render`.
 
     `passage` replaces the plan. With ``sheet=False`` the view is that without the sheet. `window` replaces
@@ -200,8 +213,11 @@ def _tile_shape(view: View, samples: int, single: bool) -> tuple[int, int]:
 
 
 def _each(
-    work: Callable[[tuple[int, int]], None], corners: Sequence[tuple[int, int]], threads: int, progress: Progress | None
-) -> None:  # fmt: skip
+    work: Callable[[tuple[int, int]], None],
+    corners: Sequence[tuple[int, int]],
+    threads: int,
+    progress: Progress | None,
+) -> None:
     """Render all tiles, and report the progress."""
 
     def tell(done: int) -> None:

@@ -199,7 +199,8 @@ def within_target(scene: Scene, target: float) -> Scene:
     """
     if len(scene.sheets) > 1:
         raise BadRequest(
-            "a target chooses how rays pass one sheet, and the scene has several: give each its own rung, [[sheet]] rung"
+            "a target chooses how rays pass one sheet, and the scene has several: give each its own rung,"
+            " [[sheet]] rung"
         )
     chosen = scene.replace({"effects.angle": f"{1e3 * target!r} mrad"})
     rung = chosen.sheet.rung
@@ -215,15 +216,17 @@ def within_target(scene: Scene, target: float) -> Scene:
     error, disagree = _compared(situation, cast("Rung", rung), mesh)
     if error > target or disagree > MOST_DISAGREEMENT:
         raise TargetOutOfReach(
-            f"rung {rung} is {1e3 * error:.4g} mrad rms off the exact surfaces on this scene's rays and sends "
-            f"{disagree:.2%} of them another way; {1e3 * target:.4g} mrad and {MOST_DISAGREEMENT:.0%} are allowed: use "
-            "rung surfaces, or auto"
+            f"rung {rung} is {1e3 * error:.4g} mrad rms off the exact surfaces on this scene's rays and sends"
+            f" {disagree:.2%} of them another way; {1e3 * target:.4g} mrad and {MOST_DISAGREEMENT:.0%} are"
+            " allowed: use rung surfaces, or auto"
         )
     return chosen
 
 
 def _quads_within(design: Design, window: Window, target: float) -> int:
-    """Coarsest quads a cell side whose facets keep directions within the target (radians), in the worst cell."""
+    """Coarsest quads a cell side whose facets keep directions within the target (radians), in the worst
+    cell.
+    """
     facets = facets_for(design, worst_cell(window, design.check.field).buildable, target, (THREEMF,))
     assert facets is not None
     if facets.quads > MOST_QUADS:

@@ -31,7 +31,9 @@ class UnknownPicture(ValueError):
 
 
 def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Bytes:
-    """Bytes of linear light: times exposure, clipped to 0 … 1, sRGB-encoded (IEC 61966-2-1) unless "linear"."""
+    """Bytes of linear light: times exposure, clipped to 0 … 1, sRGB-encoded (IEC 61966-2-1) unless
+    "linear".
+    """
     value = np.clip(light * exposure, 0.0, 1.0)
     if encoding == "srgb":
         value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
@@ -50,9 +52,11 @@ def metadata_of(picture: Picture) -> dict[str, str]:
         "clacad:samples": f"{int(picture.samples.min())} to {int(picture.samples.max())} rays a pixel",
         "clacad:encoding": scene.camera.encoding,
         "clacad:handedness": MIRRORED if scene.camera.mirror else "as seen by a camera before the part",
-        "clacad:left-out": NOT_SIMULATED
-        if len(scene.sheets) == 1
-        else f"light sent back and forth between sheets, {NOT_SIMULATED}",
+        "clacad:left-out": (
+            NOT_SIMULATED
+            if len(scene.sheets) == 1
+            else f"light sent back and forth between sheets, {NOT_SIMULATED}"
+        ),
     }
     blocks = [f"{name} in blocks of {side} x {side} pixels" for name, side in picture.blockwise]
     return {**found, "clacad:coarse": ", ".join(blocks)} if blocks else found

@@ -21,9 +21,15 @@ ROOM = 1e-9
 
 
 def pane_of(
-    window: Window, passage: Passage, lines: tuple[SpectralLine, ...], scale: float, front: float, opaque: bool, present: bool,
+    window: Window,
+    passage: Passage,
+    lines: tuple[SpectralLine, ...],
+    scale: float,
+    front: float,
+    opaque: bool,
+    present: bool,
     before: bool,
-) -> Pane | None:  # fmt: skip
+) -> Pane | None:
     """The sheet for `compiled.pixels.sample_all`; None where a picture needs more than that kernel supports.
 
     Parameters as the attributes of `view.Viewing`.

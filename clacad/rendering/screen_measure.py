@@ -82,9 +82,14 @@ def coordinate_scene(scene: Scene, z: float, pixels: int = 400) -> Scene:
     """The scene with nothing but a coordinate screen in z, one ray a pixel, self-luminous."""
     grey = (0.0, 0.0, 0.0)
     screen = SceneObject(
-        id="screen", kind="screen", at=(0.0, 0.0, z), size=(WIDE, WIDE), colour=grey, colours=(grey, grey),
+        id="screen",
+        kind="screen",
+        at=(0.0, 0.0, z),
+        size=(WIDE, WIDE),
+        colour=grey,
+        colours=(grey, grey),
         pattern="coordinates",
-    )  # fmt: skip
+    )
     width, height = scene.camera.pixels
     across = (pixels, max(1, round(pixels * height / width)))
     camera = replace(scene.camera, pixels=across, samples=1, noise=0.0, aperture=0.0)
@@ -156,7 +161,9 @@ def _on_screen(
 
 
 def sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Points (n, 2) where each pixel's ray crosses z = 0, scene lengths, and whether on the cells of array 1."""
+    """Points (n, 2) where each pixel's ray crosses z = 0, scene lengths, and whether on the cells of array
+    1.
+    """
     from clacad.sheet.window import Window
 
     assert isinstance(window, Window)

@@ -73,7 +73,9 @@ class Passage:
 
     @property
     def plain(self) -> bool:
-        """Whether the trace alone suffices: no effect beyond the labels of geometry, and no share of a law."""
+        """Whether the trace alone suffices: no effect beyond the labels of geometry, and no share of a
+        law.
+        """
         if self.several:
             return all(one.passage.plain for one in self.several)
         if self.plan is None:
@@ -168,16 +170,19 @@ def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool)
         if one.opaque and number:  # outside the first sheet it is the caller who shows nothing
             met[parent] = True
         passed = Beyond(
-            parent[beyond.parent], leaving(one.sheet, rung, beyond.position), beyond.direction,
+            parent[beyond.parent],
+            leaving(one.sheet, rung, beyond.position),
+            beyond.direction,
             light.flux[rows[beyond.parent]] * beyond.flux,
-        )  # fmt: skip
+        )
         past = ~ahead
         past[rows[missed]] = not one.opaque
         light = _joined(light, past, passed)
     shining = met[light.parent]
-    return Beyond(
-        *(getattr(light, name)[shining] for name in ("parent", "position", "direction", "flux"))
-    ), met
+    return (
+        Beyond(*(getattr(light, name)[shining] for name in ("parent", "position", "direction", "flux"))),
+        met,
+    )
 
 
 def _joined(light: Beyond, kept: Bools, more: Beyond) -> Beyond:
@@ -264,7 +269,8 @@ def _smooth(sheet: SheetSpec, window: Window) -> bool:
     """
     if sheet.continuous and window.cell_laws is not None and window.cell_laws.smooth is None:
         raise BadRequest(
-            "sheet.continuous: the law of this sheet is a table's, which has no values between its cells; leave the key out"
+            "sheet.continuous: the law of this sheet is a table's, which has no values between its cells;"
+            " leave the key out"
         )
     return sheet.continuous
 

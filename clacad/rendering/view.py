@@ -107,8 +107,8 @@ def _refuse_between(stage: SceneArrays, passage: Passage, scale: float) -> None:
         reach = np.abs(turn[2]) @ size[:3] if kind in (BOX, SCREEN) else radius
         if kind != FLOOR and z - reach < high and z + reach > low:
             raise BadStack(
-                f"an object at ({x:.4g}, {y:.4g}, {z:.4g}) reaches between the sheets, into z from {low:.6g} to {high:.6g}: "
-                "objects stand before all sheets or behind all of them"
+                f"an object at ({x:.4g}, {y:.4g}, {z:.4g}) reaches between the sheets, into z from {low:.6g}"
+                f" to {high:.6g}: objects stand before all sheets or behind all of them"
             )
 
 
@@ -116,11 +116,18 @@ def sheet_box(window: Window) -> Floats:
     """Box (low, high) round all bodies, a cell wider on every side, window units."""
     boxes = [place.extent(window.lattice) for place in window.placements]
     outline = getattr(window.outline, "diameter", None)
-    half = (outline, outline) if outline else (
-        getattr(window.outline, "width", 0.0), getattr(window.outline, "height", 0.0)
-    )  # fmt: skip
-    edges = np.array(boxes + [(sx - half[0] / 2, sx + half[0] / 2, sy - half[1] / 2, sy + half[1] / 2)
-                              for sx, sy in window.shifts])  # fmt: skip
+    half = (
+        (outline, outline)
+        if outline
+        else (getattr(window.outline, "width", 0.0), getattr(window.outline, "height", 0.0))
+    )
+    edges = np.array(
+        boxes
+        + [
+            (sx - half[0] / 2, sx + half[0] / 2, sy - half[1] / 2, sy + half[1] / 2)
+            for sx, sy in window.shifts
+        ]
+    )
     if isinstance(window.outline, Plate):
         edges = np.append(edges, [window.outline.box], axis=0)
     pad = 2.0 * window.lattice.circumradius + window.land.border
@@ -167,7 +174,9 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
 
 
 def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Bools) -> Floats:
-    """Light of rays that met the sheet: of an object before it, else of what is seen through it, else black."""
+    """Light of rays that met the sheet: of an object before it, else of what is seen through it, else
+    black.
+    """
     light = np.zeros((len(position), 3))
     rows = np.flatnonzero(met)
     hidden = np.zeros(len(position), dtype=bool)

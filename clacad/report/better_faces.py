@@ -1,4 +1,6 @@
-"""A page with a design before and after a search for better faces: light, sections, thicknesses, and parts as made."""
+"""A page with a design before and after a search for better faces: light, sections, thicknesses, and parts
+as made.
+"""
 
 from __future__ import annotations
 
@@ -91,10 +93,16 @@ def _measured(design: Design) -> Report:
 def light_rows(found: Optimised) -> list[tuple[str, ...]]:
     """Field, error and share of light before and after, and how many times the error is less."""
     return [
-        (f"{degrees(one.field):.3g}°", f"{1e3 * one.law_rms:.4g}", f"{1e3 * two.law_rms:.4g}",
-         f"{one.law_rms / two.law_rms:.3g}", f"{100 * one.throughput:.1f}", f"{100 * two.throughput:.1f}")
+        (
+            f"{degrees(one.field):.3g}°",
+            f"{1e3 * one.law_rms:.4g}",
+            f"{1e3 * two.law_rms:.4g}",
+            f"{one.law_rms / two.law_rms:.3g}",
+            f"{100 * one.throughput:.1f}",
+            f"{100 * two.throughput:.1f}",
+        )
         for one, two in zip(found.before, found.after, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def shape_rows(shown: BeforeAndAfter) -> list[GainRow]:
@@ -145,12 +153,24 @@ def page(shown: BeforeAndAfter) -> str:
         figure[f"spots_{name}"] = Markup(figures.spots(report, f"spots {name}"))
         figure[f"residual_{name}"] = Markup(figures.residual_map(report, f"error map {name}"))
         figure[f"section_{name}"] = Markup(figures.section(report, f"section {name}"))
-    return environment().get_template("better_faces.html.j2").render(
-        name=found.design.name, asked=asked(found), found=found, light=light_rows(found), shape=shape_rows(shown),
-        made=shown.made.sentence(), left_out=left_out(found) if found.left_out else "", figure=figure,
-        words=[(name, check_words(report)) for name, report in both], field=f"{degrees(found.field):.3g}",
-        digest=NO_SCRIPT, history=[(at, f"{1e3 * rms:.4g}") for at, rms in found.history],
-    )  # fmt: skip
+    return (
+        environment()
+        .get_template("better_faces.html.j2")
+        .render(
+            name=found.design.name,
+            asked=asked(found),
+            found=found,
+            light=light_rows(found),
+            shape=shape_rows(shown),
+            made=shown.made.sentence(),
+            left_out=left_out(found) if found.left_out else "",
+            figure=figure,
+            words=[(name, check_words(report)) for name, report in both],
+            field=f"{degrees(found.field):.3g}",
+            digest=NO_SCRIPT,
+            history=[(at, f"{1e3 * rms:.4g}") for at, rms in found.history],
+        )
+    )
 
 
 def html_file(path: str | os.PathLike[str]) -> Path:

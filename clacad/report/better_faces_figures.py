@@ -36,8 +36,12 @@ def change_of_faces(before: Report, after: Report) -> str:
         for panel, (name, one, two) in zip(axes.ravel(), pairs, strict=False):
             for axis, colour in ((0, ACCENT), (1, SECOND)):
                 along = np.linspace(-1.0, 1.0, POINTS) * half[axis] * (1 - 1e-9)
-                panel.plot(along / (2.0 * half[axis]), um * (_heights(two, along, axis) - _heights(one, along, axis)),
-                           color=colour, label=f"along {'xy'[axis]}")  # fmt: skip
+                panel.plot(
+                    along / (2.0 * half[axis]),
+                    um * (_heights(two, along, axis) - _heights(one, along, axis)),
+                    color=colour,
+                    label=f"along {'xy'[axis]}",
+                )
             panel.set_title(name, fontsize=9, color=INK)
             panel.set_ylabel("change (µm)")
             panel.locator_params(nbins=5)

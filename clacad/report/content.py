@@ -38,12 +38,22 @@ def row(check: Check) -> dict[str, Any]:
     """A check as text."""
     value, limit, unit, note = shown(check.value, check.limit, check.relation, check.unit, check.state)
     return {
-        "state": check.state, "word": WORDS[check.state], "css": check.state.replace(" ", "-"), "id": check.id,
-        "code": check.code, "subject": check.subject, "value": value,
-        "limit": "" if check.limit is None else bound(SIGNS.get(check.relation, check.relation), limit) + note,
-        "unit": unit, "sentence": check.sentence, "where": check.where,
-        "bundle": check.bundle, "source": check.limit_source.heading,
-    }  # fmt: skip
+        "state": check.state,
+        "word": WORDS[check.state],
+        "css": check.state.replace(" ", "-"),
+        "id": check.id,
+        "code": check.code,
+        "subject": check.subject,
+        "value": value,
+        "limit": (
+            "" if check.limit is None else bound(SIGNS.get(check.relation, check.relation), limit) + note
+        ),
+        "unit": unit,
+        "sentence": check.sentence,
+        "where": check.where,
+        "bundle": check.bundle,
+        "source": check.limit_source.heading,
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,14 +118,20 @@ class Content:
         holds = {file["name"]: file["size"] for file in self.files}
         return [
             {
-                "name": one.name, "role": one.role.value + ("" if one.declared or one.role.value != "shape-preview" else " (not declared)"),
-                "word": one.word, "css": _CSS.get(one.word, "fail"),
+                "name": one.name,
+                "role": (
+                    one.role.value
+                    + ("" if one.declared or one.role.value != "shape-preview" else " (not declared)")
+                ),
+                "word": one.word,
+                "css": _CSS.get(one.word, "fail"),
                 "holds": holds.get(one.name, ""),
                 "rms": "–" if one.rms is None else f"{1e3 * one.rms:.3g}",
-                "limit": "–" if one.limit is None else f"{1e3 * one.limit:.3g}", "sentence": one.sentence,
+                "limit": "–" if one.limit is None else f"{1e3 * one.limit:.3g}",
+                "sentence": one.sentence,
             }
             for one in self.report.verdicts
-        ]  # fmt: skip
+        ]
 
     @property
     def failures(self) -> list[dict[str, Any]]:
@@ -126,16 +142,25 @@ class Content:
 
     @property
     def groups(self) -> list[tuple[str, list[dict[str, Any]]]]:
-        """Checks by what they are about: light, geometry, each file, refinement; what did not pass comes first."""
+        """Checks by what they are about: light, geometry, each file, refinement; what did not pass comes
+        first.
+        """
         groups: dict[str, list[Check]] = {}
         for check in self.report.checks:
             groups.setdefault(_title(check), []).append(check)
         order = {"fail": 0, "not run": 1, "warn": 2, "pass": 3}
         return [
-            (title, [row(c) for c in sorted(
-                found, key=lambda c: order[c.state] if c.required else max(2, order[c.state]))])
+            (
+                title,
+                [
+                    row(c)
+                    for c in sorted(
+                        found, key=lambda c: order[c.state] if c.required else max(2, order[c.state])
+                    )
+                ],
+            )
             for title, found in groups.items()
-        ]  # fmt: skip
+        ]
 
     @property
     def process(self) -> str:
@@ -171,10 +196,16 @@ class Content:
                 size = one.mesh.facts.get("holds", {}).get("words", f"{one.mesh.measure.facets:,} triangles")
             elif one.solid:
                 size = str(one.solid.get("holds_words", ""))
-            found.append({
-                "name": one.subject.name, "note": one.note, "format": one.subject.format, "size": size,
-                "bytes": f"{one.subject.bytes:,}", "sha256": one.subject.sha256,
-            })  # fmt: skip
+            found.append(
+                {
+                    "name": one.subject.name,
+                    "note": one.note,
+                    "format": one.subject.format,
+                    "size": size,
+                    "bytes": f"{one.subject.bytes:,}",
+                    "sha256": one.subject.sha256,
+                }
+            )
         return found
 
     @property
@@ -207,7 +238,10 @@ class Content:
         """The command that makes this report again."""
         files = " --files FOLDER" if self.report.files else ""
         timings = " --timings" if self.timings else ""
-        return f"clacad verify DESIGN.toml{files} --rays {len(self.report.optics.main.lit.rays)}{timings} -o REPORT"
+        return (
+            f"clacad verify DESIGN.toml{files} --rays {len(self.report.optics.main.lit.rays)}{timings} -o"
+            " REPORT"
+        )
 
     @property
     def versions(self) -> str:

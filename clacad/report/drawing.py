@@ -1,4 +1,6 @@
-"""The drawings of a report: the views that `formats.drawing` makes of the part, with the light that was measured, as SVG."""
+"""The drawings of a report: the views that `formats.drawing` makes of the part, with the light that was
+measured, as SVG.
+"""
 
 from __future__ import annotations
 

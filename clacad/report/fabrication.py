@@ -1,4 +1,6 @@
-"""What a fabricator needs on the first page: sizes, radii, features, mass, files, what to check with a caliper."""
+"""What a fabricator needs on the first page: sizes, radii, features, mass, files, what to check with a
+caliper.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,8 @@ def fabrication(report: Report, sheet: Window | None = None) -> tuple[Fabricatio
     ----------
     report : Report
     sheet : Window or None
-        The whole sheet, where `report.window` is the uniform equivalent of one of its cells: its count and sizes are reported.
+        The whole sheet, where `report.window` is the uniform equivalent of one of its cells: its count and
+        sizes are reported.
     """
     window, facts = report.window if sheet is None else sheet, report.facts
     mm = millimetres(window.unit)
@@ -86,13 +89,23 @@ def _sheet(window: Window, mm: float) -> list[FabricationLine]:
     zone = polygon_area(optical_tile(window)) / lattice.cell_area
     x0, x1, y0, y1 = lattice.extent()
     lines = [
-        FabricationLine("array", "lattice", "hexagonal" if lattice.hexagonal else "square" if lattice.pitch[0] == lattice.pitch[1]
-             else "rectangular", ""),
+        FabricationLine(
+            "array",
+            "lattice",
+            (
+                "hexagonal"
+                if lattice.hexagonal
+                else "square"
+                if lattice.pitch[0] == lattice.pitch[1]
+                else "rectangular"
+            ),
+            "",
+        ),
         FabricationLine("array", "pitch x, y", tuple(p * mm for p in lattice.pitch)),
         FabricationLine("array", "cells", cells_text(lattice).replace(" x ", " × "), ""),
         FabricationLine("array", "extent of the cells x, y", ((x1 - x0) * mm, (y1 - y0) * mm)),
         FabricationLine("array", "fill: optical zone over cell", (zone,), ""),
-    ]  # fmt: skip
+    ]
     if window.land.seam or window.land.border:
         lines.append(
             FabricationLine("array", "seam, border", (window.land.seam * mm, window.land.border * mm))
@@ -186,7 +199,8 @@ def _body(window: Window, body: BodyFacts, mm: float) -> list[FabricationLine]:
 def _smallest(report: Report, mm: float) -> list[FabricationLine]:
     """Least radius and least feature of the whole part: what a tool, a voxel or a pixel must reach."""
     facts = report.facts
-    # checks look at the extreme cells of a sheet whose lenses are of many sizes, facts are of the cell that it is judged by
+    # checks look at the extreme cells of a sheet whose lenses are of many sizes, facts are of the cell that
+    # it is judged by
     told = [check.value for check in report.checks if check.kind is RADIUS and isinstance(check.value, float)]
     radii = [abs(r) for r in (*told, *(r for lens in facts.lenses for r in lens.radii)) if isfinite(r)]
     features = {

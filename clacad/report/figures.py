@@ -67,9 +67,13 @@ def panels(
     wide = (width - room.left - room.right - (columns - 1) * room.across) / columns
     tall = (height - room.bottom - room.top - (rows - 1) * room.down) / rows
     figure.subplots_adjust(
-        room.left / width, room.bottom / height, 1.0 - room.right / width, 1.0 - room.top / height,
-        room.across / wide, room.down / tall,
-    )  # fmt: skip
+        room.left / width,
+        room.bottom / height,
+        1.0 - room.right / width,
+        1.0 - room.top / height,
+        room.across / wide,
+        room.down / tall,
+    )
     return figure.subplots(rows, columns, **options)
 
 
@@ -80,12 +84,27 @@ def room_for(words: list[str]) -> float:
 
 INK, ACCENT, SECOND, FAINT, BAD = "#1c2733", "#1b6ca8", "#c2571a", "#8b98a5", "#b3261e"
 STYLE = {
-    "svg.hashsalt": "clacad", "svg.fonttype": "path", "font.size": 9.0, "font.family": "DejaVu Sans",
-    "axes.edgecolor": FAINT, "axes.labelcolor": INK, "axes.titlecolor": INK, "text.color": INK, "xtick.color": INK,
-    "ytick.color": INK, "axes.grid": True, "grid.color": "#e3e8ec", "grid.linewidth": 0.6, "axes.axisbelow": True,
-    "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False, "axes.titlesize": 9.5,
-    "axes.titleweight": "bold", "image.cmap": "viridis",
-}  # fmt: skip
+    "svg.hashsalt": "clacad",
+    "svg.fonttype": "path",
+    "font.size": 9.0,
+    "font.family": "DejaVu Sans",
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.grid": True,
+    "grid.color": "#e3e8ec",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "image.cmap": "viridis",
+}
 SPOT_RAYS = 300
 
 
@@ -181,7 +200,9 @@ def transmission(report: Report) -> str:
 
 
 def residual_map(report: Report, label: str = "error over aperture and field") -> str:
-    """Error of single rays over aperture and field, along both lens axes; labels differ where a page holds several."""
+    """Error of single rays over aperture and field, along both lens axes; labels differ where a page holds
+    several.
+    """
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 1, 2, Margins(left=0.78, right=0.6, across=1.36))
@@ -191,9 +212,19 @@ def residual_map(report: Report, label: str = "error over aperture and field") -
             known = error[np.isfinite(error)]
             top = float(np.percentile(known, 99)) if len(known) else 1.0
             image = panel.imshow(
-                error, origin="lower", aspect="auto", vmin=0.0, vmax=top or 1.0, interpolation="nearest",
-                extent=(curve.place[0] / pitch, curve.place[-1] / pitch, curve.map_slope[0], curve.map_slope[-1]),
-            )  # fmt: skip
+                error,
+                origin="lower",
+                aspect="auto",
+                vmin=0.0,
+                vmax=top or 1.0,
+                interpolation="nearest",
+                extent=(
+                    curve.place[0] / pitch,
+                    curve.place[-1] / pitch,
+                    curve.map_slope[0],
+                    curve.map_slope[-1],
+                ),
+            )
             panel.set_xlabel(f"place across the cell, lens {name} (pitches)")
             panel.set_ylabel(f"incident slope, lens {name}")
             panel.locator_params(nbins=6)
@@ -204,7 +235,9 @@ def residual_map(report: Report, label: str = "error over aperture and field") -
 
 
 def spots(report: Report, label: str = "spot diagrams over the field") -> str:
-    """Exit directions about the law's, for nine incident directions; labels differ where a page holds several."""
+    """Exit directions about the law's, for nine incident directions; labels differ where a page holds
+    several.
+    """
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 3, 3, Margins(across=0.26, down=0.16), sharex=True, sharey=True)
@@ -225,8 +258,16 @@ def spots(report: Report, label: str = "spot diagrams over the field") -> str:
             panel.add_patch(Ellipse((0, 0), 2 * blur[0], 2 * blur[1], fill=False, color=SECOND, lw=0.8))
             panel.plot([0], [0], "+", color=INK, ms=6, mew=0.8)
             text = "dark" if not len(spot) else f"bias {1e3 * point.bias:.2g}, rms {1e3 * point.rms:.2g}"
-            panel.text(0.03, 0.95, text, transform=panel.transAxes, va="top", fontsize=7.5, zorder=5,
-                       bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0})  # fmt: skip
+            panel.text(
+                0.03,
+                0.95,
+                text,
+                transform=panel.transAxes,
+                va="top",
+                fontsize=7.5,
+                zorder=5,
+                bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
+            )
             panel.set_xlim(-1.1 * reach, 1.1 * reach)
             panel.set_ylim(-1.1 * reach, 1.1 * reach)
             panel.set_aspect("equal")
@@ -269,11 +310,12 @@ def convergence_caption(report: Report) -> str:
         return ""
     most, least = 1e3 * found.direction[0], 1e3 * found.direction[-1]
     return (
-        f"The same rays through facets of {', '.join(str(int(q)) for q in found.quads)} quads along a cell side, against the "
-        f"exact surfaces. Left: the rms direction error falls from {most:.2g} to {least:.2g} mrad, as the facet size to the power "
-        f"{found.order_direction:.2f}; a flat facet has the wrong slope almost everywhere, so the power expected is 1. Right: the "
-        f"error of the measured η falls from {100 * found.fitted[0]:.2g} to {100 * found.fitted[-1]:.2g} %, to the power "
-        f"{found.order_fitted:.2f}; the mean slope errs with the square, so 2 is expected."
+        f"The same rays through facets of {', '.join(str(int(q)) for q in found.quads)} quads along a cell"
+        f" side, against the exact surfaces. Left: the rms direction error falls from {most:.2g} to"
+        f" {least:.2g} mrad, as the facet size to the power {found.order_direction:.2f}; a flat facet has the"
+        " wrong slope almost everywhere, so the power expected is 1. Right: the error of the measured η"
+        f" falls from {100 * found.fitted[0]:.2g} to {100 * found.fitted[-1]:.2g} %, to the power"
+        f" {found.order_fitted:.2f}; the mean slope errs with the square, so 2 is expected."
     )
 
 
@@ -346,7 +388,9 @@ def section(report: Report, label: str = "cross-section with rays") -> str:
 
 
 def draw_section(panel: Axes, window: Window, scale: float, name: str) -> None:
-    """Draw three cells cut along x, to scale, and rays through the middle one; `scale` makes lengths units called `name`."""
+    """Draw three cells cut along x, to scale, and rays through the middle one; `scale` makes lengths units
+    called `name`.
+    """
     for body in window.bodies:
         x, front, back = _profile(window, body, window.lattice.pitch[0])
         panel.fill_betweenx(x * scale, front * scale, back * scale, color="#bcd9ee", lw=0.7, ec=ACCENT)
@@ -375,7 +419,9 @@ def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:
 
 
 def ray_fan(window: Window) -> list[Any]:
-    """Five parallel rays, along the middle of the field, through the cell in the middle: points (k, 3) each."""
+    """Five parallel rays, along the middle of the field, through the cell in the middle: points (k, 3)
+    each.
+    """
     from clacad.sheet.bundle import middle_direction
 
     one = window.with_cells((1, 1))

@@ -14,8 +14,13 @@ if TYPE_CHECKING:
     from clacad.verification import Report
     from clacad.verification.evidence import Evidence
 
-STATES = {"on": "simulated", "forced": "simulated, as asked", "off": "left out", "without": "left out, as asked",
-          "unknown": "left out, not bounded"}  # fmt: skip
+STATES = {
+    "on": "simulated",
+    "forced": "simulated, as asked",
+    "off": "left out",
+    "without": "left out, as asked",
+    "unknown": "left out, not bounded",
+}
 
 
 def number(value: float | str | None, unit: str = "") -> str:
@@ -46,7 +51,9 @@ class LightRows:
 
     @property
     def image(self) -> str:
-        """Sentence on the place and width of the image of the design's object point; "" for a sheet without one."""
+        """Sentence on the place and width of the image of the design's object point; "" for a sheet without
+        one.
+        """
         found = [check.sentence for check in self.report.checks if check.kind in (IMAGE_POINT, SPOT)]
         return "; ".join(found)
 
@@ -62,15 +69,25 @@ class LightRows:
         """Separate errors, mrad."""
         return [
             {
-                "about": found.about, "cell": f"{found.cell[0]}, {found.cell[1]}", "bundle": found.bundle,
-                "used": f"{found.used} of {found.rays}", "rms": f"{1e3 * found.rms:.4g}",
+                "about": found.about,
+                "cell": f"{found.cell[0]}, {found.cell[1]}",
+                "bundle": found.bundle,
+                "used": f"{found.used} of {found.rays}",
+                "rms": f"{1e3 * found.rms:.4g}",
                 "parts": [
-                    (p.name, f"{1e3 * p.rms:.3g}", f"{1e3 * p.half:.3g}", f"{1e3 * p.worst:.3g}", f"{1e3 * p.share:+.3g}",
-                     p.meaning) for p in found.parts
+                    (
+                        p.name,
+                        f"{1e3 * p.rms:.3g}",
+                        f"{1e3 * p.half:.3g}",
+                        f"{1e3 * p.worst:.3g}",
+                        f"{1e3 * p.share:+.3g}",
+                        p.meaning,
+                    )
+                    for p in found.parts
                 ],
             }
             for found in self.evidence.attributions
-        ]  # fmt: skip
+        ]
 
     @property
     def foci(self) -> list[tuple[str, str, str, str, str, str]]:
@@ -79,22 +96,36 @@ class LightRows:
             return []
         mm = millimetres(self.report.window.unit)
         return [
-            (name, number(f.lens1.focus[0] * mm), number(f.lens2.focus[0] * mm), number(f.gap * mm),
-             f"{abs(f.gap) / f.distance:.2g}", ", ".join(number(v * mm) for v in f.length))
-            if f.gap == f.gap
-            else (name, "no power", "no power", "–", "–", "–")
+            (
+                (
+                    name,
+                    number(f.lens1.focus[0] * mm),
+                    number(f.lens2.focus[0] * mm),
+                    number(f.gap * mm),
+                    f"{abs(f.gap) / f.distance:.2g}",
+                    ", ".join(number(v * mm) for v in f.length),
+                )
+                if f.gap == f.gap
+                else (name, "no power", "no power", "–", "–", "–")
+            )
             for name, f in zip("xy", self.evidence.foci, strict=True)
-        ]  # fmt: skip
+        ]
 
     @property
     def ladder(self) -> list[tuple[str, str, str, str, str, str]]:
         """Rungs: name, setting, model error, law error, share in another fate, microseconds a ray."""
         found = self.evidence.ladder
         return [
-            (r.rung, r.setting, f"{1e3 * r.model_rms:.3g}", f"{1e3 * r.law_rms:.4g}", f"{100 * r.disagree:.2g}",
-             f"{1e6 * r.seconds / r.rays:.3g}" if self.timings else f"{us:.2g}")
+            (
+                r.rung,
+                r.setting,
+                f"{1e3 * r.model_rms:.3g}",
+                f"{1e3 * r.law_rms:.4g}",
+                f"{100 * r.disagree:.2g}",
+                f"{1e6 * r.seconds / r.rays:.3g}" if self.timings else f"{us:.2g}",
+            )
             for r, us in zip(found.rows, found.forecast, strict=True)
-        ]  # fmt: skip
+        ]
 
     @property
     def effects(self) -> list[tuple[str, str, str, str, str, str]]:
@@ -103,10 +134,16 @@ class LightRows:
         if plan is None:
             return []
         return [
-            (r.effect, STATES[r.state], r.why, f"{1e3 * r.angle:.3g}" if r.angle else "",
-             f"{100 * r.radiance:.3g}" if r.radiance else "", f"×{r.cost:.3g}")
+            (
+                r.effect,
+                STATES[r.state],
+                r.why,
+                f"{1e3 * r.angle:.3g}" if r.angle else "",
+                f"{100 * r.radiance:.3g}" if r.radiance else "",
+                f"×{r.cost:.3g}",
+            )
             for r in plan.rows
-        ]  # fmt: skip
+        ]
 
     @property
     def waves(self) -> list[tuple[str, ...]]:
@@ -130,9 +167,11 @@ class LightRows:
         if plan is None:
             return "The effects could not be planned: a wavelength lies outside the material's data."
         left = [
-            f"{r.effect} ≤ {1e3 * r.angle:.2g} mrad"
-            if r.angle
-            else f"{r.effect} ≤ {100 * r.radiance:.2g} % of the light"
+            (
+                f"{r.effect} ≤ {1e3 * r.angle:.2g} mrad"
+                if r.angle
+                else f"{r.effect} ≤ {100 * r.radiance:.2g} % of the light"
+            )
             for r in plan.rows
             if not r.on and r.known and (r.angle or r.radiance) and declared(r.effect).rung is None
         ]

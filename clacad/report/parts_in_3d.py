@@ -1,4 +1,6 @@
-"""The parts in three dimensions: a few cells as triangles with exact normals, packed for the page, and a picture of them."""
+"""The parts in three dimensions: a few cells as triangles with exact normals, packed for the page, and a
+picture of them.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from clacad.sheet.window import Window
 
 COLOURS = ((0.36, 0.60, 0.80), (0.42, 0.70, 0.52), (0.7, 0.6, 0.4))
 LONGEST = 3.0
-"""Depth over width of the shown piece beyond which the gap between the bodies is drawn shorter, with a note."""
+"""Depth over width of the shown piece beyond which the gap between the bodies is drawn shorter, with a
+note."""
 MOST_CELLS = 7
 PICTURE = (720, 400)
 
@@ -100,9 +103,12 @@ def packed(shown: Parts) -> tuple[str, str]:
     data, bodies = bytearray(), []
     for number, piece in enumerate(shown.pieces):
         entry: dict[str, Any] = {
-            "name": piece.name, "number": number, "colour": COLOURS[number % len(COLOURS)],
-            "vertices": len(piece.vertices), "triangles": len(piece.triangles),
-        }  # fmt: skip
+            "name": piece.name,
+            "number": number,
+            "colour": COLOURS[number % len(COLOURS)],
+            "vertices": len(piece.vertices),
+            "triangles": len(piece.triangles),
+        }
         place = np.zeros((len(piece.vertices), 4), dtype="<i2")
         place[:, :3] = np.rint(piece.vertices / unit)
         normal = np.zeros((len(piece.vertices), 4), dtype="i1")
@@ -117,12 +123,19 @@ def packed(shown: Parts) -> tuple[str, str]:
             data += values.tobytes()
         bodies.append(entry)
     facts = {
-        "bodies": bodies, "unit": unit, "size": (high - low).tolist(), "middle": (0.5 * (low + high)).tolist(),
-        "cut": float(0.5 * (low[1] + high[1])), "gap": {"built": shown.gap_built or 1.0, "shown": shown.gap_shown or (
-            0.0 if shown.gap_built else 1.0)},
-        "view": [YAW, PITCH], "light": [*LIGHT, AMBIENT, DIRECT, GLOSS],
+        "bodies": bodies,
+        "unit": unit,
+        "size": (high - low).tolist(),
+        "middle": (0.5 * (low + high)).tolist(),
+        "cut": float(0.5 * (low[1] + high[1])),
+        "gap": {
+            "built": shown.gap_built or 1.0,
+            "shown": shown.gap_shown or (0.0 if shown.gap_built else 1.0),
+        },
+        "view": [YAW, PITCH],
+        "light": [*LIGHT, AMBIENT, DIRECT, GLOSS],
         "rays": [np.round(ray, 9).ravel().tolist() for ray in shown.rays],
-    }  # fmt: skip
+    }
     return json.dumps(facts, sort_keys=True), base64.b64encode(bytes(data)).decode("ascii")
 
 
@@ -154,9 +167,13 @@ def picture(shown: Parts) -> bytes:
     depth = np.full((tall, wide), -np.inf)
     light = np.array(LIGHT) / np.linalg.norm(LIGHT)
     for number, (piece, place) in enumerate(zip(shown.pieces, seen, strict=True)):
-        flat = np.column_stack([
-            0.5 * wide + scale * (place[:, 0] - off[0]), 0.5 * tall - scale * (place[:, 1] - off[1]), place[:, 2],
-        ])  # fmt: skip
+        flat = np.column_stack(
+            [
+                0.5 * wide + scale * (place[:, 0] - off[0]),
+                0.5 * tall - scale * (place[:, 1] - off[1]),
+                place[:, 2],
+            ]
+        )
         normal = piece.normals @ turn.T
         bright = (
             AMBIENT + DIRECT * np.maximum(normal @ light, 0.0) + GLOSS * np.maximum(normal[:, 2], 0.0) ** 8

@@ -1,4 +1,6 @@
-"""The report as PDF: the rows and drawings of the page, set by Typst, an extra package that pip alone installs."""
+"""The report as PDF: the rows and drawings of the page, set by Typst, an extra package that pip alone
+installs.
+"""
 
 from __future__ import annotations
 
@@ -85,16 +87,23 @@ def _document(content: Content, shelf: _Shelf) -> dict[str, Any]:
         "about": f"confocal lenslet array pair, {report.window.form}, {content.cells} cells; verification",
         "state": report.word,
         "verdict": {
-            "state": {"passed": "pass", "shape": "warn"}.get(content.head[1], "fail"), "word": content.head[0],
+            "state": {"passed": "pass", "shape": "warn"}.get(content.head[1], "fail"),
+            "word": content.head[0],
             "sentence": report.verdict(),
             "failures": [f"{c['id']} {c['subject']}: {c['sentence']}" for c in content.failures],
         },
         "tally": ", ".join(f"{n} {state}" for state, n in counts.items()),
         "blocks": [
-            *_viewer(content, shelf), *_verdicts(content), *_fabrication(content, shelf), *_checks(content), *_asked(content), *_light(content, shelf),
-            *_errors(content, shelf), *_rest(content, shelf),
+            *_viewer(content, shelf),
+            *_verdicts(content),
+            *_fabrication(content, shelf),
+            *_checks(content),
+            *_asked(content),
+            *_light(content, shelf),
+            *_errors(content, shelf),
+            *_rest(content, shelf),
         ],
-    }  # fmt: skip
+    }
 
 
 def _viewer(content: Content, shelf: _Shelf) -> list[Block]:
@@ -142,12 +151,17 @@ def _figure(shelf: _Shelf, name: str, data: str | bytes, caption: str, width: in
 def _table(
     head: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int] = (), wide: int = -1
 ) -> Block:
-    """A table; columns in `numbers` are set flush right, the one called `wide` takes the room that is left."""
+    """A table; columns in `numbers` are set flush right, the one called `wide` takes the room that is
+    left.
+    """
     wide = wide % len(head)
     return {
-        "kind": "table", "head": list(head), "rows": [list(r) for r in rows], "numbers": list(numbers),
+        "kind": "table",
+        "head": list(head),
+        "rows": [list(r) for r in rows],
+        "numbers": list(numbers),
         "widths": [1 if k == wide else 0 for k in range(len(head))],
-    }  # fmt: skip
+    }
 
 
 def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
@@ -177,9 +191,13 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
         _figure(shelf, "pair", drawing.telescopelet(report), "One telescopelet, cut along x; millimetres.")
     )
     lenses = [
-        {"file": shelf.put(f"lens{k}", drawing.lens_detail(report, k)), "caption": f"Lens {k + 1} over its cell.",
-         "alt": f"lens {k + 1}"} for k in (0, 1)
-    ]  # fmt: skip
+        {
+            "file": shelf.put(f"lens{k}", drawing.lens_detail(report, k)),
+            "caption": f"Lens {k + 1} over its cell.",
+            "alt": f"lens {k + 1}",
+        }
+        for k in (0, 1)
+    ]
     from clacad.report.parts_in_3d import picture
 
     plan = {
@@ -187,8 +205,11 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
         "caption": "The sheet as light sees it.",
         "alt": "plan",
     }
-    solid = {"file": shelf.put("solid", picture(content.parts)), "alt": "the part",
-             "caption": f"{content.parts.cells} × {content.parts.cells} cells, from the side of lens 2."}  # fmt: skip
+    solid = {
+        "file": shelf.put("solid", picture(content.parts)),
+        "alt": "the part",
+        "caption": f"{content.parts.cells} × {content.parts.cells} cells, from the side of lens 2.",
+    }
     return [*blocks, {"kind": "pair", "items": lenses}, {"kind": "pair", "items": [plan, solid]}]
 
 
@@ -196,11 +217,19 @@ def _checks(content: Content) -> list[Block]:
     blocks = [_heading("Checks")]
     for title, rows in content.groups:
         lines = [
-            ({"state": c["state"], "text": c["word"]}, f"{c['id']} {c['subject'] if c['subject'] != title else ''}".strip(),
-             c["value"], c["limit"], c["unit"], f"{c['sentence']} [{c['where']}; {c['bundle'] + '; ' if c['bundle'] else ''}"
-             f"limit: {c['source']}]")
+            (
+                {"state": c["state"], "text": c["word"]},
+                f"{c['id']} {c['subject'] if c['subject'] != title else ''}".strip(),
+                c["value"],
+                c["limit"],
+                c["unit"],
+                (
+                    f"{c['sentence']} [{c['where']}; {c['bundle'] + '; ' if c['bundle'] else ''}"
+                    f"limit: {c['source']}]"
+                ),
+            )
             for c in rows
-        ]  # fmt: skip
+        ]
         blocks += [
             _heading(title, 2),
             _table(("", "check", "value", "limit", "unit", "what it says"), lines, (2, 3)),
@@ -221,8 +250,9 @@ def _light(content: Content, shelf: _Shelf) -> list[Block]:
     """Blocks for the referee: views, transfer, transmission, maps, spots, foci."""
     report, evidence = content.report, content.evidence
     views: Mapping[str, tuple[bytes, str]] = {
-        "without": (content.look.without, "Without the sheet."), "through": (content.look.through, f"Through it: {content.look.how}.")
-    }  # fmt: skip
+        "without": (content.look.without, "Without the sheet."),
+        "through": (content.look.through, f"Through it: {content.look.how}."),
+    }
     pair = [{"file": shelf.put(k, data), "caption": text, "alt": text} for k, (data, text) in views.items()]
     blocks = [
         _heading("What light does"),
@@ -277,11 +307,16 @@ def _errors(content: Content, shelf: _Shelf) -> list[Block]:
             *one["parts"],
             ("whole", one["rms"], "", "", one["rms"], f"cell {one['cell']}, {one['used']} rays compared"),
         ]
-        blocks += [_heading(one["about"], 2), _figure(shelf, f"parts{k}", drawn, "Five parts of the error."),
-                   _table(head, rows, (1, 2, 3, 4))]  # fmt: skip
+        blocks += [
+            _heading(one["about"], 2),
+            _figure(shelf, f"parts{k}", drawn, "Five parts of the error."),
+            _table(head, rows, (1, 2, 3, 4)),
+        ]
     return [
-        *blocks, _heading("Budget", 2), _table(("contribution", "mrad", "measured as"), content.light.budget, (1,)),
-    ]  # fmt: skip
+        *blocks,
+        _heading("Budget", 2),
+        _table(("contribution", "mrad", "measured as"), content.light.budget, (1,)),
+    ]
 
 
 def _waves(content: Content, shelf: _Shelf) -> list[Block]:
@@ -292,9 +327,11 @@ def _waves(content: Content, shelf: _Shelf) -> list[Block]:
     from clacad.waves.wave_report import HEAD
 
     return [
-        _heading("Waves", 2), _figure(shelf, "waves", drawn, "Far field of one telescopelet as waves and as rays."),
-        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5, 6)), {"kind": "text", "text": content.light.waves_sentence},
-    ]  # fmt: skip
+        _heading("Waves", 2),
+        _figure(shelf, "waves", drawn, "Far field of one telescopelet as waves and as rays."),
+        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5, 6)),
+        {"kind": "text", "text": content.light.waves_sentence},
+    ]
 
 
 def _rest(content: Content, shelf: _Shelf) -> list[Block]:
@@ -304,12 +341,23 @@ def _rest(content: Content, shelf: _Shelf) -> list[Block]:
     effects = ("effect", "in a picture", "mrad", "% of light", "time", "why")
     drawn = plots.accuracy(report, content.evidence, content.timings)
     blocks: list[Block] = [
-        _heading("Accuracy against time"), _figure(shelf, "accuracy", drawn, f"What each rung leaves out, and what it costs. {content.evidence.ladder.conclusion}"),
+        _heading("Accuracy against time"),
+        _figure(
+            shelf,
+            "accuracy",
+            drawn,
+            f"What each rung leaves out, and what it costs. {content.evidence.ladder.conclusion}",
+        ),
         _table(rungs, content.light.ladder, (2, 3, 4, 5), 1),
-        _heading("Effects"), {"kind": "text", "text": content.light.effects_sentence},
-        *([_table(effects, [(n, s, a, r, c, w) for n, s, w, a, r, c in content.light.effects], (2, 3, 4))] if content.light.effects else []),
+        _heading("Effects"),
+        {"kind": "text", "text": content.light.effects_sentence},
+        *(
+            [_table(effects, [(n, s, a, r, c, w) for n, s, w, a, r, c in content.light.effects], (2, 3, 4))]
+            if content.light.effects
+            else []
+        ),
         *_waves(content, shelf),
-    ]  # fmt: skip
+    ]
     if report.design.notes:
         blocks += [
             _heading("What the source text says that cannot hold"),

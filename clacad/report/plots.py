@@ -1,6 +1,8 @@
-"""Figures of the measurements of a report in addition to its checks: foci, caustics, ghosts, errors, accuracy, effects.
+"""Figures of the measurements of a report in addition to its checks: foci, caustics, ghosts, errors,
+accuracy, effects.
 
-The non-uniform sheet on the report's page: δ, η and steps of its cells, the worst ones, light of the object point.
+The non-uniform sheet on the report's page: δ, η and steps of its cells, the worst ones, light of the object
+point.
 """
 
 from __future__ import annotations
@@ -88,11 +90,21 @@ def _overview(panel: Any, focus: MeridianFocus, mm: float, name: str) -> None:
         _rays(panel, fan, ends, mm, colour, 6, label)
     for place, words in ((0.0, "lens 1"), (reach, "lens 2")):
         panel.axvline(place * mm, color=FAINT, lw=1.0, ls=":")
-        panel.annotate(words, (place * mm, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -9),
-                       textcoords="offset points", fontsize=7.5, color=INK)  # fmt: skip
+        panel.annotate(
+            words,
+            (place * mm, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(2, -9),
+            textcoords="offset points",
+            fontsize=7.5,
+            color=INK,
+        )
     gap = focus.gap / focus.distance
-    panel.set_title(f"lens {name}: foci {abs(gap):.2g} of the distance apart" if np.isfinite(gap)
-                    else f"lens {name}: no power in this meridian")  # fmt: skip
+    panel.set_title(
+        f"lens {name}: foci {abs(gap):.2g} of the distance apart"
+        if np.isfinite(gap)
+        else f"lens {name}: no power in this meridian"
+    )
     panel.set_xlabel("along the axis from lens 1 (mm)")
     panel.set_ylabel(f"across, lens {name} (mm)")
     panel.locator_params(nbins=6)
@@ -104,8 +116,14 @@ def _rays(
     shown = np.flatnonzero(np.isfinite(fan.slope))[::step]
     along = np.array(ends)
     for k in shown:
-        panel.plot(along * mm, (fan.place[k] + fan.slope[k] * along) * mm, color=colour, lw=0.6, alpha=0.75,
-                   label=label if k == shown[0] else None)  # fmt: skip
+        panel.plot(
+            along * mm,
+            (fan.place[k] + fan.slope[k] * along) * mm,
+            color=colour,
+            lw=0.6,
+            alpha=0.75,
+            label=label if k == shown[0] else None,
+        )
 
 
 def _close_up(panel: Any, focus: MeridianFocus, mm: float) -> None:
@@ -142,13 +160,15 @@ def ghosts(evidence: Evidence) -> str:
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 1, 3, Margins(top=0.3, across=0.36, right=0.66), sharey=True)
-        (sx, sy) = found.slope
+        sx, sy = found.slope
         box = (sx[0], sx[-1], sy[0], sy[-1])
         image: Any = None
         for panel, values, title in zip(
-            axes, (found.alive, found.closed_form, found.ghost),
-            ("traced, through the partner", "closed form, thin lenses", "traced, ghosts"), strict=True,
-        ):  # fmt: skip
+            axes,
+            (found.alive, found.closed_form, found.ghost),
+            ("traced, through the partner", "closed form, thin lenses", "traced, ghosts"),
+            strict=True,
+        ):
             image = panel.imshow(
                 values, origin="lower", extent=box, aspect="auto", vmin=0.0, vmax=1.0, interpolation="nearest"
             )
@@ -163,7 +183,9 @@ def ghosts(evidence: Evidence) -> str:
 
 
 def viewed(report: Report, window: Window) -> str:
-    """The share of one eye's light that obeys the law, over the sheet: ideal lenses, and the rays that were traced."""
+    """The share of one eye's light that obeys the law, over the sheet: ideal lenses, and the rays that were
+    traced.
+    """
     viewer = viewer_of(report.design)
     values, (x0, x1, y0, y1) = share_map(window, viewer)
     rays = seen_from(window, viewer, VIEWED_RAYS)
@@ -243,14 +265,27 @@ def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
             colour, marker = style[row.rung]
             hollow = row.normals == "vertex"
             panel.loglog(
-                [time], [1e3 * row.model_rms], marker, color=colour, ms=9 if marker == "*" else 6, mfc="white" if hollow else colour
-            )  # fmt: skip
+                [time],
+                [1e3 * row.model_rms],
+                marker,
+                color=colour,
+                ms=9 if marker == "*" else 6,
+                mfc="white" if hollow else colour,
+            )
             words = row.rung if row.quads is None else f"{row.quads}"
             labels.append((words, (time, 1e3 * row.model_rms)))
         limit = 1e3 * report.design.check.law_rms
         panel.axhline(limit, color=BAD, lw=0.9, ls="--")
-        panel.annotate("limit of law_rms", (0.99, limit), xycoords=("axes fraction", "data"), ha="right", xytext=(0, 3),
-                       textcoords="offset points", fontsize=8, color=BAD)  # fmt: skip
+        panel.annotate(
+            "limit of law_rms",
+            (0.99, limit),
+            xycoords=("axes fraction", "data"),
+            ha="right",
+            xytext=(0, 3),
+            textcoords="offset points",
+            fontsize=8,
+            color=BAD,
+        )
         panel.set_xlabel("microseconds a ray, " + ("measured in this run" if timings else "forecast"))
         panel.set_ylabel("rms direction error to the exact trace (mrad)")
         panel.margins(0.14, 0.12)
@@ -272,7 +307,9 @@ ACROSS = 400
 
 
 def varying(report: Report, window: Window) -> str:
-    """Maps of δ and steps of cells, the worst ones ringed, light of the object point through focus; "" for a uniform sheet."""
+    """Maps of δ and steps of cells, the worst ones ringed, light of the object point through focus; "" for a
+    uniform sheet.
+    """
     laws = window.cell_laws
     if laws is None:
         return ""
@@ -326,7 +363,9 @@ def _placed(box: tuple[float, ...]) -> dict[str, Any]:
 
 
 def _maps(window: Window) -> Floats:
-    """δ_x, δ_y, the greatest step (length) and η_x at points over the sheet, (4, h, w); NaN where no cell is kept."""
+    """δ_x, δ_y, the greatest step (length) and η_x at points over the sheet, (4, h, w); NaN where no cell is
+    kept.
+    """
     assert window.cell_laws is not None  # who calls this has looked
     x0, x1, y0, y1 = window.lattice.extent()
     pixel = max(x1 - x0, y1 - y0) / ACROSS

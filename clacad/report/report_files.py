@@ -37,9 +37,15 @@ LARGEST = 64 << 20
 
 
 def write_report(
-    report: Report | Content, folder: str | os.PathLike[str], overwrite: bool = False, *, progress: Progress | None = None,
-    more: Sequence[Section] = (), pdf: bool = False, timings: bool = False,
-) -> tuple[Path, ...]:  # fmt: skip
+    report: Report | Content,
+    folder: str | os.PathLike[str],
+    overwrite: bool = False,
+    *,
+    progress: Progress | None = None,
+    more: Sequence[Section] = (),
+    pdf: bool = False,
+    timings: bool = False,
+) -> tuple[Path, ...]:
     """Write the page and its numbers.
 
     Parameters
@@ -57,7 +63,8 @@ def write_report(
     pdf : bool
         Write report.pdf as well.
     timings : bool
-        Show seconds of this run in page and numbers; they go to run.json anyway. A Content has its own setting.
+        Show seconds of this run in page and numbers; they go to run.json anyway. A Content has its own
+        setting.
 
     Returns
     -------
@@ -79,9 +86,15 @@ def write_report(
 
 
 def _write_all(
-    report: Report | Content, folder: Path, overwrite: bool, tell: Progress, more: Sequence[Section], *, pdf: bool,
+    report: Report | Content,
+    folder: Path,
+    overwrite: bool,
+    tell: Progress,
+    more: Sequence[Section],
+    *,
+    pdf: bool,
     timings: bool,
-) -> tuple[Path, ...]:  # fmt: skip
+) -> tuple[Path, ...]:
     """Gather what is shown, write page, numbers, PDF and run facts; paths of all but the last."""
     from clacad.report import content as contents
 
@@ -90,8 +103,9 @@ def _write_all(
     html, numbers = folder / "report.html", folder / "report.json"
     written = [html, numbers]
     files: dict[str, str | bytes] = {
-        numbers.name: _json(contents.numbers(made)), html.name: page(made, MARK, more, tell),
-    }  # fmt: skip
+        numbers.name: _json(contents.numbers(made)),
+        html.name: page(made, MARK, more, tell),
+    }
     if pdf:
         from clacad.report.pdf import pdf_bytes
 
@@ -155,10 +169,13 @@ Drawings = Callable[[Content], dict[str, str]]
 def _fabrication(content: Content) -> dict[str, str]:
     report = content.report
     return {
-        "plan": drawing.plan(content.sheet), "assembly": drawing.assembly(content.sheet), "pair": drawing.telescopelet(report),
-        "lens1": drawing.lens_detail(report, 0), "lens2": drawing.lens_detail(report, 1),
+        "plan": drawing.plan(content.sheet),
+        "assembly": drawing.assembly(content.sheet),
+        "pair": drawing.telescopelet(report),
+        "lens1": drawing.lens_detail(report, 0),
+        "lens2": drawing.lens_detail(report, 1),
         "field": "".join(drawing.lens_detail(report, k) for k in range(2, len(report.facts.lenses))),
-    }  # fmt: skip
+    }
 
 
 def _parts(content: Content) -> dict[str, str]:
@@ -182,11 +199,15 @@ def _look(content: Content) -> dict[str, str]:
 def _light(content: Content) -> dict[str, str]:
     report = content.report
     return {
-        "transfer": figures.transfer(report), "transmission": figures.transmission(report),
-        "ghosts": plots.ghosts(content.evidence), "residual": figures.residual_map(report),
-        "spots": figures.spots(report), "foci": plots.foci(report, content.evidence),
-        "viewed": plots.viewed(report, content.whole or report.window), "varying": varying(report, content.whole or report.window),
-    }  # fmt: skip
+        "transfer": figures.transfer(report),
+        "transmission": figures.transmission(report),
+        "ghosts": plots.ghosts(content.evidence),
+        "residual": figures.residual_map(report),
+        "spots": figures.spots(report),
+        "foci": plots.foci(report, content.evidence),
+        "viewed": plots.viewed(report, content.whole or report.window),
+        "varying": varying(report, content.whole or report.window),
+    }
 
 
 def _errors(content: Content) -> dict[str, str]:
@@ -220,7 +241,8 @@ SECTIONS: tuple[tuple[str, str, Drawings], ...] = (
     ("accuracy", "Accuracy against time", _accuracy),
     ("effects", "Effects", _effects),
 )
-"""Anchor (and name of the template under sections/), title, and what draws the figures of each section, in order.
+"""Anchor (and name of the template under sections/), title, and what draws the figures of each section, in
+order.
 
 Sections of other origin are handed to `page` as `more` and come after these.
 """
@@ -257,15 +279,26 @@ def page(content: Content, mark: str, more: Sequence[Section] = (), progress: Pr
 
     script, digest = one_script(HERE / "viewer.js")
     shown = [*sections(content, progress), *more]
-    return environment().get_template("page.html.j2").render(
-        _common(content), mark=Markup(mark), script=Markup(script), digest=digest,
-        sections=[(s.anchor, s.title, Markup(s.body)) for s in shown],
-    )  # fmt: skip
+    return (
+        environment()
+        .get_template("page.html.j2")
+        .render(
+            _common(content),
+            mark=Markup(mark),
+            script=Markup(script),
+            digest=digest,
+            sections=[(s.anchor, s.title, Markup(s.body)) for s in shown],
+        )
+    )
 
 
 def _common(content: Content) -> dict[str, Any]:
     report = content.report
     return {
         "viewer_picture": None if content.of_viewer is None else data_uri(content.of_viewer),
-        "content": content, "report": report, "design": report.design, "verdict": report.verdict(), "counts": report.counts(),
-    }  # fmt: skip
+        "content": content,
+        "report": report,
+        "design": report.design,
+        "verdict": report.verdict(),
+        "counts": report.counts(),
+    }

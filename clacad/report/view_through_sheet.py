@@ -31,7 +31,8 @@ EFFECTS = ("ghosts",)
 """Effects shown here; the plan of the report lists what the others would change."""
 
 INSIDE = 0.35
-"""Part of the half field of view that the sheet fills as the eye sees it, if that can be had from 4 to 60 widths."""
+"""Part of the half field of view that the sheet fills as the eye sees it, if that can be had from 4 to 60
+widths."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,8 @@ class _Viewpoint:
 def look(design: Design, window: Window, progress: Progress) -> Look:
     """Render a figure on a chequered floor, seen past and through the sheet.
 
-    By numpy: so small a picture takes about as long as loading what is compiled, which a fresh machine first has to make in twenty seconds and more.
+    By numpy: so small a picture takes about as long as loading what is compiled, which a fresh machine first
+    has to make in twenty seconds and more.
     """
     from clacad.rendering.picture import view_through
     from clacad.rendering.picture_files import pixels_of
@@ -80,22 +82,28 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
         progress("looking through the sheet", 0.0)
         without = view_through(scene, sheet=False, window=window, compiled=False)
         through = view_through(
-            scene, window=window, compiled=False,
+            scene,
+            window=window,
+            compiled=False,
             progress=lambda _, part: progress("looking through the sheet", part or 0.0),
-        )  # fmt: skip
+        )
     mm = millimetres(window.unit)
     said = (
-        f"a chess knight {place.height * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind the sheet; the eye is "
-        f"{-place.eye[2] * mm:.4g} mm before it"
+        f"a chess knight {place.height * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind"
+        f" the sheet; the eye is {-place.eye[2] * mm:.4g} mm before it"
     )
-    how = f"rung {through.passage.rung}; shown beyond refraction: {', '.join(through.passage.names) or 'nothing'}"
+    how = (
+        f"rung {through.passage.rung}; shown beyond refraction:"
+        f" {', '.join(through.passage.names) or 'nothing'}"
+    )
     return Look(_png(pixels_of(without)), _png(pixels_of(through)), how, said)
 
 
 def seen_by_viewer(design: Design, window: Window) -> bytes | None:
     """Render what the viewer of the check `viewed` sees through the whole sheet, by ideal lenses.
 
-    None for a viewer behind the sheet or nearer than a pitch, and where the scene is larger than scenes may be.
+    None for a viewer behind the sheet or nearer than a pitch, and where the scene is larger than scenes may
+    be.
 
     window : of the whole sheet, whose cells may differ.
     """
@@ -153,7 +161,9 @@ def _in_field(design: Design, window: Window) -> tuple[_Viewpoint, float]:
 def _placed(
     window: Window, eye: tuple[float, float, float], slope: tuple[float, float], behind: float
 ) -> _Viewpoint:
-    """The viewpoint of an eye, its figure `behind` the sheet where a line of that slope through the middle meets it."""
+    """The viewpoint of an eye, its figure `behind` the sheet where a line of that slope through the middle
+    meets it.
+    """
     height = 0.75 * _width(window) * (behind - eye[2]) / -eye[2]
     return _Viewpoint(eye, (behind * slope[0], window.z_range[1] + behind), height)
 
@@ -185,12 +195,28 @@ def _scene(design: Design, window: Window, folder: str, place: _Viewpoint, rung:
         "sheet": {"design": "design.toml", "rung": rung},
         "effects": {"mode": "list", "list": list(EFFECTS)},
         "camera": {
-            "position": list(place.eye), "target": [0, 0, 0], "frame": 1.25 * _width(window),
-            "pixels": [pixels, pixels], "samples": SAMPLES,
+            "position": list(place.eye),
+            "target": [0, 0, 0],
+            "frame": 1.25 * _width(window),
+            "pixels": [pixels, pixels],
+            "samples": SAMPLES,
         },
         "object": [
-            {"id": "floor", "kind": "checker", "height": floor, "tile": high, "colours": ["#d8c29a", "#5b3f26"]},
-            {"id": "knight", "kind": "knight", "at": [x, floor, z], "size": high, "colour": "#3a3f52", "turn": [0, 35, 0]},
+            {
+                "id": "floor",
+                "kind": "checker",
+                "height": floor,
+                "tile": high,
+                "colours": ["#d8c29a", "#5b3f26"],
+            },
+            {
+                "id": "knight",
+                "kind": "knight",
+                "at": [x, floor, z],
+                "size": high,
+                "colour": "#3a3f52",
+                "turn": [0, 35, 0],
+            },
         ],
-    }  # fmt: skip
+    }
     return Scene.from_dict(data, folder=folder)

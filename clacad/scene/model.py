@@ -160,7 +160,8 @@ class Scene:
         Parameters
         ----------
         changes : mapping, or str
-            Dotted key to value, as in animations: {"object.knight.at.2": 5.0, "sheet.set.law.euler.0": 45}; or one such
+            Dotted key to value, as in animations: {"object.knight.at.2": 5.0, "sheet.set.law.euler.0": 45};
+            or one such
             key.
         value : any
             New value, if `changes` is one key.

@@ -147,12 +147,21 @@ def _checked(
         sheet["set"] = _flat(sheet["set"])
     in_line = sorted((SheetSpec(**sheet) for sheet in sheets), key=lambda one: one.z)
     fields = {
-        "name": root["name"], "unit": root["unit"], "unit_m": float(_metres(reader)), "sheets": tuple(in_line),
-        "camera": Camera(**parts["camera"]), "light": Light(**parts["light"]),
-        "background": Background(**parts["background"]), "objects": objects, "effects": EffectsSpec(**parts["effects"]),
+        "name": root["name"],
+        "unit": root["unit"],
+        "unit_m": float(_metres(reader)),
+        "sheets": tuple(in_line),
+        "camera": Camera(**parts["camera"]),
+        "light": Light(**parts["light"]),
+        "background": Background(**parts["background"]),
+        "objects": objects,
+        "effects": EffectsSpec(**parts["effects"]),
         "animation": None if still else Animation(**parts["animation"], moves=moves),
-        "notes": root["notes"], "given": data, "source": source, "path": path,
-    }  # fmt: skip
+        "notes": root["notes"],
+        "given": data,
+        "source": source,
+        "path": path,
+    }
     return fields, broken(fields)
 
 

@@ -36,20 +36,31 @@ def broken(fields: Mapping[str, Any]) -> list[Mistake]:
     """Return the rules that the fields of a `Scene` break."""
     objects, folder = fields["objects"], folder_of(fields["path"])
     return [
-        *_camera(fields["camera"]), *_light(fields["light"]), *_ids(objects), *_files(fields, folder),
-        *_effects(fields["effects"]), *_stacked(fields["sheets"], fields["light"]),
-    ]  # fmt: skip
+        *_camera(fields["camera"]),
+        *_light(fields["light"]),
+        *_ids(objects),
+        *_files(fields, folder),
+        *_effects(fields["effects"]),
+        *_stacked(fields["sheets"], fields["light"]),
+    ]
 
 
 def _camera(camera: Camera) -> Iterator[Mistake]:
     if (camera.frame is None) == (camera.fov is None):
         found = "neither" if camera.frame is None else "both"
-        yield Mistake("CL112", f"camera needs exactly one of frame and fov, has {found}",
-                      "camera" if camera.frame is None else "camera.fov",
-                      allowed="frame, the width at the target, or fov, the full angle")  # fmt: skip
+        yield Mistake(
+            "CL112",
+            f"camera needs exactly one of frame and fov, has {found}",
+            "camera" if camera.frame is None else "camera.fov",
+            allowed="frame, the width at the target, or fov, the full angle",
+        )
     if not camera.position[2] < 0.0:
-        yield Mistake("CL106", f"camera.position[2] = {camera.position[2]:g} is not before the sheet",
-                      "camera.position.2", allowed="z < 0: rays run towards +z")  # fmt: skip
+        yield Mistake(
+            "CL106",
+            f"camera.position[2] = {camera.position[2]:g} is not before the sheet",
+            "camera.position.2",
+            allowed="z < 0: rays run towards +z",
+        )
     look = [b - a for a, b in zip(camera.position, camera.target)]
     if not any(look):
         yield Mistake("CL106", "camera.target is the camera's own position", "camera.target")
@@ -91,11 +102,20 @@ def _stacked(sheets: tuple[SheetSpec, ...], light: Light) -> Iterator[Mistake]:
         if names.count(name) > 1:
             yield Mistake("CL112", f"{names.count(name)} sheets have the id {name}", "sheet")
     if sheets[0].z != 0.0:
-        yield Mistake("CL106", f"no sheet stands at z = 0: the first, {sheets[0].id}, stands at {sheets[0].z:g}", "sheet",
-                      allowed="z = 0 for the sheet nearest to the camera")  # fmt: skip
+        yield Mistake(
+            "CL106",
+            f"no sheet stands at z = 0: the first, {sheets[0].id}, stands at {sheets[0].z:g}",
+            "sheet",
+            allowed="z = 0 for the sheet nearest to the camera",
+        )
     if len(sheets) > 1 and (light.polariser is not None or light.analyser is not None):
-        yield Mistake("CL112", "a polariser or analyser is given, and several sheets: polarisation is not followed from one "
-                      "to the next", "light", allowed="one sheet, or neither polariser nor analyser")  # fmt: skip
+        yield Mistake(
+            "CL112",
+            "a polariser or analyser is given, and several sheets: polarisation is not followed from one "
+            "to the next",
+            "light",
+            allowed="one sheet, or neither polariser nor analyser",
+        )
 
 
 def _files(fields: Mapping[str, Any], folder: str) -> Iterator[Mistake]:

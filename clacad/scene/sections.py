@@ -192,7 +192,8 @@ class EffectsSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneObject:
-    """[[object]]: one visible object; its `kind` determines which keys apply, see `KEYS_OF`, and its size, see
+    """[[object]]: one visible object; its `kind` determines which keys apply, see `KEYS_OF`, and its size,
+    see
     `SIZES`. Lengths in scene units, angles in degrees, colours in linear light.
 
     Parameters
@@ -257,7 +258,8 @@ class Move:
     Parameters
     ----------
     key : str
-        "object.<id>.<key>[.index]", "sheet.set.<design key>[.index]", of several sheets "sheet.<id>.set.<design key>[.index]"
+        "object.<id>.<key>[.index]", "sheet.set.<design key>[.index]", of several sheets
+        "sheet.<id>.set.<design key>[.index]"
         or "sheet.<id>.<key>", or "camera.<key>[.index]".
     times : tuple of float
         0 … 1, ascending.

@@ -71,9 +71,14 @@ def _frame(middle: Floats) -> tuple[Floats, Floats]:
 
 
 def bundle(
-    window: Window, count: int, field: float, centre: str = "axis", aperture: float = 1.0,
-    middle: Floats | None = None, cell: tuple[int, int] | None = None,
-) -> Bundle:  # fmt: skip
+    window: Window,
+    count: int,
+    field: float,
+    centre: str = "axis",
+    aperture: float = 1.0,
+    middle: Floats | None = None,
+    cell: tuple[int, int] | None = None,
+) -> Bundle:
     """Launch rays over a cell of array 0 and a cone of directions.
 
     Parameters
@@ -99,9 +104,14 @@ def bundle(
 
 
 def launched(
-    window: Window, local: Floats, direction: Floats, cell: tuple[int, int], middle: Floats, field: float = 0.0,
+    window: Window,
+    local: Floats,
+    direction: Floats,
+    cell: tuple[int, int],
+    middle: Floats,
+    field: float = 0.0,
     aperture: float = 1.0,
-) -> Bundle:  # fmt: skip
+) -> Bundle:
     """Bundle that starts below the window and crosses z = 0 at `local` (n, 2), lengths from the centre of
     `cell`.
 

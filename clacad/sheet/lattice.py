@@ -200,9 +200,15 @@ class Lattice:
             edge = p / sqrt(3.0)
             half = 0.5 * p
             return np.array(
-                [(half, -0.5 * edge), (half, 0.5 * edge), (0.0, edge),
-                 (-half, 0.5 * edge), (-half, -0.5 * edge), (0.0, -edge)]
-            )  # fmt: skip
+                [
+                    (half, -0.5 * edge),
+                    (half, 0.5 * edge),
+                    (0.0, edge),
+                    (-half, 0.5 * edge),
+                    (-half, -0.5 * edge),
+                    (0.0, -edge),
+                ]
+            )
         hx, hy = 0.5 * self.pitch[0], 0.5 * self.pitch[1]
         return np.array([(hx, -hy), (hx, hy), (-hx, hy), (-hx, -hy)])
 
@@ -341,8 +347,9 @@ class Lattice:
         y = (2 * j - (n2 - 1)) * (0.5 * self.pitch[1])
         return np.stack([x, y], axis=-1)
 
-    def locate(self, x: Floats, y: Floats, x_low: Floats | float = 0.0, y_low: Floats | float = 0.0
-               ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
+    def locate(
+        self, x: Floats, y: Floats, x_low: Floats | float = 0.0, y_low: Floats | float = 0.0
+    ) -> tuple[Ints, Floats, Floats]:
         """Find the cell that contains each point, and the point relative to the cell's centre.
 
         Parameters
@@ -397,7 +404,8 @@ class Lattice:
 
 
 def relocate(lattice: Lattice, local: Floats) -> tuple[Ints, Floats]:
-    """Whole lattice steps (m, 2) and remaining local coordinates (m, 2) of points relative to a cell's centre, lengths.
+    """Whole lattice steps (m, 2) and remaining local coordinates (m, 2) of points relative to a cell's
+    centre, lengths.
 
     The rule is that of `Lattice.locate`: a border belongs to the cell above it. Multiples of the lattice
     vectors are formed exactly and the difference is rounded once.
@@ -453,8 +461,9 @@ def less_multiple(x: Floats, k: Floats, step: float) -> Floats:
     return np.asarray((x - high) - low)
 
 
-def _in_hexagon(lattice: Lattice, local: Callable[[Floats, Floats], tuple[Floats, Floats]], x: Floats, y: Floats
-                ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
+def _in_hexagon(
+    lattice: Lattice, local: Callable[[Floats, Floats], tuple[Floats, Floats]], x: Floats, y: Floats
+) -> tuple[Ints, Floats, Floats]:
     """Cells (n, 2) that contain points, and the points relative to their centres, by steps across borders
     from a guess.
 

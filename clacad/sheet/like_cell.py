@@ -31,7 +31,9 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
 
 
 def cell_of_array(window: Window, index: Ints, array: int) -> Window:
-    """Return the uniform equivalent of the cell at `index` (2,), with cells as wide and high as those of an array."""
+    """Return the uniform equivalent of the cell at `index` (2,), with cells as wide and high as those of an
+    array.
+    """
     return _of_width(window, index, window.placements[array].scale(window.lattice))
 
 
@@ -70,10 +72,16 @@ def _of_width(window: Window, index: Ints, wider: Pair2) -> Window:
         lattice=_scaled(window.lattice, wider),
         outline=None if window.outline is None else _larger(window.outline, max(wider)),
         thin=replace(
-            pair, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0,
-            change=None, change_1=None,
+            pair,
+            focal_length=(focal_1, focal_2),
+            offset=(x, y, z),
+            shift=_pair(apart),
+            pitch=None,
+            turn=0.0,
+            change=None,
+            change_1=None,
         ),
-    )  # fmt: skip
+    )
 
 
 def _scaled(lattice: Lattice, factor: Pair2) -> Lattice:

@@ -76,5 +76,6 @@ def need_window(value: object, verb: str, rest: str = "") -> None:
     kind = type(value).__name__
     inside = {"Design": "design", "str": "clacad.load(path)"}.get(kind, "clacad.load(path)")
     raise TypeError(
-        f"{verb} takes a window, the sheet as built, not a {kind}: clacad.{verb}(clacad.prescribe({inside}){rest})"
+        f"{verb} takes a window, the sheet as built, not a {kind}:"
+        f" clacad.{verb}(clacad.prescribe({inside}){rest})"
     )

@@ -65,7 +65,9 @@ def greatest_steps(window: Window, face: Face, index: Ints) -> Floats:
 
 
 def _across(window: Window, face: Face, left: Ints, k: int) -> Floats:
-    """Step (n,), lengths, between cells `left` (n, 2) and their kept neighbours across border k; NaN at a hole."""
+    """Step (n,), lengths, between cells `left` (n, 2) and their kept neighbours across border k; NaN at a
+    hole.
+    """
     assert face.array is not None
     lattice = window.lattice_of(face.array)
     tile, m = lattice.tile(), len(lattice.steps)

@@ -249,9 +249,15 @@ def plate_of_rectangle(
         return (-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)
     c, bulge = corners[1], QUARTER if corners[0] == "round" else 0.0
     return (
-        (-x + c, -y, 0.0), (x - c, -y, bulge), (x, -y + c, 0.0), (x, y - c, bulge),
-        (x - c, y, 0.0), (-x + c, y, bulge), (-x, y - c, 0.0), (-x, -y + c, bulge),
-    )  # fmt: skip
+        (-x + c, -y, 0.0),
+        (x - c, -y, bulge),
+        (x, -y + c, 0.0),
+        (x, y - c, bulge),
+        (x - c, y, 0.0),
+        (-x + c, y, bulge),
+        (-x, y - c, 0.0),
+        (-x, -y + c, bulge),
+    )
 
 
 def counter_clockwise(vertices: tuple[Vertex, ...]) -> tuple[Vertex, ...]:

@@ -157,7 +157,8 @@ def as_sides(edge: Floats, sides: int) -> Floats:
     if edge[SENSE] == 0.0:
         return edge[None, :2]
     angle, r = arc_angle(edge) / sides, float(edge[RADIUS])
-    # sides · area of a fan triangle = the sector: (n − 2) s² + 2 r s = n r² (φ/n)/sin(φ/n), s for the inner corners
+    # sides · area of a fan triangle = the sector: (n − 2) s² + 2 r s = n r² (φ/n)/sin(φ/n), s for the inner
+    # corners
     whole = sides * r * r * angle / sin(angle)
     n = sides - 2
     outer = whole / (2.0 * r) if n == 0 else (sqrt(r * r + n * whole) - r) / n
@@ -252,7 +253,9 @@ def within_polygon(polygon: Floats, points: Floats) -> Bools:
 
 
 def nearest_edges(edges: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Distance (n,) of points (n, 2) from the nearest edge, and its unit normal there (n, 2), out of the material."""
+    """Distance (n,) of points (n, 2) from the nearest edge, and its unit normal there (n, 2), out of the
+    material.
+    """
     least, normals = np.full(len(points), np.inf), np.zeros((len(points), 2))
     for edge in edges:
         gap, normal = edge_gaps(edge, points)

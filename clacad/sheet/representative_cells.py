@@ -1,6 +1,7 @@
 """Cells that represent a whole sheet, by purpose: the one home of every rule.
 
-A rule is deterministic and fast: it computes no light. `tracing/worst_cell.py` chooses among the cells of "light"
+A rule is deterministic and fast: it computes no light. `tracing/worst_cell.py` chooses among the cells of
+"light"
 by rays.
 """
 
@@ -48,7 +49,8 @@ def representative_cells(window: Window, purpose: Purpose, count: int = SAMPLED)
     ----------
     window : Window
     purpose : str
-        displaced: of a non-uniform sheet, those whose lenses are displaced farthest, smallest, largest or steepest.
+        displaced: of a non-uniform sheet, those whose lenses are displaced farthest, smallest, largest or
+        steepest.
         drawing: the first, the middle, and the one whose lens lies farthest from its middle.
         facets, light: displaced and sample, each once, in order.
         file: of a uniform sheet, the middle, the corners, the middles of the sides, and a few at random.

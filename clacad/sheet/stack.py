@@ -1,6 +1,7 @@
 """Several sheets in series: position of each window, and the planes between which each sheet acts.
 
-The stack's frame is that of its first sheet: z = 0 is that sheet's own plane, and lengths are in that sheet's unit.
+The stack's frame is that of its first sheet: z = 0 is that sheet's own plane, and lengths are in that
+sheet's unit.
 Other sheets are displaced along z only. Sheets of other units keep their own unit; lengths are converted
 where rays pass.
 """
@@ -109,7 +110,8 @@ def stacked(windows: Sequence[Window], gaps: Sequence[float], ids: Sequence[str]
     for gap, name in zip(gaps, names[1:]):
         if not (isfinite(gap) and gap >= 0.0):
             raise BadStack(
-                f"the gap before sheet {name} is {gap:g}: it is a length from 0 on, between what is solid of both sheets"
+                f"the gap before sheet {name} is {gap:g}: it is a length from 0 on, between what is solid of"
+                " both sheets"
             )
     unit = windows[0].unit
     sheets = [StackedSheet(names[0], windows[0], 0.0)]
@@ -140,8 +142,9 @@ def standing(sheets: Sequence[StackedSheet], unit: float, unit_name: str) -> Sta
         high, low = before.span[1], after.span[0]
         if low < high:
             raise BadStack(
-                f"sheet {after.id} (z from {low:.6g} to {after.span[1]:.6g} {unit_name}) overlaps sheet {before.id} "
-                f"(to {high:.6g} {unit_name}): sheet.{after.id}.z >= {after.z + high - low:.9g} keeps them apart"
+                f"sheet {after.id} (z from {low:.6g} to {after.span[1]:.6g} {unit_name}) overlaps sheet"
+                f" {before.id} (to {high:.6g} {unit_name}): sheet.{after.id}.z >= {after.z + high - low:.9g}"
+                " keeps them apart"
             )
     return Stack(tuple(order), unit)
 

@@ -322,8 +322,14 @@ def least_extent(window: Window) -> tuple[float, float, float, float]:
         solid = np.isfinite(front) & (front <= back)
         if not solid.any():
             continue
-        cut = np.array([x[solid].min() - low[0], x[solid].max() - high[0],
-                        y[solid].min() - low[1], y[solid].max() - high[1]])  # fmt: skip
+        cut = np.array(
+            [
+                x[solid].min() - low[0],
+                x[solid].max() - high[0],
+                y[solid].min() - low[1],
+                y[solid].max() - high[1],
+            ]
+        )
         box = np.array(body_extent(window, body)) + cut
         ends = np.where([True, False, True, False], np.minimum(ends, box), np.maximum(ends, box))
     return float(ends[0]), float(ends[1]), float(ends[2]), float(ends[3])
@@ -410,7 +416,7 @@ def plane_of(body: Body, side: int) -> float:
         return face.vertex[2]
     if face.land is None:
         raise NoFixture(
-            f"{body.name} has no flat border to be held by: give body.border a width, so that a plate runs round the "
-            "lenslets"
+            f"{body.name} has no flat border to be held by: give body.border a width, so that a plate runs"
+            " round the lenslets"
         )
     return face.land

@@ -142,7 +142,8 @@ class Body:
         return float(self.material.index(wavelength))
 
     def heated(self, kelvin: float) -> Body:
-        """The body at a temperature `kelvin` higher: another index; its expansion is a scale and bends no light.
+        """The body at a temperature `kelvin` higher: another index; its expansion is a scale and bends no
+        light.
 
         Raises
         ------
@@ -315,8 +316,8 @@ class Window:
         lattice, count = self.lattice, len(self.bodies)
         pitch = 1e3 * self.unit * lattice.pitch[0]
         return (
-            f"Window({self.name!r}, {self.form}, {lattice.count[0]} x {lattice.count[1]} {lattice.kind} cells of "
-            f"{pitch:g} mm, {count} {'body' if count == 1 else 'bodies'})"
+            f"Window({self.name!r}, {self.form}, {lattice.count[0]} x {lattice.count[1]} {lattice.kind} cells"
+            f" of {pitch:g} mm, {count} {'body' if count == 1 else 'bodies'})"
         )
 
     def _repr_html_(self) -> str:
@@ -382,7 +383,9 @@ class Window:
         return np.asarray(self.lattice_of(array).centres(index) + np.asarray(self.placements[array].shift))
 
     def vertices(self, face: Face, index: Ints) -> Floats:
-        """Apexes (..., 3) of a face's lenses in the cells `index` (..., 2): x, y from the cell's centre, z of the sheet."""
+        """Apexes (..., 3) of a face's lenses in the cells `index` (..., 2): x, y from the cell's centre, z
+        of the sheet.
+        """
         found = np.empty((*index.shape[:-1], 3))
         for axis, apex in enumerate(self.lenses(face, index).apex):
             found[..., axis] = apex

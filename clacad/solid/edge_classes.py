@@ -31,7 +31,8 @@ class Levels:
         Largest distance of the heights that share a vertex from it.
     place : place[sector][face] = number of the vertex, or None (no height, or open)
     copies : for each gap between consecutive vertices: ray → copy
-        Ray r lies between sector r and sector r + 1. Walls on rays with the same copy share one vertical edge; two
+        Ray r lies between sector r and sector r + 1. Walls on rays with the same copy share one vertical
+        edge; two
         copies are a saddle: columns that touch in a line.
     """
 
@@ -100,7 +101,9 @@ class Plane:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cylinder(RationalPatch):
-    """A part of an upright cylinder about `centre` (2,), mm, as a rational patch; `inward`: its normal points to the axis."""
+    """A part of an upright cylinder about `centre` (2,), mm, as a rational patch; `inward`: its normal
+    points to the axis.
+    """
 
     centre: Floats
     radius: float
@@ -146,7 +149,9 @@ class WallEnd:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WallClass:
-    """A wall between edges `low` and `high` of its piece; `along` is the surface normal right of the segment."""
+    """A wall between edges `low` and `high` of its piece; `along` is the surface normal right of the
+    segment.
+    """
 
     low: int
     high: int
@@ -185,8 +190,9 @@ class SegmentClass:
     outside: tuple[bool, bool]
 
 
-def segment_class(shape: SegmentShape, columns: Sequence[Column | None], start: Post, end: Post, merge: float
-                  ) -> SegmentClass:  # fmt: skip
+def segment_class(
+    shape: SegmentShape, columns: Sequence[Column | None], start: Post, end: Post, merge: float
+) -> SegmentClass:
     """Tie the curves of a segment's shape to the vertices at its stations.
 
     Parameters
@@ -241,8 +247,9 @@ def _place(post: Post, column: int, face: int) -> int:
     return level
 
 
-def _wall(shape: SegmentShape, i: int, wall: WallShape, edges: Sequence[EdgeClass], first: Post, last: Post
-          ) -> WallClass:  # fmt: skip
+def _wall(
+    shape: SegmentShape, i: int, wall: WallShape, edges: Sequence[EdgeClass], first: Post, last: Post
+) -> WallClass:
     low, high = edges[wall.low], edges[wall.high]
     a, b = shape.points[i], shape.points[i + 1]
     along = np.append((b - a) / np.hypot(*(b - a)), 0.0)

@@ -1,7 +1,9 @@
 """Division of one face of a cell into lens and land, with the exact rim between them.
 
-The optical zone is a convex polygon; the rim is the conic in which a plane (the land, or the plane in which the
-two faces of a lens meet) cuts the lens. Polygon and conic are intersected exactly (a quadratic per side), so the
+The optical zone is a convex polygon; the rim is the conic in which a plane (the land, or the plane in which
+the
+two faces of a lens meet) cuts the lens. Polygon and conic are intersected exactly (a quadratic per side), so
+the
 zone falls into regions bounded by stretches of its sides and arcs of the conic. Lengths in mm, cell frame.
 """
 
@@ -53,7 +55,8 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A part of the zone of one kind: loops of ("run", side, number) and ("rim", chain, ±1), counter-clockwise.
+    """A part of the zone of one kind: loops of ("run", side, number) and ("rim", chain, ±1),
+    counter-clockwise.
 
     The first loop is the outer one.
     """
@@ -310,7 +313,8 @@ def walk(runs: list[tuple[Run, ...]], chains: list[Chain], kind: Kind) -> list[R
             if here not in leaving:
                 raise CannotBuild(
                     "CL130",
-                    "the lens ends inside its optical zone other than at a plane rim; a longer radius or less tilt",
+                    "the lens ends inside its optical zone other than at a plane rim; a longer radius or less"
+                    " tilt",
                 )
             item, here = leaving.pop(here)
             loop.append(item)

@@ -1,7 +1,8 @@
 """Fitted rims: Bézier curves where two surfaces intersect in no plane, so that no closed form exists.
 
 The rim is the zero curve of a gap between two graphs over the sheet: a lens and its land, a lens and the
-plane behind it, the two lenses of a body. It is traced by bisection (`clacad.topology.build_complex`) and divided into
+plane behind it, the two lenses of a body. It is traced by bisection (`clacad.topology.build_complex`) and
+divided into
 arcs. Each arc is a polynomial Bézier curve through exact points of the rim, of the least degree within the
 tolerance. Its distance from the true rim is measured and stated. Lengths in mm, cell frame.
 """
@@ -150,8 +151,8 @@ def fitted_rim(gap: Gap, zone: Floats, rest: Kind, tolerance: float) -> Rim:
             blunt = error
     raise blunt or CannotBuild(
         "CL130",
-        "the lens ends inside its optical zone other than where it meets the other surface; a longer radius or less "
-        "tilt",
+        "the lens ends inside its optical zone other than where it meets the other surface; a longer radius"
+        " or less tilt",
     )
 
 
@@ -196,8 +197,9 @@ def _side_roots(gap: Gap, zone: Floats, k: int, noise: float) -> list[float]:
     return [float(t) for t in sign_changes(along, noise)]
 
 
-def _traced(gap: Gap, zone: Floats, roots: list[list[float]], rest: Kind, fan: int, noise: float
-            ) -> tuple[Pattern, list[Floats]] | None:  # fmt: skip
+def _traced(
+    gap: Gap, zone: Floats, roots: list[list[float]], rest: Kind, fan: int, noise: float
+) -> tuple[Pattern, list[Floats]] | None:
     """The pattern found with a grid, with the points of every chain; None where chains and sides disagree."""
     found = trace_zero(lambda x, y: gap.value(x, y) + noise, zone, fan)
     open_paths = [curve.points for curve in found if not curve.closed]
@@ -215,8 +217,8 @@ def _on_the_rim(gap: Gap, path: Floats, noise: float) -> None:
     if not (closes & ~steep).all():
         raise CannotBuild(
             "CL130",
-            "the lens ends inside its cell at its own equator, before it meets the other face or its land; a longer "
-            "radius (pair.separation), a smaller lattice.pitch, less tilt, or a thicker pair.web",
+            "the lens ends inside its cell at its own equator, before it meets the other face or its land; a"
+            " longer radius (pair.separation), a smaller lattice.pitch, less tilt, or a thicker pair.web",
         )
 
 
@@ -240,8 +242,9 @@ _SHARP = (
 # -- arcs -------------------------------------------------------------------------------------------
 
 
-def _chain_arcs(gap: Gap, path: Floats, closed: bool, tolerance: float, noise: float
-                ) -> tuple[tuple[Arc, ...], float]:  # fmt: skip
+def _chain_arcs(
+    gap: Gap, path: Floats, closed: bool, tolerance: float, noise: float
+) -> tuple[tuple[Arc, ...], float]:
     """Arcs along a chain of exact points (n, 2), and their largest error."""
     points = np.vstack([path, path[:1]]) if closed else path
     at = _divisions(gap, points, closed)
@@ -293,8 +296,11 @@ def _fitted(gap: Gap, path: Floats, tolerance: float, noise: float, depth: int) 
                 return [arc], best[1]
             middle = true[len(_NODES) // 2, :2] if middle is None else middle
     if middle is not None and depth < DEPTH and float(np.hypot(*(end - start))) > 20.0 * SNAP:
-        halves = (path[: len(path) // 2 + 1], path[len(path) // 2 :]) if len(path) > 2 else (
-            np.array([start, middle]), np.array([middle, end]))  # fmt: skip
+        halves = (
+            (path[: len(path) // 2 + 1], path[len(path) // 2 :])
+            if len(path) > 2
+            else (np.array([start, middle]), np.array([middle, end]))
+        )
         first, low = _fitted(gap, halves[0], tolerance, noise, depth + 1)
         second, high = _fitted(gap, halves[1], tolerance, noise, depth + 1)
         return [*first, *second], max(low, high)

@@ -45,9 +45,9 @@ def common_rim(faces: tuple[Face, Face], zone: Floats, tolerance: float) -> tupl
     if not any(region.kind == "lens" for region in rim.pattern.regions):
         raise CannotBuild(
             "CL130",
-            "the faces of the lens enclose nothing over its cell: the surface ends inside its cell at its own equator, "
-            "or lies beyond the other face; a longer radius (pair.separation), a smaller lattice.pitch, or more "
-            "pair.thickness",
+            "the faces of the lens enclose nothing over its cell: the surface ends inside its cell at its own"
+            " equator, or lies beyond the other face; a longer radius (pair.separation), a smaller"
+            " lattice.pitch, or more pair.thickness",
         )
     return rim, None
 
@@ -135,8 +135,10 @@ def _check_web(faces: tuple[Face, Face], rim: Rim, zone: Floats) -> None:
     buries = "" if proud.any() else ", and buries it: the lens is too thin for its tilt"
     raise CannotBuild(
         "CL131",
-        f"the rim of the tilted lens sticks out of its web; a web of at least {rounded_up(2.0 * reach)} mm holds it"
-        f'{buries} (or give the lens more thickness, so that its rim leaves the cell: pair.thickness = "auto")',
+        f"the rim of the tilted lens sticks out of its web; a web of at least {rounded_up(2.0 * reach)} mm"
+        " holds it"
+        f"{buries} (or give the lens more thickness, so that its rim leaves the cell: pair.thickness ="
+        ' "auto")',
     )
 
 
@@ -207,8 +209,8 @@ def _rim_arcs(
     if not (away <= UNDERCUT).all():
         raise CannotBuild(
             "CL133",
-            "the lens is undercut at its rim: its surface passes its equator before it meets its land or other face; "
-            "tilt it less, or give it a longer radius",
+            "the lens is undercut at its rim: its surface passes its equator before it meets its land or"
+            " other face; tilt it less, or give it a longer radius",
         )
     following = np.roll(lifted, -1, axis=0) if closed else lifted[1:]
     return tuple(section_arc(quadric, a, b, normal) for a, b in zip(lifted, following))

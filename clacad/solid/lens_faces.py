@@ -255,6 +255,7 @@ def _heights(face: Face, low: Floats, high: Floats, t: Floats) -> Floats:
     if not np.isfinite(z).all():
         raise CannotBuild(
             "CL130",
-            "the lens surface ends inside the rectangle round its optical zone; a longer radius or a smaller cell",
+            "the lens surface ends inside the rectangle round its optical zone; a longer radius or a smaller"
+            " cell",
         )
     return z

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 
 def lettering(text: str, size: float) -> Any:
-    """A line of bold text in the plane z = 0, about the origin: a build123d sketch, faces and holes from left to right.
+    """A line of bold text in the plane z = 0, about the origin: a build123d sketch, faces and holes from
+    left to right.
 
     Parameters
     ----------
@@ -109,7 +110,8 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
     scale = millimetres(window.unit)
     if window.outline is None:
         raise NoFixture(
-            f"{body.name} has no border to engrave: give body.border a width, such as '2 mm' (or mark the frame)"
+            f"{body.name} has no border to engrave: give body.border a width, such as '2 mm' (or mark the"
+            " frame)"
         )
     arrays = one_tiling(window, body)
     centre = np.array(window.shifts[arrays[0]]) if len(arrays) == 1 else np.zeros(2)
@@ -223,7 +225,8 @@ def line_of_marks(plane: Any, text: str, width: float, height: float, depth: flo
 
 
 def line_sketch(text: str, width: float, height: float) -> Any:
-    """An arrow pointing to +y and a line of text that reads along +x, about the origin: a build123d sketch, mm.
+    """An arrow pointing to +y and a line of text that reads along +x, about the origin: a build123d sketch,
+    mm.
 
     Raises
     ------
@@ -236,9 +239,15 @@ def line_sketch(text: str, width: float, height: float) -> Any:
     box = letters.bounding_box()
     arrow_width, half = FONT * height, 0.5 * height
     arrow: Any = Polygon(
-        (0.0, half), (-0.5 * arrow_width, 0.0), (-0.2 * arrow_width, 0.0), (-0.2 * arrow_width, -half),
-        (0.2 * arrow_width, -half), (0.2 * arrow_width, 0.0), (0.5 * arrow_width, 0.0), align=None,
-    )  # fmt: skip
+        (0.0, half),
+        (-0.5 * arrow_width, 0.0),
+        (-0.2 * arrow_width, 0.0),
+        (-0.2 * arrow_width, -half),
+        (0.2 * arrow_width, -half),
+        (0.2 * arrow_width, 0.0),
+        (0.5 * arrow_width, 0.0),
+        align=None,
+    )
     whole = 2.0 * arrow_width + box.size.X
     line = Pos(-0.5 * whole + 0.5 * arrow_width, 0) * arrow
     middle = box.center()

@@ -138,9 +138,17 @@ class Nodes:
         The cell with an index, in a non-uniform sheet.
     """
 
-    def __init__(self, shells: Shells, cell: Cell, lattice: Lattice, centre: Callable[[Step], Floats],
-                 state: Callable[[Step], State], outside: Column | None, path: Path | None,
-                 own: Callable[[Step], Cell] | None = None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        shells: Shells,
+        cell: Cell,
+        lattice: Lattice,
+        centre: Callable[[Step], Floats],
+        state: Callable[[Step], State],
+        outside: Column | None,
+        path: Path | None,
+        own: Callable[[Step], Cell] | None = None,
+    ) -> None:
         self.touches: list[Touch] = []
         self._shells, self._cell, self._rings = shells, cell, rings(lattice)
         self._centre, self._state, self._outside, self._path = centre, state, outside, path
@@ -177,8 +185,14 @@ class Nodes:
             self._levels[key] = self._levels_round(sectors, round_it)
         return self._shells.node(origin, self._levels[key]), sectors
 
-    def _touch(self, origin: Floats, position: tuple[int, float], states: tuple[State, ...],
-               corners: tuple[int, ...], round_it: tuple[Step, ...]) -> tuple[NodeVertices, Sectors]:  # fmt: skip
+    def _touch(
+        self,
+        origin: Floats,
+        position: tuple[int, float],
+        states: tuple[State, ...],
+        corners: tuple[int, ...],
+        round_it: tuple[Step, ...],
+    ) -> tuple[NodeVertices, Sectors]:
         assert self._path is not None
         sectors = self._cut(states, corners, self._path.rays(*position))
         node = self._shells.node(origin, self._levels_round(sectors, round_it))
@@ -217,7 +231,9 @@ class Nodes:
         return Sectors(tuple(found), tuple(sides), tuple(cells))
 
     def _levels_round(self, sectors: Sectors, round_it: tuple[Step, ...]) -> Levels:
-        """Levels on the line of a node, from the columns of the sectors; `round_it`: the cells of the ring."""
+        """Levels on the line of a node, from the columns of the sectors; `round_it`: the cells of the
+        ring.
+        """
         whose = {
             s: step for step, (first, last) in zip(round_it, sectors.cells) for s in range(first, last + 1)
         }

@@ -156,7 +156,8 @@ class _FaceOutline:
 def outline_faces(
     shells: Shells, paths: tuple[Path, ...], tilings: tuple[Columns, ...], owner: int, hollow: bool
 ) -> None:
-    """Make the side faces of an outline and of the holes in it, and the flat faces between them and the cells.
+    """Make the side faces of an outline and of the holes in it, and the flat faces between them and the
+    cells.
 
     paths : the outline, then the holes, which run clockwise
     """
@@ -231,8 +232,14 @@ def _chain(ring: _FaceOutline, side: int) -> Loop:
     return loop
 
 
-def _land_sides(shells: Shells, path: Path, owner: int, side: int, rings: tuple[_FaceOutline, _FaceOutline],
-                posts: dict[int, int | None]) -> None:  # fmt: skip
+def _land_sides(
+    shells: Shells,
+    path: Path,
+    owner: int,
+    side: int,
+    rings: tuple[_FaceOutline, _FaceOutline],
+    posts: dict[int, int | None],
+) -> None:
     """The side faces of hollow land: one for every stretch of land between two touches."""
     numbers = rings[0].of_side(side)
     rows: list[list[int]] = []
@@ -322,7 +329,9 @@ def _with_their_holes(
 
 
 def _chained(shells: Shells, key: tuple[str, int]) -> list[tuple[Loop, Floats, int]]:
-    """Closed loops of the recorded edges of a flat face, the face on the left; with their points and an owner."""
+    """Closed loops of the recorded edges of a flat face, the face on the left; with their points and an
+    owner.
+    """
     leaving: dict[int, list[FlatEdge]] = {}
     for edge in shells.flat[key]:
         edge = edge if edge.use.forward else edge.reversed()

@@ -206,7 +206,8 @@ def quadric_patch(quadric: PosedQuadric, u: tuple[float, float], v: tuple[float,
 
     Notes
     -----
-    (x, y, z) = (u, v, s Q/2)/(1 + C Q/4), Q = A u² + B v²: numerator and denominator are quadratic in u and v,
+    (x, y, z) = (u, v, s Q/2)/(1 + C Q/4), Q = A u² + B v²: numerator and denominator are quadratic in u and
+    v,
     so their Bézier nets follow by blossoming 1, u, u².
     """
     a, b, c = quadric.curvatures
@@ -273,7 +274,8 @@ def line(start: Floats, end: Floats) -> Arc:
 
 
 def ruled_wall(low: Arc, high: Arc) -> RationalPatch:
-    """Rule a wall between two arcs: degree (n, 1), v = 0 is `low` and v = 1 is `high` with their own parameters.
+    """Rule a wall between two arcs: degree (n, 1), v = 0 is `low` and v = 1 is `high` with their own
+    parameters.
 
     In homogeneous coordinates S(u, v) = (1 − v) low(u) + v high(u). Both arcs and the wall lie in one
     vertical plane. ∂S/∂u × ∂S/∂v points along (direction of the arcs) × up.

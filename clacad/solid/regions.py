@@ -26,8 +26,15 @@ NEAR = 1e-5
 """Distance, relative to the zone's size, within which a traced rim ends at the root of a side."""
 
 
-def cut_pattern(zone: Floats, roots: list[list[float]], proud: Proud, rest: Kind, across: list[Floats], closed: list[Floats],
-                grid: int) -> tuple[Pattern, list[Floats]] | None:  # fmt: skip
+def cut_pattern(
+    zone: Floats,
+    roots: list[list[float]],
+    proud: Proud,
+    rest: Kind,
+    across: list[Floats],
+    closed: list[Floats],
+    grid: int,
+) -> tuple[Pattern, list[Floats]] | None:
     """Divide a zone by traced curves into lens and rest.
 
     Parameters
@@ -68,8 +75,9 @@ def cut_pattern(zone: Floats, roots: list[list[float]], proud: Proud, rest: Kind
     return Pattern(zone, tuple(runs), tuple(chains), kept, tuple(ends)), [*points, *closed]
 
 
-def _matched(zone: Floats, runs: list[tuple[Run, ...]], ends: list[tuple[int, float]], across: list[Floats], grid: int
-             ) -> list[tuple[int, int, Floats]] | None:  # fmt: skip
+def _matched(
+    zone: Floats, runs: list[tuple[Run, ...]], ends: list[tuple[int, float]], across: list[Floats], grid: int
+) -> list[tuple[int, int, Floats]] | None:
     """Every path with the indices of the roots at which it begins and ends."""
     place = np.array([zone[k] + t * (zone[(k + 1) % len(zone)] - zone[k]) for k, t in ends]).reshape(-1, 2)
     size = float(np.ptp(zone, axis=0).max())

@@ -123,8 +123,15 @@ def plane_face(side: int, level: float) -> CellFace:
     return CellFace(side, level=level, plane=True)
 
 
-def make_cell(window: Window, front: Face | None, back: Face | None, scale: float, front_level: float | None = None,
-              back_level: float | None = None, array: int = 0) -> Cell:  # fmt: skip
+def make_cell(
+    window: Window,
+    front: Face | None,
+    back: Face | None,
+    scale: float,
+    front_level: float | None = None,
+    back_level: float | None = None,
+    array: int = 0,
+) -> Cell:
     """Build the prototile of a tiling.
 
     Parameters
@@ -156,8 +163,14 @@ Corners = tuple[tuple[float, float], ...]
 
 
 @lru_cache(maxsize=16)  # faces are immutable: forecast, drawing and every grid of a sheet share their cell
-def _made_cell(front: Face | None, back: Face | None, corners: tuple[Corners, Corners], pitch: float, scale: float,
-               levels: tuple[float | None, float | None]) -> Cell:  # fmt: skip
+def _made_cell(
+    front: Face | None,
+    back: Face | None,
+    corners: tuple[Corners, Corners],
+    pitch: float,
+    scale: float,
+    levels: tuple[float | None, float | None],
+) -> Cell:
     """The prototile over (tile, zone), from faces in design units and levels in mm; see `make_cell`."""
     tile, zone = (np.array(polygon) for polygon in corners)
     tolerance = FIT * pitch

@@ -27,7 +27,9 @@ MERGE = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LoopEdge:
-    """A face's use of an edge: `edge` number, direction, parameter curve; edge −1: degenerate, at `vertex`."""
+    """A face's use of an edge: `edge` number, direction, parameter curve; edge −1: degenerate, at
+    `vertex`.
+    """
 
     edge: int
     forward: bool
@@ -42,7 +44,8 @@ Loop = list[LoopEdge]
 class FlatEdge:
     """An edge of a flat face: its use, vertices, the column it belongs to.
 
-    `way_out`, `way_in` (2,) are its directions at start and end, `points` (k, 2) points along it, ends included (mm).
+    `way_out`, `way_in` (2,) are its directions at start and end, `points` (k, 2) points along it, ends
+    included (mm).
     """
 
     use: LoopEdge
@@ -57,7 +60,7 @@ class FlatEdge:
         """The edge listed from its last vertex (its use runs that way)."""
         return FlatEdge(
             self.use, self.last, self.first, self.owner, -self.way_in, -self.way_out, self.points[::-1]
-        )  # fmt: skip
+        )
 
 
 class Writer(Protocol):
@@ -73,7 +76,9 @@ class Writer(Protocol):
         """Make a surface displaced by `offset`."""
 
     def face(self, surface: int, same_sense: bool, loops: list[Loop], role: Role) -> int:
-        """Make a face; loops run counter-clockwise seen from outside the material, the first is the outer one."""
+        """Make a face; loops run counter-clockwise seen from outside the material, the first is the outer
+        one.
+        """
 
 
 @dataclass
@@ -208,8 +213,14 @@ class Shells:
 
     # -- segments ---------------------------------------------------------------------------------
 
-    def segment(self, kind: SegmentClass, offset: Floats, ends: tuple[NodeVertices, NodeVertices], owners: tuple[int, int],
-                bare: bool = False) -> Segment:  # fmt: skip
+    def segment(
+        self,
+        kind: SegmentClass,
+        offset: Floats,
+        ends: tuple[NodeVertices, NodeVertices],
+        owners: tuple[int, int],
+        bare: bool = False,
+    ) -> Segment:
         """Make the edges and walls of one segment; `bare`: a side face of the outline replaces the walls."""
         inner = [
             self.node(offset + np.append(kind.shape.points[i], 0.0), kind.posts[i].levels)
@@ -242,7 +253,9 @@ class Shells:
         return made
 
     def _wall(self, made: Segment, i: int, number: int, offset: Floats) -> None:
-        """Make the face of one wall of piece i of a segment: low edge, far side up, high edge back, near side down."""
+        """Make the face of one wall of piece i of a segment: low edge, far side up, high edge back, near
+        side down.
+        """
         piece = made.kind.pieces[i]
         wall = piece.walls[number]
         ruled = isinstance(wall.surface, RationalPatch)

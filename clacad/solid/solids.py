@@ -44,7 +44,8 @@ def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Lay
     window : Window
     body : Body
     middle : float or None, mm
-        Height of the plane at which the two layers of a displaced slab end; None leaves them open to one another.
+        Height of the plane at which the two layers of a displaced slab end; None leaves them open to one
+        another.
 
     Raises
     ------
@@ -96,7 +97,8 @@ def _outside(window: Window, cell: Cell) -> Column | None:
         if kind == "land" and face.level is None:
             raise CannotBuild(
                 "CL134",
-                "a border round the cells needs land, whose height is not known here: give pair.web (biconvex)",
+                "a border round the cells needs land, whose height is not known here: give pair.web"
+                " (biconvex)",
             )
         if kind == "land":
             face = CellFace(face.side, level=face.level)
@@ -130,7 +132,8 @@ def describe_body(window: Window, body: Body, writer: Writer, merge: float = MER
     if len(parts) == 2 and window.outline is None:
         raise CannotBuild(
             "CL134",
-            "a slab whose arrays are displaced needs a border round both: give body.border a width, or lattice.outline",
+            "a slab whose arrays are displaced needs a border round both: give body.border a width, or"
+            " lattice.outline",
         )
     if window.uniform:
         breaks = _breaks(window, body, merge)
@@ -166,8 +169,15 @@ def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...
     return _known[body][1]
 
 
-def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline | None, scale: float, writer: Writer,
-                    merge: float = MERGE, hollow: bool = False) -> Shells:  # fmt: skip
+def describe_layers(
+    parts: tuple[Layer, ...],
+    lattice: Lattice,
+    outline: Outline | None,
+    scale: float,
+    writer: Writer,
+    merge: float = MERGE,
+    hollow: bool = False,
+) -> Shells:
     """Describe layers of columns within an outline.
 
     `hollow` leaves the cells out and keeps the land around them.
@@ -213,8 +223,8 @@ def _refuse_beyond(
     if len(cells) and float(beyond.max()) > SNAP:
         raise CannotBuild(
             "CL136",
-            f"a cell reaches {float(beyond.max()) / scale:.3g} beyond the outline {outline}; a larger outline or fewer "
-            "cells would hold it",
+            f"a cell reaches {float(beyond.max()) / scale:.3g} beyond the outline {outline}; a larger outline"
+            " or fewer cells would hold it",
         )
 
 

@@ -1,4 +1,6 @@
-"""The cells of one tiling, described to `Shells`: the faces over them, and the zones inside a seam. Lengths in mm."""
+"""The cells of one tiling, described to `Shells`: the faces over them, and the zones inside a seam. Lengths
+in mm.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +89,8 @@ class Columns:
         for k, pair in enumerate(columns):
             after = (k + 1) % len(cell.tile)
             shape = segment_shape(cell.zone[k], cell.zone[after], pair, merge)
-            # Sectors at a corner: 0 inside, 1 outside; the ray along side k lies between 1 and 0 at its start.
+            # Sectors at a corner: 0 inside, 1 outside; the ray along side k lies between 1 and 0 at its
+            # start.
             start, end = Post(levels[k], (0, 1), (-1, 1)), Post(levels[after], (0, 1), (0, -1))
             classes.append((segment_class(shape, pair, start, end, merge), levels[k]))
         return classes
@@ -122,8 +125,9 @@ class Columns:
                 inner = [use for side in zone for use in Sided(side.segment, 1, True).all_runs(f)]
                 self._land_face(f, face, owner, [outer, reverse(inner)])
 
-    def _zone_faces(self, f: int, face: CellFace, centre: Floats, owner: int, zone: list[Sided],
-                    rims: dict[int, RimEdges]) -> None:  # fmt: skip
+    def _zone_faces(
+        self, f: int, face: CellFace, centre: Floats, owner: int, zone: list[Sided], rims: dict[int, RimEdges]
+    ) -> None:
         assert face.pattern is not None
         surface = -1
         for region in face.pattern.regions:
@@ -149,8 +153,16 @@ class Columns:
         bare = bare if face.side < 0 else [reverse(loop) for loop in bare]
         self.shells.face(owner, self._lands[f], face.side < 0, bare, "plane" if face.optical else "land")
 
-    def _loop(self, f: int, face: CellFace, items: tuple[tuple[str, int, int], ...], region: Region,
-              centre: Floats, zone: list[Sided], rims: dict[int, RimEdges]) -> Loop:  # fmt: skip
+    def _loop(
+        self,
+        f: int,
+        face: CellFace,
+        items: tuple[tuple[str, int, int], ...],
+        region: Region,
+        centre: Floats,
+        zone: list[Sided],
+        rims: dict[int, RimEdges],
+    ) -> Loop:
         """Edges of one loop of a region, counter-clockwise seen from +z."""
         loop: Loop = []
         for what, number, detail in items:

@@ -32,7 +32,8 @@ NOISE = 1e-13
 """Rounding error of heights of some tens of millimetres (mm)."""
 
 RULED_BELOW = 0.032
-"""A wall narrower than this share of its arcs' sagitta is ruled, not plane: 8/250, κL²/250 with κL² = 8 sagittas."""
+"""A wall narrower than this share of its arcs' sagitta is ruled, not plane: 8/250, κL²/250 with κL² = 8
+sagittas."""
 
 FLATTEST = 2e-3
 """Slope at which an arc must leave a straight edge for the wall between them to be plane, even with a narrow
@@ -91,7 +92,9 @@ class CurveShape:
 
 @dataclass(frozen=True, slots=True)
 class WallShape:
-    """A wall between curves `low` and `high` of its piece; `solid` is the column behind it (0 left, 1 right)."""
+    """A wall between curves `low` and `high` of its piece; `solid` is the column behind it (0 left, 1
+    right).
+    """
 
     low: int
     high: int
@@ -220,8 +223,9 @@ def _strand(column: Column, face: int, kind: Kind, xy: Floats) -> Floats:
     return column.faces[face].height(kind, own[:, 0], own[:, 1])
 
 
-def _crossings(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, high: float, merge: float
-               ) -> list[float]:  # fmt: skip
+def _crossings(
+    a: Floats, b: Floats, columns: Sequence[Column | None], low: float, high: float, merge: float
+) -> list[float]:
     """Parameters in (low, high) at which a face of the left column crosses one of the right."""
     left, right = columns
     if left is None or right is None:
@@ -248,8 +252,9 @@ def _crossings(a: Floats, b: Floats, columns: Sequence[Column | None], low: floa
     return found
 
 
-def _piece(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, high: float, merge: float
-           ) -> PieceShape:  # fmt: skip
+def _piece(
+    a: Floats, b: Floats, columns: Sequence[Column | None], low: float, high: float, merge: float
+) -> PieceShape:
     """Edges and walls between the stations at parameters low and high."""
     start, end = a + low * (b - a), (b if high == 1.0 else a + high * (b - a))
     xy = start + _T[:, None] * (end - start)

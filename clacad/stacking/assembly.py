@@ -73,14 +73,25 @@ class StackAssembly:
         self.progress(f"write {path.name}", 0.0)
         placed = [(one.id, one.window, one.z * self._mm) for one in self.stack.sheets]
         written = run(
-            "clacad.stacking.assembly:write", placed, NAME, str(path), self.step, timeout=SECONDS, progress=self.progress
-        )  # fmt: skip
+            "clacad.stacking.assembly:write",
+            placed,
+            NAME,
+            str(path),
+            self.step,
+            timeout=SECONDS,
+            progress=self.progress,
+        )
         checks: set[str] = set()
         for number, (one, place) in enumerate(zip(self.stack.sheets, places(self.stack), strict=True)):
             self.progress(f"read back {path.name}", (number + 1) / (len(self.stack.sheets) + 1))
             found = run(
-                "clacad.exporting.step_record:read", str(path), one.window, place, timeout=SECONDS, progress=self.progress,
-            )  # fmt: skip
+                "clacad.exporting.step_record:read",
+                str(path),
+                one.window,
+                place,
+                timeout=SECONDS,
+                progress=self.progress,
+            )
             agreed = compare_step(
                 written["sheets"][number],
                 found,
@@ -90,9 +101,13 @@ class StackAssembly:
             )
             checks = set(agreed) if not number else checks & set(agreed)
         facts = {
-            "mode": "assembly", "schema": written["schema"], "solids": written["solids"], "faces": written["faces"],
-            "sheets": [_told(sheet) for sheet in written["sheets"]], "float": "f64",
-        }  # fmt: skip
+            "mode": "assembly",
+            "schema": written["schema"],
+            "solids": written["solids"],
+            "faces": written["faces"],
+            "sheets": [_told(sheet) for sheet in written["sheets"]],
+            "float": "f64",
+        }
         return self._record(path, STEP, "mm", facts, tuple(sorted(checks)), Prospect(Role.MASTER))
 
     def _glb(self) -> FileRecord:
@@ -108,8 +123,9 @@ class StackAssembly:
                 PlacedPieces(one.id, pieces[id(one.window)], millimetres(one.window.unit), one.z * self._mm)
                 for one in self.stack.sheets
             ],
-            path, NAME,
-        )  # fmt: skip
+            path,
+            NAME,
+        )
         self.progress(f"read back {path.name}", 0.5)
         whole, facets = read_glb(path), 0
         for one, place in zip(self.stack.sheets, places(self.stack), strict=True):
@@ -124,9 +140,12 @@ class StackAssembly:
             )
             facets += promise.facets
         facts = {
-            "mode": "assembly", "quads": self.quads, "float": "f32", "triangles": facets,
+            "mode": "assembly",
+            "quads": self.quads,
+            "float": "f32",
+            "triangles": facets,
             "triangles_stored": sum(len(piece.triangles) for each in pieces.values() for piece in each),
-        }  # fmt: skip
+        }
         return self._record(
             path, GLB, "m", facts, ("closed", "shape", "volume"), Prospect(Role.PREVIEW, True)
         )
@@ -136,8 +155,14 @@ class StackAssembly:
         return millimetres(self.stack.unit)
 
     def _record(
-        self, path: Path, format: str, unit: str, facts: dict[str, Any], checks: tuple[str, ...], role: Prospect
-    ) -> FileRecord:  # fmt: skip
+        self,
+        path: Path,
+        format: str,
+        unit: str,
+        facts: dict[str, Any],
+        checks: tuple[str, ...],
+        role: Prospect,
+    ) -> FileRecord:
         flush(path)
         bodies = tuple(f"{one.id} {body.name}" for one in self.stack.sheets for body in one.window.bodies)
         return FileRecord(
@@ -193,6 +218,9 @@ def sheet_facts(one: StackedSheet, mm: float) -> dict[str, Any]:
     low, high = one.span
     first, last = one.lens_planes
     return {
-        "id": one.id, "design": one.window.name, "z": one.z * mm, "span": [low * mm, high * mm],
+        "id": one.id,
+        "design": one.window.name,
+        "z": one.z * mm,
+        "span": [low * mm, high * mm],
         "lens_planes": [first * mm, last * mm],
-    }  # fmt: skip
+    }

@@ -1,4 +1,6 @@
-"""Verify the files of a stack: every sheet as a master of its design, and light through all sheets together."""
+"""Verify the files of a stack: every sheet as a master of its design, and light through all sheets
+together.
+"""
 
 from __future__ import annotations
 
@@ -95,13 +97,21 @@ def _same_bytes(path: Path, entry: Mapping[str, Any]) -> list[Check]:
     sentence = (
         "its bytes are those that were written" if same else "its bytes are not those that were written"
     )
-    return [INTEGRITY.check("pass" if same else "fail", sentence, found[:16], str(entry["sha256"])[:16],
-                  subject=path.name)]  # fmt: skip
+    return [
+        INTEGRITY.check(
+            "pass" if same else "fail", sentence, found[:16], str(entry["sha256"])[:16], subject=path.name
+        )
+    ]
 
 
 def _judge_faces(
-    stack: Stack, designs: Sequence[Design], path: Path, entry: Mapping[str, Any], field: float, progress: Progress
-) -> list[Check]:  # fmt: skip
+    stack: Stack,
+    designs: Sequence[Design],
+    path: Path,
+    entry: Mapping[str, Any],
+    field: float,
+    progress: Progress,
+) -> list[Check]:
     """A STEP file: each sheet of it, and light through all."""
     checks: list[Check] = []
     told = entry.get("sheets", ())
@@ -125,19 +135,28 @@ def _light_through(stack: Stack, path: Path, field: float) -> Check:
     try:
         with reading_worker(path) as worker:
             found = worker.run(
-                OCC_RAYS, str(path), sent.position * mm, sent.direction, indices, (low * mm).tolist(), (high * mm).tolist(),
+                OCC_RAYS,
+                str(path),
+                sent.position * mm,
+                sent.direction,
+                indices,
+                (low * mm).tolist(),
+                (high * mm).tolist(),
                 timeout=SECONDS + longest_wait(path),
-            )  # fmt: skip
+            )
     except (ExportError, OSError) as error:
         return STACK_LIGHT.not_run(f"no light could be sent through its faces: {error}", **common)
     through = np.array(found["end"], dtype=int) == 0
     if not through.all():
-        sentence = f"{int((~through).sum())} of {len(through)} rays end inside the assembly that pass the exact sheets"
+        sentence = (
+            f"{int((~through).sum())} of {len(through)} rays end inside the assembly that pass the exact"
+            " sheets"
+        )
         return STACK_LIGHT.check("fail", sentence, float((~through).sum()), 0.0, **common)
     worst = float(angle_between(np.array(found["direction"]), exact.direction).max())
     sentence = (
-        f"{len(through)} rays through the {2 * len(indices)} faces of all {len(stack.sheets)} sheets leave within {worst:.3g} rad "
-        "of those through the exact surfaces"
+        f"{len(through)} rays through the {2 * len(indices)} faces of all {len(stack.sheets)} sheets leave"
+        f" within {worst:.3g} rad of those through the exact surfaces"
     )
     return STACK_LIGHT.judge(worst, DIRECTION_LIMIT, sentence, limit_source=default("1e-6 rad"), **common)
 
@@ -152,7 +171,9 @@ def _through_exact(stack: Stack, field: float) -> tuple[Rays, StackTrace]:
 
 
 def _column(stack: Stack, exact: StackTrace) -> tuple[Floats, Floats]:
-    """Column of x and y, low (2,) and high (2,), that holds all cells rays go through, lengths of the stack."""
+    """Column of x and y, low (2,) and high (2,), that holds all cells rays go through, lengths of the
+    stack.
+    """
     corners = []
     for one, (_, result) in zip(stack.sheets, exact.passed, strict=True):
         window = one.window
@@ -184,5 +205,8 @@ def _judge_facets(stack: Stack, path: Path, entry: Mapping[str, Any]) -> Check:
             compare_mesh(mesh_of_sheet(whole, place), one.window, promise, f"sheet {one.id}")
     except ExportError as error:
         return SHAPE.check("fail", str(error), **common)
-    sentence = f"the facets of all {len(stack.sheets)} sheets lie on their faces, each sheet where it stands in the stack"
+    sentence = (
+        f"the facets of all {len(stack.sheets)} sheets lie on their faces, each sheet where it stands in the"
+        " stack"
+    )
     return SHAPE.check("pass", sentence, limit_source=other("chords of the stated facets"), **common)

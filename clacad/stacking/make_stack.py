@@ -78,22 +78,37 @@ class Stacked:
         """Plain values; lengths in the stack's unit, but for the sheets' places (mm)."""
         mm = millimetres(self.stack.unit)
         return {
-            "format": FORMAT, "unit": self.unit, "share": self.share,
+            "format": FORMAT,
+            "unit": self.unit,
+            "share": self.share,
             "sheets": [
                 sheet_facts(one, mm) | {"sha256": design.sha256}
                 for one, design in zip(self.stack.sheets, self.designs, strict=True)
             ],
-            "gaps": list(self.stack.gaps), "light": [one.to_dict() for one in self.light], "image": self.image.to_dict(),
-        }  # fmt: skip
+            "gaps": list(self.stack.gaps),
+            "light": [one.to_dict() for one in self.light],
+            "image": self.image.to_dict(),
+        }
 
 
 def stack(
-    designs: Sequence[Design], gaps: float | Sequence[float] = (), out: str | os.PathLike[str] | None = None,
-    formats: Sequence[str] = FORMATS, field: float | None = None, object_distance: float | None = None, rays: int = 65536,
-    cells: tuple[int, int] | None = None, quads: int = QUADS, step: Mode = "auto", overwrite: bool = False, force: bool = False,
-    mesh_light: bool = False, ids: Sequence[str] | None = None, progress: Progress | None = None,
+    designs: Sequence[Design],
+    gaps: float | Sequence[float] = (),
+    out: str | os.PathLike[str] | None = None,
+    formats: Sequence[str] = FORMATS,
+    field: float | None = None,
+    object_distance: float | None = None,
+    rays: int = 65536,
+    cells: tuple[int, int] | None = None,
+    quads: int = QUADS,
+    step: Mode = "auto",
+    overwrite: bool = False,
+    force: bool = False,
+    mesh_light: bool = False,
+    ids: Sequence[str] | None = None,
+    progress: Progress | None = None,
     zone: Pair2 | None = None,
-) -> Stacked:  # fmt: skip
+) -> Stacked:
     """Stack sheets, measure the light through all of them, and write the assembly.
 
     Parameters
@@ -118,10 +133,20 @@ def stack(
     """
     many = (gaps,) if isinstance(gaps, int | float) else tuple(gaps)
     asked = StackRequest(
-        gaps=tuple(float(gap) for gap in many), formats=tuple(formats), field=field, object_distance=object_distance, rays=rays,
-        cells=cells, quads=quads, step=step, overwrite=overwrite, force=force, mesh_light=mesh_light,
-        ids=None if ids is None else tuple(ids), zone=zone,
-    )  # fmt: skip
+        gaps=tuple(float(gap) for gap in many),
+        formats=tuple(formats),
+        field=field,
+        object_distance=object_distance,
+        rays=rays,
+        cells=cells,
+        quads=quads,
+        step=step,
+        overwrite=overwrite,
+        force=force,
+        mesh_light=mesh_light,
+        ids=None if ids is None else tuple(ids),
+        zone=zone,
+    )
     return run_stack(designs, asked, out, progress)
 
 
@@ -200,9 +225,10 @@ def measured(
 def _written(found: Stacked, asked: StackRequest, out: Path, report: Progress) -> Stacked:
     """Write the files, read them back, publish them."""
     with (
-        ended_by_signals(), Worker(memory=worker_memory()) as worker,
+        ended_by_signals(),
+        Worker(memory=worker_memory()) as worker,
         Stage(out, overwrite=asked.overwrite) as stage,
-    ):  # fmt: skip
+    ):
         stage.path(MANIFEST)  # a foreign manifest is refused before any work
         job = StackAssembly(found.stack, stage, worker, asked.quads, asked.step, report)
         records = [*job.records(asked.formats), _numbers(found, stage)]
@@ -233,7 +259,8 @@ def _content(found: Stacked, records: Sequence[FileRecord], asked: StackRequest)
     return {
         "format": FORMAT,
         "stack": {
-            "unit": found.unit, "gaps_mm": [gap * mm for gap in found.stack.gaps],
+            "unit": found.unit,
+            "gaps_mm": [gap * mm for gap in found.stack.gaps],
             "sheets": [
                 sheet_facts(one, mm) | {"sha256": design.sha256, "toml": design.toml}
                 for one, design in zip(found.stack.sheets, found.designs, strict=True)
@@ -242,8 +269,14 @@ def _content(found: Stacked, records: Sequence[FileRecord], asked: StackRequest)
         "files": sorted((record.to_dict() for record in records), key=lambda entry: str(entry["name"])),
         "versions": {"clacad": __version__},
         "options": {
-            "gaps": list(asked.gaps), "formats": list(asked.formats), "field": field_of(found.designs, asked),
-            "zone": None if asked.zone is None else list(asked.zone), "rays": asked.rays, "cells": None if asked.cells is None else list(asked.cells), "quads": asked.quads,
-            "step": asked.step, "object_distance": found.image.object_distance,
+            "gaps": list(asked.gaps),
+            "formats": list(asked.formats),
+            "field": field_of(found.designs, asked),
+            "zone": None if asked.zone is None else list(asked.zone),
+            "rays": asked.rays,
+            "cells": None if asked.cells is None else list(asked.cells),
+            "quads": asked.quads,
+            "step": asked.step,
+            "object_distance": found.image.object_distance,
         },
-    }  # fmt: skip
+    }

@@ -117,11 +117,17 @@ def _together(several: Sequence[Forecast]) -> Forecast:
         return None if None in values else sum(values)
 
     return Forecast(
-        first.format, sum(row.bytes for row in several), False, added("facets"), first.quads,
-        sum(row.modelled for row in several), (sum(r.memory[0] for r in several), sum(r.memory[1] for r in several)),
-        (sum(r.seconds[0] for r in several), sum(r.seconds[1] for r in several)), added("stored"),
+        first.format,
+        sum(row.bytes for row in several),
+        False,
+        added("facets"),
+        first.quads,
+        sum(row.modelled for row in several),
+        (sum(r.memory[0] for r in several), sum(r.memory[1] for r in several)),
+        (sum(r.seconds[0] for r in several), sum(r.seconds[1] for r in several)),
+        added("stored"),
         sum(row.places for row in several),
-    )  # fmt: skip
+    )
 
 
 def light_seconds(sheets: int, asked: StackRequest) -> float:

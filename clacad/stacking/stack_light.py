@@ -70,7 +70,8 @@ def _alike(stack: Stack) -> bool:
 
 
 def launch(stack: Stack, points: Floats, field: float, cells: Ints) -> tuple[Floats, Floats]:
-    """Places (n, 2) on the first lens plane and slopes (n, 2), from points (n, 5) of the unit cube; lengths of the stack.
+    """Places (n, 2) on the first lens plane and slopes (n, 2), from points (n, 5) of the unit cube; lengths
+    of the stack.
 
     Light fills each of the cells (m, 2), and a square of slopes about the centre of the field of each.
     """
@@ -90,7 +91,9 @@ def launched(stack: Stack, rays: int, field: float) -> Rays:
 
 
 def started(stack: Stack, place: Floats, slope: Floats) -> Rays:
-    """Rays that cross the first lens plane at places (n, 2) with slopes (n, 2), starting before the material."""
+    """Rays that cross the first lens plane at places (n, 2) with slopes (n, 2), starting before the
+    material.
+    """
     first = stack.sheets[0]
     level = first.lens_planes[0]
     back = level - first.span[0] + first.scale * max(first.window.lattice.pitch)
@@ -131,7 +134,8 @@ class StackMeridian:
     Attributes
     ----------
     matrix : ((A, B), (C, D))
-        Of chief rays, from array 1 of the first sheet to array 2 of the last; lengths of the stack. None: see `no_matrix`.
+        Of chief rays, from array 1 of the first sheet to array 2 of the last; lengths of the stack. None:
+        see `no_matrix`.
     no_matrix : str or None
         Reason why there is no matrix in closed form.
     determinant : float
@@ -255,15 +259,19 @@ def measure_light(
             truth = trace
         both = (trace.fate == Fate.ALIVE) & (truth.fate == Fate.ALIVE)
         found[tracer.rung] = replace(
-            light, error=rms_between(trace.direction, truth.direction, both),
-            strays=float((trace.fate != truth.fate).mean()), seconds=time.process_time() - began,
-        )  # fmt: skip
+            light,
+            error=rms_between(trace.direction, truth.direction, both),
+            strays=float((trace.fate != truth.fate).mean()),
+            seconds=time.process_time() - began,
+        )
     return tuple(found[tracer.rung] for tracer in tracers)
 
 
 @dataclass(frozen=True, eq=False)
 class _Sent:
-    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, and the number of lit cells."""
+    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, and the number of lit
+    cells.
+    """
 
     place: Floats
     slope: Floats
@@ -290,9 +298,18 @@ def _measured(tracer: StackTracer, sent: _Sent) -> tuple[StackTrace, StackLight]
     exit_place = _at_last_plane(stack, found)
     x, y = (_meridian(stack, axis, sent, exit_place[:, axis], found, strayed) for axis in (0, 1))
     return found, StackLight(
-        tracer.rung, len(sent.place), sent.field, sent.cells, float(alive.mean()), sent.expected(stack), found.counts(),
-        tuple(_passed_on(found)), (x, y), 0.0, 0.0,
-    )  # fmt: skip
+        tracer.rung,
+        len(sent.place),
+        sent.field,
+        sent.cells,
+        float(alive.mean()),
+        sent.expected(stack),
+        found.counts(),
+        tuple(_passed_on(found)),
+        (x, y),
+        0.0,
+        0.0,
+    )
 
 
 def _at_last_plane(stack: Stack, found: StackTrace) -> Floats:
@@ -304,7 +321,9 @@ def _at_last_plane(stack: Stack, found: StackTrace) -> Floats:
 
 
 def _strayed(stack: Stack, found: StackTrace) -> Bools | None:
-    """Rays known to have left their telescopelet in some sheet, in x and in y (n, 2); None where x and y mix."""
+    """Rays known to have left their telescopelet in some sheet, in x and in y (n, 2); None where x and y
+    mix.
+    """
     if not all(_parted(one) for one in stack.sheets):
         return None
     strayed = np.zeros((len(found), 2), dtype=bool)
@@ -372,11 +391,17 @@ def _meridian(
         kept = np.isin(found.fate, (Fate.ALIVE, Fate.GHOST)) & ~strayed[:, axis]
     fit = _fitted(sent, axis, left, found, kept)
     return StackMeridian(
-        None if chief is None else _pairs(chief.matrix), no_meridian(stack),
-        None if chief is None else chief.determinant, long, acts,
-        None if acts is None else long - acts, None if middle is None else float(middle.matrix[0, 1]),
-        share, *fit[:4], None if fit[4] is None else fit[4] / stack.sheets[0].window.lattice.pitch[axis],
-    )  # fmt: skip
+        None if chief is None else _pairs(chief.matrix),
+        no_meridian(stack),
+        None if chief is None else chief.determinant,
+        long,
+        acts,
+        None if acts is None else long - acts,
+        None if middle is None else float(middle.matrix[0, 1]),
+        share,
+        *fit[:4],
+        None if fit[4] is None else fit[4] / stack.sheets[0].window.lattice.pitch[axis],
+    )
 
 
 def _pairs(matrix: Floats) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -115,10 +115,16 @@ def _judge(path: Path, entries: list[zipfile.ZipInfo], streamed: bool) -> None:
             refuse(f"the entry {name[:200]!r} inflates more than {MOST_RATIO} to 1")
 
 
-def parse_xml(stream: IO[bytes], spent: Spending, start: Callable[[str, Attributes], None],
-              end: Callable[[str], None], text: Callable[[str], None] | None = None,
-              runs: Mapping[str, ElementRun] | None = None) -> None:  # fmt: skip
-    """Parse XML as a stream of events; no document type, no entities, bounded depth, bytes, seconds and tokens.
+def parse_xml(
+    stream: IO[bytes],
+    spent: Spending,
+    start: Callable[[str, Attributes], None],
+    end: Callable[[str], None],
+    text: Callable[[str], None] | None = None,
+    runs: Mapping[str, ElementRun] | None = None,
+) -> None:
+    """Parse XML as a stream of events; no document type, no entities, bounded depth, bytes, seconds and
+    tokens.
 
     Parameters
     ----------
@@ -150,8 +156,8 @@ def parse_xml(stream: IO[bytes], spent: Spending, start: Callable[[str, Attribut
             place = total - reader.held - waiting
             if waiting > LONGEST_TOKEN:
                 raise UnreadableFile(
-                    f"{spent.name}: a tag, comment or instruction of more than {LONGEST_TOKEN:,} bytes begins at byte "
-                    f"{place:,} of its XML, in line {parser.CurrentLineNumber:,}"
+                    f"{spent.name}: a tag, comment or instruction of more than {LONGEST_TOKEN:,} bytes begins"
+                    f" at byte {place:,} of its XML, in line {parser.CurrentLineNumber:,}"
                 )
             spent.look(f"at byte {place:,} of its XML")
         reader.end()

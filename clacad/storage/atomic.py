@@ -241,8 +241,8 @@ class Stage:
             kept = name == MANIFEST or not (self.overwrite or name in self._replaceable)
             if kept and self._found.get(name) != _identity(target):
                 raise ExportRefused(
-                    f"{target} was written by another program meanwhile: what it wrote stands, and nothing of this was "
-                    "published; do it again, or choose another folder"
+                    f"{target} was written by another program meanwhile: what it wrote stands, and nothing of"
+                    " this was published; do it again, or choose another folder"
                 )
 
     @staticmethod
@@ -288,8 +288,13 @@ def require_folder(folder: str | os.PathLike[str]) -> None:
             probe.rmdir()
 
 
-def write_file(path: str | os.PathLike[str], write: Callable[[Path], None], *, overwrite: bool = False,
-               check: Callable[[Path], None] | None = None) -> None:  # fmt: skip
+def write_file(
+    path: str | os.PathLike[str],
+    write: Callable[[Path], None],
+    *,
+    overwrite: bool = False,
+    check: Callable[[Path], None] | None = None,
+) -> None:
     """Write one file atomically.
 
     Parameters

@@ -16,7 +16,9 @@ OLD = "~"
 
 
 class Unfinished(OSError):
-    """A publication that could be neither completed nor undone; the next export into the folder finishes it."""
+    """A publication that could be neither completed nor undone; the next export into the folder finishes
+    it.
+    """
 
 
 def exchange(
@@ -24,8 +26,10 @@ def exchange(
 ) -> None:
     """Move new files into place, old ones out, and one file last; undo everything if a move fails.
 
-    `names` are moved from `private` into `folder`; files `gone` leave it first and for good; `last` is a private file
-    and the name it is published by. OSError: nothing has changed. Unfinished: it could neither be done nor undone.
+    `names` are moved from `private` into `folder`; files `gone` leave it first and for good; `last` is a
+    private file
+    and the name it is published by. OSError: nothing has changed. Unfinished: it could neither be done nor
+    undone.
     """
 
     def kept(name: str) -> Path:

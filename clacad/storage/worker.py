@@ -54,8 +54,8 @@ def safe_children() -> Iterator[None]:
 
 _LONGEST_LINE = 64 << 20
 _BOOT = (
-    "import json,sys;sys.path[:]=json.loads(sys.argv[1]);"
-    "from clacad.storage.worker import serve;serve(int(sys.argv[2]),int(sys.argv[3]),*json.loads(sys.argv[4]))"
+    "import json,sys;sys.path[:]=json.loads(sys.argv[1]);from clacad.storage.worker import"
+    " serve;serve(int(sys.argv[2]),int(sys.argv[3]),*json.loads(sys.argv[4]))"
 )
 
 
@@ -121,9 +121,13 @@ class Worker:
         command = [sys.executable, "-P", "-c", _BOOT, json.dumps(module_path()), *place, setup]
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=self._errors, stderr=self._errors,
-                pass_fds=(write_end,), start_new_session=True,
-            )  # fmt: skip
+                command,
+                stdin=subprocess.PIPE,
+                stdout=self._errors,
+                stderr=self._errors,
+                pass_fds=(write_end,),
+                start_new_session=True,
+            )
         except OSError as error:
             os.close(read_end)
             self._errors.close()
@@ -134,8 +138,14 @@ class Worker:
         _LIVE.add(self._process.pid)
         self._answers, self._pending, self._stage = read_end, b"", "start"
 
-    def run(self, function: str, *arguments: Any, timeout: float | None = None, progress: Progress | None = None,
-            **options: Any) -> Any:  # fmt: skip
+    def run(
+        self,
+        function: str,
+        *arguments: Any,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+        **options: Any,
+    ) -> Any:
         """Call `function` ("module:name") in the child and return its JSON-able result.
 
         arguments, options : passed on (pickled: they come from this program, never from a file)
@@ -354,7 +364,9 @@ def _interrupt(*_: object) -> None:
 
 
 def _again(number: int) -> None:
-    """Interrupt the main thread from another thread, after it has left the code that dropped the exception."""
+    """Interrupt the main thread from another thread, after it has left the code that dropped the
+    exception.
+    """
     timer = threading.Timer(AGAIN, _signal_main_thread, (number,))
     timer.daemon = True
     timer.start()

@@ -121,7 +121,9 @@ def roots_between(window: Window, bodies: tuple[Body, Body], array: int, columna
 def _border_lines(
     window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int
 ) -> tuple[ColumnLine, ColumnLine, tuple[Side, ...]]:
-    """The columns of the left and the right cell over their border, and the faces that repeat on the tiling."""
+    """The columns of the left and the right cell over their border, and the faces that repeat on the
+    tiling.
+    """
     lattice = window.lattice_of(array)
     tile, m = lattice.tile(), len(lattice.steps)
     zone = window.land.seam == 0.0
@@ -183,8 +185,11 @@ def rounding(*lines: ColumnLine) -> float:
         for profile in (line.front, line.back):
             z = np.abs(profile.lens(np.linspace(0.0, 1.0, 9)))
             z = z[np.isfinite(z)]
-            scale = max(scale, abs(profile.face.vertex[2]) if np.isfinite(profile.face.vertex[2]) else 0.0,
-                        float(z.max()) if z.size else 0.0)  # fmt: skip
+            scale = max(
+                scale,
+                abs(profile.face.vertex[2]) if np.isfinite(profile.face.vertex[2]) else 0.0,
+                float(z.max()) if z.size else 0.0,
+            )
     return 8.0 * _EPS * scale
 
 
@@ -224,9 +229,12 @@ def _stretches(left: ColumnLine, right: ColumnLine, breaks: Floats) -> _Stretche
     shape = (2, *t.shape)
     middle = len(u) // 2
     return _Stretches(
-        edges, z_l.reshape(shape), z_r.reshape(shape),
-        lens_l.reshape(shape)[..., middle], lens_r.reshape(shape)[..., middle],
-    )  # fmt: skip
+        edges,
+        z_l.reshape(shape),
+        z_r.reshape(shape),
+        lens_l.reshape(shape)[..., middle],
+        lens_r.reshape(shape)[..., middle],
+    )
 
 
 def _step(on: _Stretches, face: int, merge: float) -> tuple[Stretch, ...]:

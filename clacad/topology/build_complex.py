@@ -105,8 +105,8 @@ def cell_complex(
     arrays = one_tiling(window, body)
     if len(arrays) == 2 and window.outline is None:
         raise ValueError(
-            f"body {body.name!r} has its faces on arrays displaced by {window.shifts[1]}, so their cells have no "
-            "common footprint; the window needs an outline (body.border or lattice.outline)"
+            f"body {body.name!r} has its faces on arrays displaced by {window.shifts[1]}, so their cells have"
+            " no common footprint; the window needs an outline (body.border or lattice.outline)"
         )
     columnar = len(arrays) == 1
     tilings = tuple(_make_tiling(window, body, array, columnar, merge, spacing) for array in arrays)

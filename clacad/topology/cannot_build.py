@@ -56,7 +56,7 @@ def refuse_buried_land(front: Face, back: Face) -> None:
         depth = lens.side * (lens.land - lens.vertex[2])
         raise CannotBuild(
             "CL134",
-            "the land of a plano lens lies behind its plane face, so that nothing joins the lenslets; "
-            f"pair.thickness of more than {depth:.6g} design units holds it (or a smaller lattice.seam_depth; or "
-            "leave out seam, border and outline)",
+            "the land of a plano lens lies behind its plane face, so that nothing joins the lenslets;"
+            f" pair.thickness of more than {depth:.6g} design units holds it (or a smaller"
+            " lattice.seam_depth; or leave out seam, border and outline)",
         )

@@ -98,7 +98,8 @@ class Border:
         Stretches of each face that repeats on this tiling, with the sign of the step, from 0 to 1 without
         gaps.
     joints : ((t0, t1), ...) or None
-        Stretches on which the two columns share material. None where the body's two faces repeat on different tilings
+        Stretches on which the two columns share material. None where the body's two faces repeat on
+        different tilings
         (always joined).
     breaks : (n,) parameters
         Every parameter at which anything on the border changes (crossings of fronts and of backs,
@@ -128,7 +129,8 @@ class Node:
     saddle_front, saddle_back : bool
         Four walls share one vertical edge: one diagonal pair of cells is higher than the other.
     joined : bool
-        All k columns share material at the node (false: a pinhole, columns that touch in a line, or no common height).
+        All k columns share material at the node (false: a pinhole, columns that touch in a line, or no
+        common height).
     """
 
     cells: NodeCells
@@ -232,7 +234,9 @@ def runs_round(solid: Sequence[bool]) -> list[int]:
 
 
 def linked(heights: Floats | Ints, gap: float) -> Ints:
-    """Single linkage: number the clusters of heights (..., n), ascending, whose neighbours differ by at most `gap`."""
+    """Single linkage: number the clusters of heights (..., n), ascending, whose neighbours differ by at most
+    `gap`.
+    """
     number = np.zeros(heights.shape, dtype=np.int64)
     number[..., 1:] = np.cumsum(np.diff(heights, axis=-1) > gap, axis=-1)
     return number

@@ -6,7 +6,8 @@ their sums are added exactly in one order: one thread and many give the same bit
 
 From half a million rays on, compiled sums take a fifth of the time of rows and their angles. In numpy sums
 take a tenth longer, because they contain what a fit needs. Only callers with many rays use them.
-The others do not: `verify` needs every number of each ray (accounting), draws spots from rows and prints the uncertainty of its
+The others do not: `verify` needs every number of each ray (accounting), draws spots from rows and prints the
+uncertainty of its
 fits; `accuracy` compares two results ray by ray, with 95 in 100; `tolerance` and `optimise` trace a few
 hundred or thousand rays a sample, too few for a kernel.
 """
@@ -71,7 +72,9 @@ class LightSums:
 
     @property
     def mean_direction(self) -> Floats:
-        """Mean exit direction (3,) of the ALIVE rays, NaN without any; its length is below 1 where they spread."""
+        """Mean exit direction (3,) of the ALIVE rays, NaN without any; its length is below 1 where they
+        spread.
+        """
         alive = self.counts[Fate.ALIVE.name]
         return np.asarray(self.sums[OUT : OUT + 3] / alive if alive else np.full(3, nan))
 
@@ -84,9 +87,14 @@ class LightSums:
             The rays do not determine the four numbers.
         """
         n, g = self.sums[NORMAL:GRADIENT], self.sums[GRADIENT:]
-        matrix = np.array([
-            [n[0], n[6], -n[1], -n[7]], [n[6], n[3], -n[8], -n[4]], [-n[1], -n[8], n[2], n[9]], [-n[7], -n[4], n[9], n[5]],
-        ])  # fmt: skip
+        matrix = np.array(
+            [
+                [n[0], n[6], -n[1], -n[7]],
+                [n[6], n[3], -n[8], -n[4]],
+                [-n[1], -n[8], n[2], n[9]],
+                [-n[7], -n[4], n[9], n[5]],
+            ]
+        )
         scale = np.sqrt(np.diag(matrix))
         if not self.known:
             raise ValueError("no light gets through that could show a law")

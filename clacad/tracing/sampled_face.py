@@ -106,10 +106,13 @@ def _nearest(values: Floats) -> Floats:
     filled = values.copy()
     while np.isnan(filled).any():
         padded = np.pad(filled, 1, constant_values=np.nan)
-        around = np.stack([
-            padded[1 + i : padded.shape[0] - 1 + i, 1 + j : padded.shape[1] - 1 + j]
-            for i in (-1, 0, 1) for j in (-1, 0, 1)
-        ])  # fmt: skip
+        around = np.stack(
+            [
+                padded[1 + i : padded.shape[0] - 1 + i, 1 + j : padded.shape[1] - 1 + j]
+                for i in (-1, 0, 1)
+                for j in (-1, 0, 1)
+            ]
+        )
         known = np.isfinite(around)
         count = known.sum(axis=0)
         mean = np.where(known, around, 0.0).sum(axis=0) / np.maximum(count, 1)
@@ -118,7 +121,9 @@ def _nearest(values: Floats) -> Floats:
 
 
 def _interpolation(count: int) -> Floats:
-    """Matrix (n + 2, n + 2) from coefficients to heights at n nodes; the outer rows: no third derivative at the ends."""
+    """Matrix (n + 2, n + 2) from coefficients to heights at n nodes; the outer rows: no third derivative at
+    the ends.
+    """
     matrix = np.zeros((count + 2, count + 2))
     for k in range(count):
         matrix[k + 1, k : k + 3] = (1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0)

@@ -102,8 +102,8 @@ class StackTracer:
             for before, after in zip(sheets, sheets[1:]):
                 if after.lens_planes[0] < before.lens_planes[1]:
                     raise BadStack(
-                        f"lens 1 of sheet {after.id} acts before lens 2 of sheet {before.id} does: rung {self.rung} "
-                        "cannot tell them apart; rung surfaces can, and so can a wider gap"
+                        f"lens 1 of sheet {after.id} acts before lens 2 of sheet {before.id} does: rung"
+                        f" {self.rung} cannot tell them apart; rung surfaces can, and so can a wider gap"
                     )
         meshes = [self.mesh] * len(sheets) if self.mesh is None or isinstance(self.mesh, int) else self.mesh
         made: dict[tuple[int, int], Tracer] = {}
@@ -117,9 +117,13 @@ class StackTracer:
         """Trace rays that start in front of the first sheet, in the frame and unit of the stack."""
         many = len(rays)
         found = StackTrace(
-            rays.position.copy(), rays.direction.copy(), np.full(many, Fate.ALIVE, dtype=np.uint8),
-            np.zeros(many, dtype=np.int32), np.zeros(many), (),
-        )  # fmt: skip
+            rays.position.copy(),
+            rays.direction.copy(),
+            np.full(many, Fate.ALIVE, dtype=np.uint8),
+            np.zeros(many, dtype=np.int32),
+            np.zeros(many),
+            (),
+        )
         rows, passed = np.arange(many), []
         for number, (one, tracer) in enumerate(zip(self.stack.sheets, self.tracers, strict=True)):
             waves = None if rays.wavelength is None else rays.wavelength[rows]
@@ -164,9 +168,13 @@ def leaving(one: StackedSheet, rung: Rung, position: Floats) -> Floats:
 
 
 def trace_stack(
-    stack: Stack, rays: Rays, rung: Rung = "surfaces", mesh: Sequence[AnyMesh | int | None] | int | None = None,
-    threads: int | None = None, path: Path | None = None,
-) -> StackTrace:  # fmt: skip
+    stack: Stack,
+    rays: Rays,
+    rung: Rung = "surfaces",
+    mesh: Sequence[AnyMesh | int | None] | int | None = None,
+    threads: int | None = None,
+    path: Path | None = None,
+) -> StackTrace:
     """Trace rays through all sheets of a stack, one after the other.
 
     Parameters

@@ -24,10 +24,18 @@ __all__ = ["Interface", "trace", "trace_sequence"]
 
 
 def trace(
-    window: Window, rays: Rays | OneRay, rung: Rung = "surfaces", effects: Sequence[str | TracedEffect] = (), record: bool = False,
-    mesh: AnyMesh | int | None = None, normals: Normals = "facet", threads: int | None = None, path: Path | None = None,
-    precision: Literal["float64", "float32"] = "float64", continuous: bool = False,
-) -> TraceResult:  # fmt: skip
+    window: Window,
+    rays: Rays | OneRay,
+    rung: Rung = "surfaces",
+    effects: Sequence[str | TracedEffect] = (),
+    record: bool = False,
+    mesh: AnyMesh | int | None = None,
+    normals: Normals = "facet",
+    threads: int | None = None,
+    path: Path | None = None,
+    precision: Literal["float64", "float32"] = "float64",
+    continuous: bool = False,
+) -> TraceResult:
     """Trace rays through a window.
 
     Prepared data (packed arrays, triangles of a file) is cached on the window. Use `clacad.Tracer` to control

@@ -122,9 +122,16 @@ class Tracer:
 
             mesh = self.facets if self.facets is not None else self.mesh
             result: TraceResult = trace_with(
-                self.window, rays, self.rung, self.effects, record, mesh=mesh, normals=self.normals,
-                threads=self.threads, path=self.path,
-            )  # fmt: skip
+                self.window,
+                rays,
+                self.rung,
+                self.effects,
+                record,
+                mesh=mesh,
+                normals=self.normals,
+                threads=self.threads,
+                path=self.path,
+            )
             return result
         ideal = {"law": 1, "thin": 2}.get(self.rung)
         faces = 2 * len(self.window.bodies) if ideal is None else IDEAL_FACES
@@ -200,9 +207,11 @@ class Tracer:
     def _refuse_words(self) -> None:
         """Reject unknown words, and a mesh or its normals where no facets are traced."""
         known: dict[str, tuple[object, ...]] = {
-            "rung": ("law", "thin", "surfaces", "mesh"), "path": ("numpy", "numba", "size", None),
-            "precision": ("float64", "float32"), "normals": ("facet", "vertex"),
-        }  # fmt: skip
+            "rung": ("law", "thin", "surfaces", "mesh"),
+            "path": ("numpy", "numba", "size", None),
+            "precision": ("float64", "float32"),
+            "normals": ("facet", "vertex"),
+        }
         for name, words in known.items():
             value = getattr(self, name)
             if value not in words:

@@ -45,7 +45,8 @@ LOADED: set[str] = set()
 """Kernels, see `kernels_of`, that have run in this process."""
 
 MEASURED: dict[str, float] = {}
-"""Seconds of a ray-surface in numpy as last measured in this process; keys are the kernels that were not loaded."""
+"""Seconds of a ray-surface in numpy as last measured in this process; keys are the kernels that were not
+loaded."""
 
 WAITED: dict[str, float] = {}
 """Seconds that numpy takes for the rays of this process; keys are the kernels that were not loaded."""
@@ -88,7 +89,9 @@ def _rate(rung: Rung) -> Rung:
 
 
 def has_kernel(rung: Rung, window: Window) -> bool:
-    """Whether a rung of a sheet has kernels: rung law needs one law, rung thin a uniform sheet without a field lens."""
+    """Whether a rung of a sheet has kernels: rung law needs one law, rung thin a uniform sheet without a
+    field lens.
+    """
     if rung == "law":
         return window.cell_laws is None
     if rung == "thin":

@@ -117,7 +117,8 @@ def measure_light(
     wavelengths : mapping of metres to weight, or sequence of metres
         Lines of the light; empty: the design's.
     temperatures : mapping of kelvin to weight, or sequence of kelvin
-        Temperatures above that of the design, at which the index is n + dn/dT times that; empty: the design's.
+        Temperatures above that of the design, at which the index is n + dn/dT times that; empty: the
+        design's.
     rays : int
         Rays of each line, over the cell by which the sheet is judged.
 
@@ -194,7 +195,8 @@ def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
 
 
 def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, TraceResult]:
-    """Trace `count` rays through every tried cell of a sheet; the result is without the effect of the requested
+    """Trace `count` rays through every tried cell of a sheet; the result is without the effect of the
+    requested
     focus.
     """
     starts, rays, points = [], [], []

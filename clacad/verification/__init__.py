@@ -23,9 +23,13 @@ if TYPE_CHECKING:
 __all__ = ["CODES", "CannotRegister", "Check", "Report", "design_checks", "passed", "verify"]
 
 _HOME = {
-    "Check": "checks", "passed": "checks", "CannotRegister": "files.unit_and_cells",
-    "design_checks": "design.design_rules", "Report": "verification_report", "verify": "run",
-}  # fmt: skip
+    "Check": "checks",
+    "passed": "checks",
+    "CannotRegister": "files.unit_and_cells",
+    "design_checks": "design.design_rules",
+    "Report": "verification_report",
+    "verify": "run",
+}
 
 
 def __getattr__(name: str) -> Any:

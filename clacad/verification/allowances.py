@@ -19,28 +19,38 @@ ALLOWANCE = CheckKind("allowance", "CL360", rule="check.allow of the design").ex
 
 
 def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Mark the warnings that the design accepts, with its reason; add notices of idle allowances and sources of limits.
+    """Mark the warnings that the design accepts, with its reason; add notices of idle allowances and sources
+    of limits.
 
-    An allowance is idle if no check has its code, or if the checks of that code ran and none of them warned. Checks
+    An allowance is idle if no check has its code, or if the checks of that code ran and none of them warned.
+    Checks
     that were marked before are unchanged.
     """
     found = [check for check in _sourced(checks, design) if check.kind is not ALLOWANCE]
     reasons = {allowed.code: allowed.reason for allowed in design.check.allow}
     marked = [
-        replace(c, sentence=f"{c.sentence}. Accepted in the design: {reasons[c.code]}", detail={**c.detail, "accepted": reasons[c.code]})
-        if c.state == "warn" and c.code in reasons and "accepted" not in c.detail
-        else c
+        (
+            replace(
+                c,
+                sentence=f"{c.sentence}. Accepted in the design: {reasons[c.code]}",
+                detail={**c.detail, "accepted": reasons[c.code]},
+            )
+            if c.state == "warn" and c.code in reasons and "accepted" not in c.detail
+            else c
+        )
         for c in found
-    ]  # fmt: skip
+    ]
     return (*marked, *(notice for code in reasons if (notice := _idle(code, found)) is not None))
 
 
 def _sourced(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
     """Checks whose limit sources record whether the design file gives the key of the limit."""
     return tuple(
-        replace(c, limit_source=c.limit_source.known_to(design, c.id))
-        if c.limit is not None or c.state == "not run"
-        else c
+        (
+            replace(c, limit_source=c.limit_source.known_to(design, c.id))
+            if c.limit is not None or c.state == "not run"
+            else c
+        )
         for c in checks
     )
 

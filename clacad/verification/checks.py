@@ -54,7 +54,8 @@ class CheckKind:
     rule : str
         Source of a limit that no key gives.
     levers : tuple of Lever
-        Keys that may mend it; those with the least cost to the part come first. Without levers it cannot be mended.
+        Keys that may mend it; those with the least cost to the part come first. Without levers it cannot be
+        mended.
     former : str
         Former name; kept in JSON as "alias", and known to `explain`.
     own_rays : bool
@@ -90,8 +91,13 @@ class CheckKind:
         return OWN_KEY if self.limit in ("", self.id) else from_key(self.limit)
 
     def check(
-        self, state: State, sentence: str, value: float | str | None = None, limit: float | str | None = None, **rest: Any
-    ) -> Check:  # fmt: skip
+        self,
+        state: State,
+        sentence: str,
+        value: float | str | None = None,
+        limit: float | str | None = None,
+        **rest: Any,
+    ) -> Check:
         """Check of this kind; `rest` are further fields of `Check`, by default as declared."""
         declared = {"unit": self.unit, "relation": self.relation, "where": self.where}
         fields = declared | {"limit_source": self.limit_source} | rest
@@ -113,7 +119,10 @@ class CheckKind:
             used = value / limit if relation == "<=" else limit / value if value else 1.0
             if limit > 0.0 and used > near:
                 state = "warn"
-                sentence += f"; that is {100.0 * used:.3g} % of the limit, and from {100.0 * near:.3g} % on it is a warning"
+                sentence += (
+                    f"; that is {100.0 * used:.3g} % of the limit, and from {100.0 * near:.3g} % on it is a"
+                    " warning"
+                )
         return self.check(state, sentence, value, limit, **rest)
 
     def not_run(self, why: str, **rest: Any) -> Check:
@@ -204,12 +213,22 @@ class Check:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready mapping; numbers that JSON lacks become null."""
         return {
-            "id": self.id, "code": self.code, "state": self.state, "value": plain(self.value),
-            "limit": plain(self.limit), "unit": self.unit, "relation": self.relation, "where": self.where,
-            "bundle": self.bundle, "required": self.required, "source": self.source, "subject": self.subject,
-            "sentence": self.sentence, "detail": plain(dict(self.detail)),
+            "id": self.id,
+            "code": self.code,
+            "state": self.state,
+            "value": plain(self.value),
+            "limit": plain(self.limit),
+            "unit": self.unit,
+            "relation": self.relation,
+            "where": self.where,
+            "bundle": self.bundle,
+            "required": self.required,
+            "source": self.source,
+            "subject": self.subject,
+            "sentence": self.sentence,
+            "detail": plain(dict(self.detail)),
             **({"alias": self.kind.former} if self.kind.former else {}),
-        }  # fmt: skip
+        }
 
 
 RAYS_NEEDED = "rays_needed"

@@ -36,7 +36,9 @@ def rays_for(target: float, spread: float) -> int:
 
 
 def judged_by(report: Report, target: float) -> Report:
-    """Add checks to a report: whether light through each file is within a target of the exact surfaces (radians)."""
+    """Add checks to a report: whether light through each file is within a target of the exact surfaces
+    (radians).
+    """
     return replace(report, checks=(*report.checks, *target_checks(report.checks, target)))
 
 
@@ -55,7 +57,8 @@ def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
             f"{1e3 * target:.4g} mrad asked"
         )
         found.append(
-            FILE_TARGET.judge(check.value, target, text, bundle=check.bundle,
-                  where=check.where, subject=check.subject)
-        )  # fmt: skip
+            FILE_TARGET.judge(
+                check.value, target, text, bundle=check.bundle, where=check.where, subject=check.subject
+            )
+        )
     return found

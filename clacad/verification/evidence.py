@@ -44,7 +44,8 @@ class Evidence:
     plan : Plan or None
         None where the effects cannot be planned (a wavelength outside a material's data).
     waves : WaveReport or None
-        Light along the middle of the field as a wave, where the effect `diffraction` or coherent light requires it and
+        Light along the middle of the field as a wave, where the effect `diffraction` or coherent light
+        requires it and
         a grid that can be computed suffices.
     """
 
@@ -72,7 +73,9 @@ class Evidence:
 def gather_evidence(
     design: Design, window: Window, files: Sequence[FileReport], progress: Progress
 ) -> Evidence:
-    """Measure what the page of a report shows next to its checks; for a non-uniform sheet, of its worst cell's equivalent."""
+    """Measure what the page of a report shows next to its checks; for a non-uniform sheet, of its worst
+    cell's equivalent.
+    """
     from clacad.effects import plan_effects
 
     if not window.uniform:

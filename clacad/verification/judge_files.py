@@ -1,4 +1,6 @@
-"""Judgement of files against a design: each file by its kind, its bytes, its shape and the light through it."""
+"""Judgement of files against a design: each file by its kind, its bytes, its shape and the light through
+it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Forecast of kernel compilation before a task: without cached kernels it takes longer than the task itself."""
+"""Forecast of kernel compilation before a task: without cached kernels it takes longer than the task
+itself.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ TASK = "compiling what traces"
 
 
 def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
-    """Processor seconds to compile those of some kernels that are not cached on this machine; 0 where all are.
+    """Processor seconds to compile those of some kernels that are not cached on this machine; 0 where all
+    are.
 
     window : the kind of its layout determines the code; 0 for a non-uniform sheet
     """

@@ -1,4 +1,6 @@
-"""Sources of limits as data, with their text: the design file, a default, a process profile, or another limit."""
+"""Sources of limits as data, with their text: the design file, a default, a process profile, or another
+limit.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ class LimitSource:
     given: bool = False
 
     def known_to(self, design: Design, check_id: str) -> LimitSource:
-        """Copy that records whether the design file gives the key of the limit, or the key it derives from."""
+        """Copy that records whether the design file gives the key of the limit, or the key it derives
+        from.
+        """
         if self.origin not in (Origin.OWN_KEY, Origin.OTHER_KEY):
             return self
         key = check_id if self.origin is Origin.OWN_KEY else self.what

@@ -44,7 +44,8 @@ def verify(
     design : Design
         Gives the requested law and the limits.
     files : path or None
-        A folder with a manifest, or one file: a mesh, a solid, or a map, points, a table, a mask or layers with an
+        A folder with a manifest, or one file: a mesh, a solid, or a map, points, a table, a mask or layers
+        with an
         export's file name; None judges the design alone.
     cells : (a, b) or None
         Cells the files hold, where no manifest gives them.
@@ -53,7 +54,8 @@ def verify(
     progress : callable or None
         Called with a stage's name and the fraction done, 0 … 1.
     role : "master", "preview", "scan", a mapping or None
-        Purpose of the files: one word for all, or a mapping from formats ("stl") or file names to words. None: as in
+        Purpose of the files: one word for all, or a mapping from formats ("stl") or file names to words.
+        None: as in
         the manifest; a file without one is judged as a master.
 
     Raises
@@ -61,7 +63,8 @@ def verify(
     DesignError
         The design cannot be built.
     FileNotFoundError, CannotRegister, UnknownRole
-        `files` contains no file to judge; unit or cells cannot be determined; a role is unknown, or of no file.
+        `files` contains no file to judge; unit or cells cannot be determined; a role is unknown, or of no
+        file.
     """
     delivery = None if files is None else list_files(Path(files), declared_roles(role))
     *_, found = verified(design, delivery, cells, rays, progress or silent)
@@ -71,7 +74,8 @@ def verify(
 def verified(
     design: Design, delivery: Delivery | None, cells: tuple[int, int] | None, rays: int, progress: Progress
 ) -> Iterator[Report]:
-    """Yield the report of the design alone as soon as it is ready; then, if there are files, that with the files.
+    """Yield the report of the design alone as soon as it is ready; then, if there are files, that with the
+    files.
 
     Parameters
     ----------
@@ -122,7 +126,8 @@ def _with_files(
 
 
 def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) -> tuple[list[Check], Optics]:
-    """Judge a window by the requirements of its design: light through the exact surfaces, and the design rules.
+    """Judge a window by the requirements of its design: light through the exact surfaces, and the design
+    rules.
 
     The window need not be built from that design; its law is measured, not assumed.
     """

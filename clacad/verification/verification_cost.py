@@ -1,4 +1,6 @@
-"""Cost of a verification in processor seconds, by a model of one reference machine; see `clacad.base.machine_rates`."""
+"""Cost of a verification in processor seconds, by a model of one reference machine; see
+`clacad.base.machine_rates`.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,15 @@ from collections.abc import Sequence
 from clacad.verification.files.find_files import Subject
 
 DESIGN, CONVERGENCE, MESH, SOLID, REPORT = 0.5, 2.0, 0.8, 3.0, 4.0
-"""Seconds, each without the part that depends on size: a design, the convergence study, a mesh, a solid, a report."""
+"""Seconds, each without the part that depends on size: a design, the convergence study, a mesh, a solid, a
+report."""
 
 PER_RAY, PER_FACET, PER_LIT, PER_BYTE = 4.8e-6, 1.1e-6, 8e-6, 1e-6
 """Seconds per ray of the main bundle, facet in a file, facet of the lit cells, and byte of a solid's text."""
 
 FOUND, PER_FOUND = 0.2, 1.5e-6
-"""Seconds to register a part without a manifest, and per facet of it; measured with 2,500 and 334,000 facets."""
+"""Seconds to register a part without a manifest, and per facet of it; measured with 2,500 and 334,000
+facets."""
 
 MOST_LIT = 500_000
 """Facets of one cell up to which the time to light it increases."""
@@ -26,7 +30,8 @@ def seconds(rays: int, files: Sequence[Subject], report: bool = False) -> float:
     ----------
     rays : int
     files : sequence of Subject
-        Meshes cost their triangles, and one convergence study together; those without a manifest entry also cost
+        Meshes cost their triangles, and one convergence study together; those without a manifest entry also
+        cost
         registration; solids cost their text.
     report : bool
         Whether a report is written.

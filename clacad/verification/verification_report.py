@@ -110,7 +110,8 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """Whether the exit status is 0: nothing failed, everything required ran, every file has its declared purpose.
+        """Whether the exit status is 0: nothing failed, everything required ran, every file has its declared
+        purpose.
 
         A delivery of declared previews alone also passes, and its word is still *shape only*.
         """
@@ -185,8 +186,11 @@ class Report:
             "counts": self.counts(),
             "design": {"name": self.design.name, "sha256": self.design.sha256, "toml": self.design.toml},
             "window": {
-                "form": self.window.form, "unit_m": self.window.unit, "count": list(self.window.lattice.count),
-                "recipe": plain(dict(self.window.recipe)), "residual": plain(dict(self.window.residual)),
+                "form": self.window.form,
+                "unit_m": self.window.unit,
+                "count": list(self.window.lattice.count),
+                "recipe": plain(dict(self.window.recipe)),
+                "residual": plain(dict(self.window.residual)),
             },
             "derived": [list(row) for row in describe(self.window, self.facts)],
             "checks": [check.to_dict() for check in self.checks],
@@ -198,7 +202,7 @@ class Report:
             "notes": list(self.design.notes),
             "versions": dict(self.versions),
             **({} if self.evidence is None else self.evidence.to_dict()),
-        }  # fmt: skip
+        }
 
     def to_json(self) -> str:
         """Same numbers as the page, keys sorted: the same bytes for the same design, files and versions."""
@@ -208,14 +212,17 @@ class Report:
 
 
 def of_worst_cell(report: Report) -> tuple[Report, str]:
-    """Report of a non-uniform sheet as that of its worst cell's uniform equivalent, with a note; else the note is ""."""
+    """Report of a non-uniform sheet as that of its worst cell's uniform equivalent, with a note; else the
+    note is "".
+    """
     if report.window.uniform:
         return report, ""
     seen = worst_cell(report.window, report.design.check.field)
     i, j = seen.cell.tolist()
     words = (
-        f"Every cell of this sheet differs. Numbers and drawings are those of the uniform equivalent of cell ({i}, {j}), by which "
-        "the sheet is judged; the count of cells, outer sizes, volumes, plan, side view and the viewer's share are of the whole sheet"
+        "Every cell of this sheet differs. Numbers and drawings are those of the uniform equivalent of cell"
+        f" ({i}, {j}), by which the sheet is judged; the count of cells, outer sizes, volumes, plan, side"
+        " view and the viewer's share are of the whole sheet"
     )
     facts = feasibility(seen.buildable, *report.design.viewing_places).with_steps_of(report.facts)
     return replace(report, window=seen.buildable, facts=facts), words
@@ -237,35 +244,55 @@ def _verdict_of(one: FileReport, checks: Sequence[Check]) -> FileVerdict:
 
 def _verdict_row(one: FileVerdict) -> dict[str, Any]:
     row = {
-        "name": one.name, "role": one.role.value, "declared": one.declared, "word": one.word, "law_rms": one.rms,
-        "limit": one.limit, "sentence": one.sentence,
-    }  # fmt: skip
+        "name": one.name,
+        "role": one.role.value,
+        "declared": one.declared,
+        "word": one.word,
+        "law_rms": one.rms,
+        "limit": one.limit,
+        "sentence": one.sentence,
+    }
     return dict(plain(row))
 
 
 def _field_row(point: Light, closed_form: float) -> dict[str, Any]:
     row = {
-        "direction": point.lit.middle, "expected": point.expected[0], "bias": point.bias, "spread": point.spread,
-        "rms": point.rms, "worst": point.worst, "share": point.share, "closed_form": closed_form,
+        "direction": point.lit.middle,
+        "expected": point.expected[0],
+        "bias": point.bias,
+        "spread": point.spread,
+        "rms": point.rms,
+        "worst": point.worst,
+        "share": point.share,
+        "closed_form": closed_form,
         "counts": point.counts,
-    }  # fmt: skip
+    }
     return dict(plain(row))
 
 
 def _curve_row(curve: Meridian) -> dict[str, Any]:
     row = {
-        "slope": curve.slope, "law": curve.law, "mean": curve.mean, "spread": curve.spread, "alive": curve.alive,
-        "closed_form": curve.closed_form, "ghost": curve.ghost,
-    }  # fmt: skip
+        "slope": curve.slope,
+        "law": curve.law,
+        "mean": curve.mean,
+        "spread": curve.spread,
+        "alive": curve.alive,
+        "closed_form": curve.closed_form,
+        "ghost": curve.ghost,
+    }
     return dict(plain(row))
 
 
 def _file_row(found: FileReport) -> dict[str, Any]:
     subject = found.subject
     row: dict[str, Any] = {
-        "name": subject.name, "format": subject.format, "bytes": subject.bytes, "sha256": subject.sha256,
-        "note": found.note, "stated": dict(subject.entry),
-    }  # fmt: skip
+        "name": subject.name,
+        "format": subject.format,
+        "bytes": subject.bytes,
+        "sha256": subject.sha256,
+        "note": found.note,
+        "stated": dict(subject.entry),
+    }
     if found.mesh is not None:
         row["triangles"] = found.mesh.measure.facets
     if found.solid:
@@ -274,7 +301,8 @@ def _file_row(found: FileReport) -> dict[str, Any]:
 
 
 def asked_and_built(report: Report, sheet: Window) -> list[tuple[str, str, str]]:
-    """Return what was requested and what was built and measured, as rows for a person: name, requested, built or measured.
+    """Return what was requested and what was built and measured, as rows for a person: name, requested,
+    built or measured.
 
     sheet : the whole sheet, of which `report.window` may be the uniform equivalent of one cell.
     """
@@ -287,16 +315,32 @@ def asked_and_built(report: Report, sheet: Window) -> list[tuple[str, str, str]]
     )
     own = "" if not window.many_sizes else ", cells of the table taken by their own"
     return [
-        ("η x, y", _pair((law.eta_x, law.eta_y)) + own, dark if fit is None else _pair((fit.eta_x, fit.eta_y))),
-        ("δ x, y", _pair((law.delta_x, law.delta_y)), dark if fit is None else _pair((fit.delta_x, fit.delta_y))),
-        ("φ, θ, ψ (deg)", ", ".join(f"{a:g}" for a in design.law_spec.euler_degrees)
-         + f" ({design.law_spec.euler_axes} axes)", "held in the fit; see the check tilt"),
-        ("form, recipe", f"{design.pair.form}, {'given' if design.pair.given else design.pair.confocal}", window.form),
+        (
+            "η x, y",
+            _pair((law.eta_x, law.eta_y)) + own,
+            dark if fit is None else _pair((fit.eta_x, fit.eta_y)),
+        ),
+        (
+            "δ x, y",
+            _pair((law.delta_x, law.delta_y)),
+            dark if fit is None else _pair((fit.delta_x, fit.delta_y)),
+        ),
+        (
+            "φ, θ, ψ (deg)",
+            ", ".join(f"{a:g}" for a in design.law_spec.euler_degrees)
+            + f" ({design.law_spec.euler_axes} axes)",
+            "held in the fit; see the check tilt",
+        ),
+        (
+            "form, recipe",
+            f"{design.pair.form}, {'given' if design.pair.given else design.pair.confocal}",
+            window.form,
+        ),
         ("cells", " × ".join(str(n) for n in design.lattice.count), str(sheet.lattice.cell_count)),
         ("refractive index", index, ", ".join(f"{body.index:.6g}" for body in window.bodies)),
         ("wavelength (nm)", f"{1e9 * design.pair.wavelength:g}", f"{1e9 * report.facts.wavelength:g}"),
         ("cone of test rays (deg)", f"{degrees(design.check.field):g}", str(report.optics.main.lit)),
-    ]  # fmt: skip
+    ]
 
 
 def _pair(values: tuple[float, float]) -> str:

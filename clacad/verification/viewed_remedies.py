@@ -33,7 +33,8 @@ JUDGED_RAYS: Final = (8192, 1024)
 """Rays of the main bundle and of each field point when a changed design is judged."""
 
 MOST_TRACED: Final = 5000
-"""Largest number of aimed cells whose lenses 2 are positioned by traced light, at 1 ms a cell; more are positioned by formula."""
+"""Largest number of aimed cells whose lenses 2 are positioned by traced light, at 1 ms a cell; more are
+positioned by formula."""
 
 FARTHEST: Final = 1024.0
 """Largest factor on the viewer's distance that is tried."""
@@ -58,10 +59,13 @@ def name_remedies(checks: Iterable[Check], design: Design, window: Window) -> li
     """
     checks = list(checks)
     return [
-        replace(c, sentence=f"{c.sentence}; {_remedy_text(checks, design, window, c.detail['viewer'])}")
-        if c.kind is VIEWED and c.state in ("fail", "warn") else c
+        (
+            replace(c, sentence=f"{c.sentence}; {_remedy_text(checks, design, window, c.detail['viewer'])}")
+            if c.kind is VIEWED and c.state in ("fail", "warn")
+            else c
+        )
         for c in checks
-    ]  # fmt: skip
+    ]
 
 
 def _remedy_text(checks: list[Check], design: Design, window: Window, viewer: Point) -> str:
@@ -84,7 +88,9 @@ def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) ->
 
 
 def _share(design: Design, changes: dict[str, Any], viewer: Point) -> float:
-    """Share of the viewer's light with some keys changed; aimed cells use paraxial lenses. 0: it cannot be built."""
+    """Share of the viewer's light with some keys changed; aimed cells use paraxial lenses. 0: it cannot be
+    built.
+    """
     try:
         asked = design.replace(changes)
         if isinstance(asked.lattice.aperture, AimedAt):

@@ -190,9 +190,14 @@ def _axes_across(window: Window, direction: Floats) -> Floats:
 
 
 def _traced(
-    window: Window, cell: tuple[int, int], points: Floats, direction: Floats, asked: Floats, across: Floats,
+    window: Window,
+    cell: tuple[int, int],
+    points: Floats,
+    direction: Floats,
+    asked: Floats,
+    across: Floats,
     wavelength: float,
-) -> tuple[Floats, Floats, Floats, Bools]:  # fmt: skip
+) -> tuple[Floats, Floats, Floats, Bools]:
     """Exit points (n, 2), optical paths (n,), direction cosines off the law (n, 2), obedient rays (n,)."""
     ways = np.broadcast_to(direction, (len(points), 3)).copy()
     lit = launched(window, points, ways, cell, direction).rays
@@ -243,8 +248,9 @@ def rays_needed(window: Window, direction: Floats, wavelength: float, cell: Ints
     least = 1 << max(0, ceil(log2(max(1.0, TRIAL * step / STEP))))
     if least > MOST:
         raise LimitRefused(
-            f"the pupil needs {least} x {least} rays (phase steps of a quarter turn), and {MOST} x {MOST} are computed: "
-            "aberration spreads this light over more than a thousand times what diffraction does, so rays tell the far field"
+            f"the pupil needs {least} x {least} rays (phase steps of a quarter turn), and {MOST} x {MOST} are"
+            " computed: aberration spreads this light over more than a thousand times what diffraction does,"
+            " so rays tell the far field"
         )
     return max(FEWEST, least)
 
@@ -272,7 +278,9 @@ def far_field(found: Pupil, wavelength: float) -> FarField:
 
 
 def _spread(found: Pupil) -> Floats:
-    """Area (n,) on the exit plane over that on lens 1, for each ray; the mean where a ray has no neighbour."""
+    """Area (n,) on the exit plane over that on lens 1, for each ray; the mean where a ray has no
+    neighbour.
+    """
     shape = (found.side, found.side, 2)
     place = np.where(found.alive[:, None], found.place, np.nan).reshape(shape)
     slopes = []

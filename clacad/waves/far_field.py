@@ -63,7 +63,9 @@ class Marginal:
 
     @property
     def half_energy(self) -> float:
-        """Width from the first quartile of the light to the third: .544 λ/w behind a slit of width w; radians."""
+        """Width from the first quartile of the light to the third: .544 λ/w behind a slit of width w;
+        radians.
+        """
         step = self.off[1] - self.off[0]
         risen = np.cumsum(self.density) * step
         low, high = np.interp((0.25 * risen[-1], 0.75 * risen[-1]), risen, self.off + 0.5 * step)
@@ -95,12 +97,14 @@ class FarField:
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON: numbers along lens x and y, radians."""
         return {
-            "way": self.way, "strehl": self.strehl, "points": list(self.points),
+            "way": self.way,
+            "strehl": self.strehl,
+            "points": list(self.points),
             "middle_off_law": [one.middle for one in self.marginals],
             "fwhm": [one.width for one in self.marginals],
             "fwhm_through_peak": [one.width for one in self.sections],
             "half_energy": [one.half_energy for one in self.marginals],
-        }  # fmt: skip
+        }
 
 
 def marginal(field: Complex, axis: int, spacing: float, wavelength: float, width: float) -> Marginal:

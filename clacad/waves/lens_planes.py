@@ -76,9 +76,15 @@ class Emerging:
 
 
 def telescope(
-    focal: tuple[Sequence[float], Sequence[float]], centre: Sequence[float], vertex: Sequence[float],
-    separation: float, zone: Floats, rim: Floats | None = None, *, field_lens: bool = False,
-) -> list[LensPlane]:  # fmt: skip
+    focal: tuple[Sequence[float], Sequence[float]],
+    centre: Sequence[float],
+    vertex: Sequence[float],
+    separation: float,
+    zone: Floats,
+    rim: Floats | None = None,
+    *,
+    field_lens: bool = False,
+) -> list[LensPlane]:
     """The planes of a confocal pair, along one axis or two.
 
     Parameters
@@ -98,7 +104,8 @@ def telescope(
     Raises
     ------
     ValueError
-        A field lens where the focus is virtual, where an axis has no power, or between foci at different depths.
+        A field lens where the focus is virtual, where an axis has no power, or between foci at different
+        depths.
     """
     dims = len(centre)
     power = [tuple(0.0 if not isfinite(f) else 1.0 / f for f in one) for one in focal]
@@ -111,7 +118,8 @@ def telescope(
     depth = focal[0][0]
     if not all(isfinite(f) and f > 0.0 for one in focal for f in one):
         raise ValueError(
-            "a field lens needs a real focus between the lenses: f1 and f2 above 0, so eta below 0 in each axis"
+            "a field lens needs a real focus between the lenses: f1 and f2 above 0, so eta below 0 in each"
+            " axis"
         )
     if any(abs(f - depth) > 1e-9 * depth for f in focal[0]):
         raise ValueError(
@@ -180,9 +188,9 @@ def grid_for(planes: Sequence[LensPlane], slope: Sequence[float], wavelength: fl
         power = "" if dims == 1 else f" x {points}"
         allowed = f"{most}" if dims == 1 else f"{most} x {most}"
         raise LimitRefused(
-            f"waves through this pair need a grid of {points}{power} points (phase steps of a quarter turn), and {allowed} are "
-            "computed: a smaller pitch, a longer wavelength or a larger separation needs fewer; at such Fresnel numbers rays "
-            "tell the same"
+            f"waves through this pair need a grid of {points}{power} points (phase steps of a quarter turn),"
+            f" and {allowed} are computed: a smaller pitch, a longer wavelength or a larger separation needs"
+            " fewer; at such Fresnel numbers rays tell the same"
         )
     return Grid(points, spacing)
 

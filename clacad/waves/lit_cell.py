@@ -146,7 +146,10 @@ class LitSheet:
         if self.field_lens and not self.built:
             return "the sheet as built has no field lens to trace"
         if min(self.fresnel) < HOLDS:
-            return f"Fresnel number {min(self.fresnel):.3g}: below {HOLDS:g} lens 1's rim blurs what lens 2 lets through"
+            return (
+                f"Fresnel number {min(self.fresnel):.3g}: below {HOLDS:g} lens 1's rim blurs what lens 2 lets"
+                " through"
+            )
         return "a focus is virtual: lens 1's rim is not imaged near lens 2"
 
     @property
@@ -203,8 +206,8 @@ def situation(
     sheet = prescribe(design)
     if asked_power(sheet).any():
         raise BadRequest(
-            "pair.focus: light of such pairs meets at the image, not far away; clacad image says how sharply, and waves are computed "
-            "of afocal pairs"
+            "pair.focus: light of such pairs meets at the image, not far away; clacad image says how sharply,"
+            " and waves are computed of afocal pairs"
         )
     seen = worst_cell(sheet, design.check.field)
     window = seen.like
@@ -217,8 +220,8 @@ def situation(
     if len(found.lit) == 0:
         x, y = (f"{1e3 * half:.3g}" for half in half_field(found.cells))
         raise BadRequest(
-            f"no light of slope {found.slope[0]:.4g}, {found.slope[1]:.4g} obeys the law: the field ends {x} and {y} mrad off its "
-            "middle along lens x and y"
+            f"no light of slope {found.slope[0]:.4g}, {found.slope[1]:.4g} obeys the law: the field ends {x}"
+            f" and {y} mrad off its middle along lens x and y"
         )
     return found
 

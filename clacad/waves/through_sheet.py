@@ -95,8 +95,9 @@ def _columns(lit: LitSheet) -> float:
     crossed = exit_pupil.columns_crossed(lit.seen.window, lit.direction)
     if crossed > MOST_COLUMNS:
         raise LimitRefused(
-            f"light of this direction passes over {crossed:.3g} cells inside the sheet, and it is followed over "
-            f"{MOST_COLUMNS} at most: a larger lattice.pitch, a smaller pair.separation, or light nearer the sheet's normal"
+            f"light of this direction passes over {crossed:.3g} cells inside the sheet, and it is followed"
+            f" over {MOST_COLUMNS} at most: a larger lattice.pitch, a smaller pair.separation, or light"
+            " nearer the sheet's normal"
         )
     return crossed
 
@@ -123,10 +124,22 @@ def _look(lit: LitSheet, name: str) -> WaveReport:
         exact = exit_pupil.far_field(found, lit.wave)
     slit = lit.wave / equivalent_widths(lit.lit)
     return WaveReport(
-        name, lit.wavelength, lit.slope, lit.fresnel, _pair(slit), order_steps(lit.window.lattice, lit.wave), lit.field_lens, exact, thin,
-        exit_pupil.rays_of(found, sheet, lit.direction, lit.wavelength, lit.own_cell), float(thin_share), lit.share, refused,
-        None if lit.own_cell is None else (int(lit.seen.cell[0]), int(lit.seen.cell[1])), lit.seen.tried,
-    )  # fmt: skip
+        name,
+        lit.wavelength,
+        lit.slope,
+        lit.fresnel,
+        _pair(slit),
+        order_steps(lit.window.lattice, lit.wave),
+        lit.field_lens,
+        exact,
+        thin,
+        exit_pupil.rays_of(found, sheet, lit.direction, lit.wavelength, lit.own_cell),
+        float(thin_share),
+        lit.share,
+        refused,
+        None if lit.own_cell is None else (int(lit.seen.cell[0]), int(lit.seen.cell[1])),
+        lit.seen.tried,
+    )
 
 
 def outlook(lit: LitSheet) -> dict[str, float]:
@@ -156,11 +169,16 @@ def outlook(lit: LitSheet) -> dict[str, float]:
     columns = _columns(lit)
     held = 0.0 if not points else float(sum(points) if lit.along_axes else points[0] * points[1])
     return {
-        "rays": float(side), "points": float(max(points, default=0)),
-        "seconds": SECONDS + (SECONDS_TO_CHOOSE if lit.seen.tried else 0.0) + SECONDS_A_POINT * held
-        + (exit_pupil.SECONDS + SECONDS_A_COLUMN * columns) * side**2,
+        "rays": float(side),
+        "points": float(max(points, default=0)),
+        "seconds": (
+            SECONDS
+            + (SECONDS_TO_CHOOSE if lit.seen.tried else 0.0)
+            + SECONDS_A_POINT * held
+            + (exit_pupil.SECONDS + SECONDS_A_COLUMN * columns) * side**2
+        ),
         "bytes": 200.0 * side**2 + 80.0 * held,
-    }  # fmt: skip
+    }
 
 
 def _thin(lit: LitSheet) -> tuple[FarField, float]:

@@ -101,13 +101,23 @@ class WaveReport:
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON: radians and metres."""
         return {
-            "design": self.design, "wavelength": self.wavelength, "slope": list(self.slope), "fresnel_number": list(self.fresnel),
-            "slit": list(self.slit), "order": list(self.order), "field_lens": self.field_lens, "share": self.share,
-            "way": self.far_field.way, "exact": None if self.exact is None else self.exact.to_dict(),
+            "design": self.design,
+            "wavelength": self.wavelength,
+            "slope": list(self.slope),
+            "fresnel_number": list(self.fresnel),
+            "slit": list(self.slit),
+            "order": list(self.order),
+            "field_lens": self.field_lens,
+            "share": self.share,
+            "way": self.far_field.way,
+            "exact": None if self.exact is None else self.exact.to_dict(),
             "thin": None if self.thin is None else self.thin.to_dict() | {"share": self.thin_share},
-            "rays": self.rays.to_dict(), "thin_share_of_rays": self.thin_share_of_rays, "refused": dict(self.refused),
-            "cell": None if self.cell is None else list(self.cell), "tried": self.tried,
-        }  # fmt: skip
+            "rays": self.rays.to_dict(),
+            "thin_share_of_rays": self.thin_share_of_rays,
+            "refused": dict(self.refused),
+            "cell": None if self.cell is None else list(self.cell),
+            "tried": self.tried,
+        }
 
 
 def draw(figure: Figure, found: WaveReport) -> None:
@@ -116,9 +126,12 @@ def draw(figure: Figure, found: WaveReport) -> None:
         axis(axes, found, k)
     one = "one telescopelet" if found.cell is None else f"cell ({found.cell[0]}, {found.cell[1]})"
     figure.suptitle(
-        no_formula(f"{found.design}: {one}'s far field at {1e9 * found.wavelength:.4g} nm, Fresnel number {min(found.fresnel):.3g}"),
+        no_formula(
+            f"{found.design}: {one}'s far field at {1e9 * found.wavelength:.4g} nm, Fresnel number"
+            f" {min(found.fresnel):.3g}"
+        ),
         fontsize=10,
-    )  # fmt: skip
+    )
 
 
 def axis(axes: Axes, found: WaveReport, k: int) -> None:
@@ -167,7 +180,9 @@ def mrad(values: Sequence[float]) -> str:
 
 
 def rows(found: WaveReport) -> list[tuple[str, ...]]:
-    """Waves through the exact surfaces and through ideal lenses, as far as computed, then rays; see `HEAD`."""
+    """Waves through the exact surfaces and through ideal lenses, as far as computed, then rays; see
+    `HEAD`.
+    """
     told: list[tuple[str, ...]] = []
     for far, name, share in (
         (found.exact, "waves, exact surfaces", found.share),
@@ -176,9 +191,16 @@ def rows(found: WaveReport) -> list[tuple[str, ...]]:
         if far is not None:
             one, through = far.marginals, far.sections
             told.append(
-                (name, digits(share, count=4), digits(far.strehl, count=4), mrad([m.middle for m in one]),
-                 mrad([m.width for m in one]), mrad([m.width for m in through]), mrad([m.half_energy for m in one]))
-            )  # fmt: skip
+                (
+                    name,
+                    digits(share, count=4),
+                    digits(far.strehl, count=4),
+                    mrad([m.middle for m in one]),
+                    mrad([m.width for m in one]),
+                    mrad([m.width for m in through]),
+                    mrad([m.half_energy for m in one]),
+                )
+            )
     rays = found.rays
     told.append(
         (
@@ -212,9 +234,18 @@ def sentences(found: WaveReport) -> list[str]:
     """Sentences that accompany the rows: the slit, the rays' error, orders, and what was not computed."""
     cells = "equal" if found.cell is None else "neighbouring"
     return [
-        "widths are of the light summed over the other axis; that through the peak is of a section through the brightest direction",
+        (
+            "widths are of the light summed over the other axis; that through the peak is of a section"
+            " through the brightest direction"
+        ),
         "Strehl ratio: peak over that of the light that meets the partner, were its wave front flat",
-        f"λ/w of what is lit of lens 2: {mrad(found.slit)} mrad; rays alone miss the law by {mrad([found.rays.rms])} mrad rms",
-        f"in coherent light {cells} cells send orders λ/p = {mrad(found.order)} mrad apart: the law is met to ± half of that",
+        (
+            f"λ/w of what is lit of lens 2: {mrad(found.slit)} mrad; rays alone miss the law by"
+            f" {mrad([found.rays.rms])} mrad rms"
+        ),
+        (
+            f"in coherent light {cells} cells send orders λ/p = {mrad(found.order)} mrad apart: the law is"
+            " met to ± half of that"
+        ),
         *(f"not computed, {way}: {why}" for way, why in found.refused.items()),
     ]

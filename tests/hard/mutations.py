@@ -96,7 +96,7 @@ MUTATIONS = [
     Mutation("like a cell: the law of the middle", LIKE, "law=window.law_at(index)", "law=window.law", ALIKE),
     Mutation("like a cell: thin lens 2 where the middle has it", LIKE, "+= apart - np.asarray(window.thin.shift)", "+= 0.0 * apart", ALIKE),
     Mutation("like a cell: thin lens 2 not moved in its cell", LIKE, "+= [float(v) for v in thin_lenses[1].apex]", "+= 0.0 * apart[0]", ALIKE),
-    Mutation("like a cell: cells 2 of thin lenses in the middle's place", LIKE, "shift=_pair(apart), pitch=None", "pitch=None", ALIKE),
+    Mutation("like a cell: cells 2 of thin lenses in the middle's place", LIKE, "shift=_pair(apart),\n            pitch=None", "pitch=None", ALIKE),
     Mutation("like a cell: lenses where the middle has them", LIKE, "back=window.in_cell(body.back, index)", "back=replace(body.back, change=None)", ALIKE),
     Mutation("like a cell: partners in the middle's place", LIKE, "_pair(window.centres(k, index) - first)", "window.shifts[k]", ALIKE),
     Mutation("like a cell: never wider", LIKE, "max(scales) if widest", "1.0 if widest", ALIKE),

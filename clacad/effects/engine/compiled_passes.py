@@ -146,7 +146,8 @@ def across(wx: float, wy: float, x: float, y: float, z: float) -> Vector:
 def carried(field: Vector, before: Vector, after: Vector, n1: float, n2: float) -> Vector:
     """Carry the field E over a face that deflects the ray D into D'.
 
-    Snell's law makes τ_s = τ_p D·D', so that τ_p (D·D' E − (E·D') D) is the field behind the face: its part across
+    Snell's law makes τ_s = τ_p D·D', so that τ_p (D·D' E − (E·D') D) is the field behind the face: its part
+    across
     the plane of incidence times τ_s, the rest rotated and times τ_p.
     τ_p² = 4 n1 n2 (n2 c − n1)(n2 − n1 c)/(n2² − n1²)² c².
     """

@@ -164,7 +164,9 @@ def meet_lens(sheet: Packed, k: int, ray: Ray) -> tuple[float, Vector]:
 def through(
     sheet: Packed, k: int, ray: Ray, n1: float, n2: float, layer: float
 ) -> tuple[float, Ray, float, Ray]:
-    """Cross face k: distance (NaN where the path ends), ray behind it, share reflected, and the reflected ray."""
+    """Cross face k: distance (NaN where the path ends), ray behind it, share reflected, and the reflected
+    ray.
+    """
     x, y, z, u, v, w = ray
     t, (nx, ny, nz) = meet_lens_or_land(sheet, k, ray)
     if not t >= 0.0:
@@ -235,8 +237,15 @@ def _put(paths: SplitPaths, i: int, path: int, ray: Ray) -> None:
 
 @entry
 def bounce_pass(
-    sheet: Packed, passing: Passing, order: int, rows: Rows, start: Floats, hits: Floats, turns: Floats, paths: SplitPaths
-) -> None:  # fmt: skip
+    sheet: Packed,
+    passing: Passing,
+    order: int,
+    rows: Rows,
+    start: Floats,
+    hits: Floats,
+    turns: Floats,
+    paths: SplitPaths,
+) -> None:
     """Split paths of rays that crossed lenses at every face.
 
     Parameters

@@ -24,7 +24,8 @@ class When(Enum):
 
 
 Losses = tuple[bool, tuple[float, ...]]
-"""Light lost on the way: whether bare faces reflect, and the attenuation of each body (1/length; empty: none)."""
+"""Light lost on the way: whether bare faces reflect, and the attenuation of each body (1/length; empty:
+none)."""
 
 Pass = Callable[[RayBlock, FaceCrossing | None], None]
 Launch = Callable[[Window, Rays], Rays]

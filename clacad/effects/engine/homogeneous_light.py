@@ -83,9 +83,13 @@ def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> 
 
 
 def _order(
-    window: Window, cells: ThinCells, result: TraceResult, chosen: tuple[NDArray[np.intp], Ints | None], slopes: Floats,
+    window: Window,
+    cells: ThinCells,
+    result: TraceResult,
+    chosen: tuple[NDArray[np.intp], Ints | None],
+    slopes: Floats,
     order: tuple[int, int],
-) -> LightRays:  # fmt: skip
+) -> LightRays:
     """Light of one order, from rays, rows (k,), cells of a non-uniform sheet, lens-frame slopes (k, 2)."""
     rows, index = chosen
     flux = result.flux[rows] * shares(cells, slopes, order, index)

@@ -188,9 +188,17 @@ class _Packets:
         m = len(beam)
         zero, none = np.zeros(m, dtype=np.int64), np.zeros((m, 2), dtype=np.int64)
         packet = Packet(
-            beam, np.ones(m), carried, self.rays.position[beam.rows], np.zeros((m, 2)), none,
-            np.zeros(m, dtype=bool), zero, zero, zero,
-        )  # fmt: skip
+            beam,
+            np.ones(m),
+            carried,
+            self.rays.position[beam.rows],
+            np.zeros((m, 2)),
+            none,
+            np.zeros(m, dtype=bool),
+            zero,
+            zero,
+            zero,
+        )
         beside = np.setdiff1d(rows, beam.rows)
         self.share["aside"][beside] += 1.0
         self.put((True, 0, False), packet)
@@ -301,9 +309,13 @@ class _Packets:
         beam = replace(beam, local=beam.local + step[:, :2], z=beam.z + step[:, 2])
         beam = to_array(layout, beam, body.arrays[0])
         moved = replace(
-            packet, beam=beam, path=packet.path + gap + late, gate=gate, gate_cell=gate_cell,
+            packet,
+            beam=beam,
+            path=packet.path + gap + late,
+            gate=gate,
+            gate_cell=gate_cell,
             gated=np.ones(len(packet), dtype=bool),
-        )  # fmt: skip
+        )
         self.put((up, number + 1, False), moved.take(reaches))
 
     # -- interfaces
@@ -453,9 +465,12 @@ def _joined(packets: list[Packet]) -> Packet:
     array = packets[0].beam.array
     beams = [packet.beam for packet in packets]
     beam = Beam(
-        np.concatenate([b.rows for b in beams]), array, np.concatenate([b.cell for b in beams]),
-        np.concatenate([b.local for b in beams]), np.concatenate([b.z for b in beams]),
+        np.concatenate([b.rows for b in beams]),
+        array,
+        np.concatenate([b.cell for b in beams]),
+        np.concatenate([b.local for b in beams]),
+        np.concatenate([b.z for b in beams]),
         np.concatenate([b.direction for b in beams]),
-    )  # fmt: skip
+    )
     rest = (np.concatenate([getattr(p, f.name) for p in packets]) for f in fields(packets[0])[1:])
     return Packet(beam, *rest)

@@ -45,16 +45,22 @@ class OrderedResult:
         if direct is not None:
             faces = 2 * len(window.bodies) if direct else 0
             self.columns = {
-                "position": np.empty((count, 3)), "direction": np.empty((count, 3)),
-                "fate": np.empty(count, dtype=np.uint8), "optical_path": np.empty(count),
-                "cell": np.empty((count, 2), dtype=np.int32), "order": np.empty((count, 2), dtype=np.int32),
-                "surface": np.empty(count, dtype=np.int32), "flux": np.ones(count),
+                "position": np.empty((count, 3)),
+                "direction": np.empty((count, 3)),
+                "fate": np.empty(count, dtype=np.uint8),
+                "optical_path": np.empty(count),
+                "cell": np.empty((count, 2), dtype=np.int32),
+                "order": np.empty((count, 2), dtype=np.int32),
+                "surface": np.empty(count, dtype=np.int32),
+                "flux": np.ones(count),
                 "hits": np.empty((faces, count, 3)) if direct else None,
                 "directions": np.empty((faces, count, 3)) if direct else None,
-            }  # fmt: skip
+            }
 
     def traced_in_place(self, rows: slice, rays: Rays, wavelength: float | None, keep: bool) -> TraceResult:
-        """Trace a block by the compiled kernels straight into its slice; its hits may be kept for it alone."""
+        """Trace a block by the compiled kernels straight into its slice; its hits may be kept for it
+        alone.
+        """
         indices = tuple(body.index_at(wavelength) for body in self.window.bodies)
         return self.traced(rows, rays, indices, 2 * len(self.window.bodies) if keep else 0)
 
@@ -106,7 +112,9 @@ class OrderedResult:
         return ledger.closed()
 
     def lent(self, name: str, faces: int, count: int) -> Floats:
-        """Buffer (faces, count, 3) for a block's hits, reused by the thread: allocating costs a pass's time."""
+        """Buffer (faces, count, 3) for a block's hits, reused by the thread: allocating costs a pass's
+        time.
+        """
         size = faces * count * 3
         room: Floats | None = getattr(_ROOM, name, None)
         if room is None or len(room) < size:

@@ -177,12 +177,18 @@ class Plan:
             **tried,
             "effects": [
                 {
-                    "effect": row.effect, "state": row.state, "why": row.why, "angle": row.angle,
-                    "radiance": row.radiance, "cost": row.cost, "measured": row.measured, "known": row.known,
+                    "effect": row.effect,
+                    "state": row.state,
+                    "why": row.why,
+                    "angle": row.angle,
+                    "radiance": row.radiance,
+                    "cost": row.cost,
+                    "measured": row.measured,
+                    "known": row.known,
                 }
                 for row in self.rows
             ],
-        }  # fmt: skip
+        }
 
 
 def plan_effects(
@@ -201,7 +207,8 @@ def plan_effects(
     ----------
     target : Scene, Design, Window or Situation
     tolerance : float or (float, float), optional
-        Smallest angle, and relative radiance, that matter; default the scene's, or the design's `law_rms` and 1 %.
+        Smallest angle, and relative radiance, that matter; default the scene's, or the design's `law_rms`
+        and 1 %.
     exact : bool
         Measure each bound by a trace with and without the effect.
     mode : "auto", "list" or "none", optional

@@ -260,9 +260,12 @@ def choose_rung(situation: Situation, asked: str) -> tuple[Rung, str]:
             "thin",
             f"{refused}; ideal lenslets are off by {1e3 * rms:.2g} mrad and {disagree:.2%} of fates",
         )
-    return "surfaces", (
-        f"{refused}; ideal lenslets are off by {1e3 * rms:.2g} mrad and {disagree:.2%} of fates, "
-        f"{1e3 * situation.angle:.2g} mrad and {situation.radiance:.2%} are allowed"
+    return (
+        "surfaces",
+        (
+            f"{refused}; ideal lenslets are off by {1e3 * rms:.2g} mrad and {disagree:.2%} of fates, "
+            f"{1e3 * situation.angle:.2g} mrad and {situation.radiance:.2%} are allowed"
+        ),
     )
 
 
@@ -285,9 +288,12 @@ def homogeneous(situation: Situation) -> tuple[str, str]:
     gap = share_gap(situation)
     if gap > situation.radiance:
         return f"the closed-form share of the light is off by {gap:.2%}", ""
-    return "", (
-        f"a pixel covers {covered:.2g} lenslets and nothing shows them singly: the law ({1e3 * rms:.2g} mrad off) "
-        f"with the closed-form share of the light ({gap:.2%} off)"
+    return (
+        "",
+        (
+            f"a pixel covers {covered:.2g} lenslets and nothing shows them singly: the law ({1e3 * rms:.2g}"
+            f" mrad off) with the closed-form share of the light ({gap:.2%} off)"
+        ),
     )
 
 
@@ -308,7 +314,9 @@ def cells_met(window: Window, rays: Rays) -> Ints:
 
 
 def compared(situation: Situation, rung: Rung) -> tuple[float, float]:
-    """Rms angle of a rung against the surfaces where both are ALIVE, and the share of rays whose fate differs."""
+    """Rms angle of a rung against the surfaces where both are ALIVE, and the share of rays whose fate
+    differs.
+    """
     from clacad.tracing.trace import trace
 
     truth = situation.probe

@@ -63,9 +63,15 @@ def _forecast(_meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
 
 FORMATS = (
     Format(
-        WORD, "drawing", "views, dimensions, tables and tolerances, DXF and PDF; needs the extras dxf and pdf", _write, _forecast,
-        lambda _sheet, _quads, _asked: SECONDS, _require, optical=False,
+        WORD,
+        "drawing",
+        "views, dimensions, tables and tolerances, DXF and PDF; needs the extras dxf and pdf",
+        _write,
+        _forecast,
+        lambda _sheet, _quads, _asked: SECONDS,
+        _require,
+        optical=False,
     ),
-)  # fmt: skip
+)
 
 FILES = (FileKind(DRAWING_DXF, "other"), FileKind(DRAWING_PDF, "other"))

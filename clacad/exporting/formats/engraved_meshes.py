@@ -68,13 +68,27 @@ def _with_letters(meshes: Meshes, plain: Forecast) -> Forecast:
 
 FORMATS = (
     Format(
-        MARKED_STL, "stream", "facets with name and arrow in the border, one binary STL file a body", _write_stl,
-        _forecast_stl, stl.rough_seconds, require_marks, whole_sheet=False, stored=(AS_PLAIN,),
+        MARKED_STL,
+        "stream",
+        "facets with name and arrow in the border, one binary STL file a body",
+        _write_stl,
+        _forecast_stl,
+        stl.rough_seconds,
+        require_marks,
+        whole_sheet=False,
+        stored=(AS_PLAIN,),
     ),
     Format(
-        MARKED_3MF, "welded", "facets with name and arrow in the border, 3MF", _write_threemf, _forecast_threemf,
-        indexed_meshes.rough_welded, require_marks, whole_sheet=False, stored=(AS_PLAIN,),
+        MARKED_3MF,
+        "welded",
+        "facets with name and arrow in the border, 3MF",
+        _write_threemf,
+        _forecast_threemf,
+        indexed_meshes.rough_welded,
+        require_marks,
+        whole_sheet=False,
+        stored=(AS_PLAIN,),
     ),
-)  # fmt: skip
+)
 
 FILES: tuple[FileKind, ...] = ()

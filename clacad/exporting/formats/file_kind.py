@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Body, Face, Window
 
 Misfit = tuple[float, float, str]
-"""Greatest deviation in millimetres (or relative, for tables), its allowance for writing, and the compared quantity."""
+"""Greatest deviation in millimetres (or relative, for tables), its allowance for writing, and the compared
+quantity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,8 @@ class FileKind:
     word : str
         Format in manifests and reports.
     family : "mesh", "solid", "map" or "other"
-        Triangles; exact solids; a file that is compared by `readings`; everything else is judged by its bytes.
+        Triangles; exact solids; a file that is compared by `readings`; everything else is judged by its
+        bytes.
     ends : tuple of str
         Endings by which a file without a manifest is recognised.
     bytes_a_facet : float
@@ -99,7 +101,8 @@ class FileKind:
     like : str
         Format that stores a mesh alike; "": its own word.
     text_budget : str
-        Reader (`clacad.base.untrusted_files`) of the text of a file that is too large for OCC; "": no text is read.
+        Reader (`clacad.base.untrusted_files`) of the text of a file that is too large for OCC; "": no text
+        is read.
     older : bool
         Whether words that begin with this one are older words of the same kind.
     readings : str

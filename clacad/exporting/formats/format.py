@@ -30,7 +30,8 @@ STREAM_MEMORY = (80_000_000, 400_000_000)
 """Memory (bytes) of writing a file as a stream."""
 
 Family = Literal["exact", "stream", "welded", "map", "part", "prescription", "drawing"]
-"""Exact solids; facets as a stream; facets of shared vertices; heights, points, tables, masks and scenes; parts modelled
+"""Exact solids; facets as a stream; facets of shared vertices; heights, points, tables, masks and scenes;
+parts modelled
 one by one; one telescopelet for lens-design programs; sheets of paper.
 """
 
@@ -84,9 +85,14 @@ class Forecast:
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form."""
         plain: dict[str, Any] = {
-            "format": self.format, "bytes": self.bytes, "exact": self.exact, "facets": self.facets,
-            "quads": self.quads, "seconds": list(self.seconds), "memory": list(self.memory),
-        }  # fmt: skip
+            "format": self.format,
+            "bytes": self.bytes,
+            "exact": self.exact,
+            "facets": self.facets,
+            "quads": self.quads,
+            "seconds": list(self.seconds),
+            "memory": list(self.memory),
+        }
         if self.facets is not None:
             plain["stored"] = self.facets if self.stored is None else self.stored
         if self.prospect is not None:
@@ -130,13 +136,15 @@ class Format:
     forecast : callable
         `forecast(meshes, quads, request)` → `Forecast`; `quads` is unused by formats without facets.
     rough_seconds : callable
-        `rough_seconds(sheet, quads, request)`: processor seconds on the reference machine, from the design's numbers.
+        `rough_seconds(sheet, quads, request)`: processor seconds on the reference machine, from the design's
+        numbers.
     require : callable
         `require(window, request, worker)` refuses designs and machines for which the format is impossible.
     refuse_places : callable or None
         `refuse_places(window, request)` refuses more repeated cells than the reader of the format takes.
     at_a_glance : callable or None
-        `at_a_glance(window, sheet, chosen)` → `Forecast` for `check`, of a format that designs are commonly exported in;
+        `at_a_glance(window, sheet, chosen)` → `Forecast` for `check`, of a format that designs are commonly
+        exported in;
         `chosen` is the mesh that an export would write, None without a design.
     optical : bool
         Whether the light of the law goes through a part made from its files.
@@ -193,7 +201,9 @@ class Format:
 
     @property
     def role(self) -> Role:
-        """Role of files with exact faces, heights or poses, or without optics; that of facets depends on their grid."""
+        """Role of files with exact faces, heights or poses, or without optics; that of facets depends on
+        their grid.
+        """
         return Role.MASTER if self.optical else Role.OTHER
 
     def repeats_cells(self, meshes: Meshes) -> bool:

@@ -173,20 +173,49 @@ def _xyz_bytes(window: Window, per_cell: int) -> int:
 
 FORMATS = (
     Format(
-        SAG, "map", "grid of heights and slopes of one cell of each face, for ray tracers", _write_sag, _forecast_sag,
-        lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies), any_cells=False, stored=(AT_POINTS,),
+        SAG,
+        "map",
+        "grid of heights and slopes of one cell of each face, for ray tracers",
+        _write_sag,
+        _forecast_sag,
+        lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies),
+        any_cells=False,
+        stored=(AT_POINTS,),
     ),
     Format(
-        TIFF, "map", "height map of each face, in single precision and in 16 bits", _write_tiff, _forecast_tiff,
-        drawn_cost(TIFF_SECONDS), stored=(ABOVE_FACE, SIXTEEN_BITS),
+        TIFF,
+        "map",
+        "height map of each face, in single precision and in 16 bits",
+        _write_tiff,
+        _forecast_tiff,
+        drawn_cost(TIFF_SECONDS),
+        stored=(ABOVE_FACE, SIXTEEN_BITS),
     ),
-    Format(PNG, "map", "height map of each face, in 16 bits", _write_png, _forecast_png, drawn_cost(PNG_SECONDS), stored=(SIXTEEN_BITS,)),
     Format(
-        XYZ, "map", "points of each face with their normals", _write_xyz, _forecast_xyz, drawn_cost(XYZ_SECONDS), stored=(AT_POINTS,),
+        PNG,
+        "map",
+        "height map of each face, in 16 bits",
+        _write_png,
+        _forecast_png,
+        drawn_cost(PNG_SECONDS),
+        stored=(SIXTEEN_BITS,),
     ),
-)  # fmt: skip
+    Format(
+        XYZ,
+        "map",
+        "points of each face with their normals",
+        _write_xyz,
+        _forecast_xyz,
+        drawn_cost(XYZ_SECONDS),
+        stored=(AT_POINTS,),
+    ),
+)
 
 FILES = (
-    map_kind(TIFF32, ".f32.tiff"), map_kind(TIFF16, ".u16.tiff"), map_kind(PNG16, ".u16.png"), map_kind(POINTS, ".xyz"),
-    map_kind(GRID, ".cell.dat"), map_kind(CALIBRATION, ".tiff.json", ".png.json", ".gds.json"),
-)  # fmt: skip
+    map_kind(TIFF32, ".f32.tiff"),
+    map_kind(TIFF16, ".u16.tiff"),
+    map_kind(PNG16, ".u16.png"),
+    map_kind(POINTS, ".xyz"),
+    map_kind(GRID, ".cell.dat"),
+    map_kind(CALIBRATION, ".tiff.json", ".png.json", ".gds.json"),
+)

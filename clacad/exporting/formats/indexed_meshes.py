@@ -33,7 +33,8 @@ ROUGH_GRID = 8
 """Quads per cell side when there is no design to choose them."""
 
 FEW, ROUGH_PLACES, ROW_BYTES = 10_000, (1.0, 3.2), 12.0
-"""3MF: cell count of a small sheet; deflated bytes per place in a small and a large one; bytes per row of places."""
+"""3MF: cell count of a small sheet; deflated bytes per place in a small and a large one; bytes per row of
+places."""
 
 PLACE_IN_ARRAY = 12
 """Bytes of a place in a GLB file whose cells are one node: three numbers of single precision."""
@@ -132,7 +133,9 @@ def _row(word: str, size: int, held: int, facets: int, places: int, quads: int) 
 
 
 def _vertices(held: int, quads: int) -> float:
-    """Vertices of welded facets: half of one a facet, and more where walls and rims split them by their normals."""
+    """Vertices of welded facets: half of one a facet, and more where walls and rims split them by their
+    normals.
+    """
     return held * (0.5 + 1.9 / max(quads, 2))
 
 
@@ -180,7 +183,9 @@ def _forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
 
 
 def _listed(sheet: RoughSheet) -> int:
-    """Places that a 3MF file lists and its reader keeps: all, or for a large sheet its rows and one row's cells."""
+    """Places that a 3MF file lists and its reader keeps: all, or for a large sheet its rows and one row's
+    cells.
+    """
     from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
 
     in_rows = sheet.repeats and sheet.cells > FLAT_LIMIT
@@ -344,22 +349,43 @@ _BOTH: dict[str, Any] = {"repeats": True, "fusable": True}
 
 FORMATS = (
     Format(
-        THREEMF, "welded", "facets with units, for printing; one cell and its places where the sheet allows it",
-        _write_threemf, _forecast_threemf, _rough_threemf, refuse_places=_refuse_places,
-        at_a_glance=_threemf_at_a_glance, stored=(DOUBLES,), **_BOTH,
+        THREEMF,
+        "welded",
+        "facets with units, for printing; one cell and its places where the sheet allows it",
+        _write_threemf,
+        _forecast_threemf,
+        _rough_threemf,
+        refuse_places=_refuse_places,
+        at_a_glance=_threemf_at_a_glance,
+        stored=(DOUBLES,),
+        **_BOTH,
     ),
     Format(
-        PLY, "welded", "facets with exact normals, in double precision", _write_ply, _forecast_ply, _rough_ply,
+        PLY,
+        "welded",
+        "facets with exact normals, in double precision",
+        _write_ply,
+        _forecast_ply,
+        _rough_ply,
         stored=(DOUBLES, DOUBLE_NORMALS),
     ),
     Format(
-        GLB, "welded", "facets with exact normals in metres, for viewers; one cell and its places where the sheet allows it",
-        _write_glb, _forecast_glb, _rough_glb, refuse_places=_refuse_nodes, stored=(IN_CELL, SINGLE_NORMALS), **_BOTH,
+        GLB,
+        "welded",
+        "facets with exact normals in metres, for viewers; one cell and its places where the sheet allows it",
+        _write_glb,
+        _forecast_glb,
+        _rough_glb,
+        refuse_places=_refuse_nodes,
+        stored=(IN_CELL, SINGLE_NORMALS),
+        **_BOTH,
     ),
-)  # fmt: skip
+)
 
 FILES = (
-    FileKind(THREEMF, "mesh", (".3mf",), 10.0, states_unit=True), FileKind(PLY, "mesh", (".ply",), 43.0),
-    FileKind(GLB, "mesh", (".glb",), 25.0, states_unit=True), FileKind("obj", "mesh", (".obj",), 90.0, like=PLY),
-)  # fmt: skip
+    FileKind(THREEMF, "mesh", (".3mf",), 10.0, states_unit=True),
+    FileKind(PLY, "mesh", (".ply",), 43.0),
+    FileKind(GLB, "mesh", (".glb",), 25.0, states_unit=True),
+    FileKind("obj", "mesh", (".obj",), 90.0, like=PLY),
+)
 """OBJ files are read and not written."""

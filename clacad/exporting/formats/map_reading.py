@@ -105,7 +105,8 @@ def _layers(of: FaceFile) -> Misfit:
 
 
 def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[float, int]:
-    """Greatest distance of a pixel from the face, millimetres, and the number of pixels; inf for a false hole.
+    """Greatest distance of a pixel from the face, millimetres, and the number of pixels; inf for a false
+    hole.
 
     Raises
     ------
@@ -115,7 +116,8 @@ def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[fl
     pixels: Pixels = read_png(path) if kind == PNG16 else read_tiff(path)
     if pixels.shape != (map_.height, map_.width):
         raise UnreadableFile(
-            f"{path.name}: {pixels.shape[1]} × {pixels.shape[0]} pixels, a map of {map_.label} has {map_.width} × {map_.height}"
+            f"{path.name}: {pixels.shape[1]} × {pixels.shape[0]} pixels, a map of {map_.label} has"
+            f" {map_.width} × {map_.height}"
         )
     worst, row = 0.0, 0
     for want in map_.blocks():
@@ -131,7 +133,8 @@ def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[fl
 
 
 def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple[float, int]:
-    """Greatest distance of a point from the face, millimetres, and the number of points; inf for a false normal.
+    """Greatest distance of a point from the face, millimetres, and the number of points; inf for a false
+    normal.
 
     A plain cloud has no normals.
 

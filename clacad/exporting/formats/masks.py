@@ -1,4 +1,6 @@
-"""Masks of structured faces: outlines and places of the lenses (SVG, DXF), and layers of grey levels (GDSII)."""
+"""Masks of structured faces: outlines and places of the lenses (SVG, DXF), and layers of grey levels
+(GDSII).
+"""
 
 from __future__ import annotations
 
@@ -137,15 +139,29 @@ def _forecast_gds(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
 
 FORMATS = (
     Format(
-        MASK, "map", "outline of the lenses and their places, SVG and DXF", _write_mask, _forecast_mask,
-        drawn_cost(MASK_SECONDS), _require_mask,
+        MASK,
+        "map",
+        "outline of the lenses and their places, SVG and DXF",
+        _write_mask,
+        _forecast_mask,
+        drawn_cost(MASK_SECONDS),
+        _require_mask,
     ),
     Format(
-        GDS, "map", "grey-level lithography: layers of each face; needs the extra gds", _write_gds, _forecast_gds,
-        drawn_cost(GDS_SECONDS), _require_gds, turned_arrays=False, stored=(LAYERS,),
+        GDS,
+        "map",
+        "grey-level lithography: layers of each face; needs the extra gds",
+        _write_gds,
+        _forecast_gds,
+        drawn_cost(GDS_SECONDS),
+        _require_gds,
+        turned_arrays=False,
+        stored=(LAYERS,),
     ),
-)  # fmt: skip
+)
 
 FILES = (
-    map_kind(MASK_SVG, ".mask.svg"), map_kind(MASK_DXF, ".mask.dxf"), map_kind(GDS, ".gds", native=True),
-)  # fmt: skip
+    map_kind(MASK_SVG, ".mask.svg"),
+    map_kind(MASK_DXF, ".mask.dxf"),
+    map_kind(GDS, ".gds", native=True),
+)

@@ -97,16 +97,22 @@ def _modelled(what: str, job: Job) -> list[FileRecord]:
     job.progress(f"model {what}", 0.0)
     folder = job.stage.path(f"{job.stem}.{what}.step").parent
     made: Mapping[str, Any] = job.worker.run(
-        "clacad.exporting.formats.parts:model", what, job.window, str(folder), job.stem, timeout=SECONDS,
+        "clacad.exporting.formats.parts:model",
+        what,
+        job.window,
+        str(folder),
+        job.stem,
+        timeout=SECONDS,
         progress=job.progress,
-    )  # fmt: skip
+    )
     records = []
     for name, facts in made.items():
         path = job.stage.path(name)
         apart = abs(facts["volume"] / facts["volume_exact"] - 1.0)
         if not facts.pop("valid") or not apart <= VOLUME_LIMIT:
             raise FileDisagrees(
-                f"{name}: read back with {facts['volume']:.9g} mm^3, modelled with {facts['volume_exact']:.9g} mm^3"
+                f"{name}: read back with {facts['volume']:.9g} mm^3, modelled with"
+                f" {facts['volume_exact']:.9g} mm^3"
             )
         kind = BREP if what == BREP else step.WORD
         records.append(
@@ -170,9 +176,15 @@ def _brep(parts: list[Any], names: list[str], path: Path) -> dict[str, Any]:
 
 def _facts(made: Any, found: Any, names: list[str]) -> dict[str, Any]:
     return {
-        "bodies": names, "solids": len(found.solids()), "faces": len(found.faces()), "volume": float(found.volume),
-        "volume_exact": float(made.volume), "valid": bool(found.is_valid), "float": "f64", "mode": "fused",
-    }  # fmt: skip
+        "bodies": names,
+        "solids": len(found.solids()),
+        "faces": len(found.faces()),
+        "volume": float(found.volume),
+        "volume_exact": float(made.volume),
+        "valid": bool(found.is_valid),
+        "float": "f64",
+        "mode": "fused",
+    }
 
 
 # -- requirements ----------------------------------------------------------------------------------
@@ -237,7 +249,9 @@ def _require_solids(window: Window, what: str) -> None:
 
 
 def _require_room(text: str, width: float, height: float, worker: Worker) -> None:
-    """Require room (mm) for a line of text, estimated from its number of letters or measured by drawing it."""
+    """Require room (mm) for a line of text, estimated from its number of letters or measured by drawing
+    it.
+    """
     from clacad.solid.marks import surely_fits
 
     if not surely_fits(text, width, height):
@@ -272,8 +286,12 @@ def _solid_row(word: str, size: int | None, meshes: Meshes, _quads: int, _asked:
 
 
 def _solid(
-    word: str, about: str, require: Callable[[Window, Request, Worker], None], size: int | None = None, **facts: Any
-) -> Format:  # fmt: skip
+    word: str,
+    about: str,
+    require: Callable[[Window, Request, Worker], None],
+    size: int | None = None,
+    **facts: Any,
+) -> Format:
     """Format of parts modelled by OCC; `size`: approximate bytes."""
     return Format(
         word,
@@ -290,15 +308,55 @@ def _solid(
 _FRAME_PARTS = ("spacer", "spacer1", "spacer2", "retainer1", "retainer2")
 
 FORMATS = (
-    replace(_solid(BREP, "exact solids of all bodies for OCC", _require_brep, stored=(EXACT_FACES,)), family="exact"),
-    Format(
-        BAFFLE, "part", "opaque honeycombs between the arrays, STL", _write_baffle, _forecast_baffle, _rough_seconds,
-        _require_baffle, optical=False, any_cells=False, bodies=(BAFFLE, "baffle1", "baffle2"),
+    replace(
+        _solid(BREP, "exact solids of all bodies for OCC", _require_brep, stored=(EXACT_FACES,)),
+        family="exact",
     ),
-    _solid(FRAME, "spacer frame and its retainers, STEP", _require_frame, 400_000, optical=False, bodies=_FRAME_PARTS),
-    _solid(PINS, "shoulder pins between the bodies, STEP", _require_pins, 40_000, optical=False, any_cells=False, bodies=(PINS,)),
-    _solid(COUPON, "test coupon for the compensation of a process, STEP", _require_coupon, 2_000_000, optical=False, any_cells=False, bodies=(COUPON,), stored=(EXACT_FACES,)),
-    _solid(MARKED, "bodies with their name and an arrow in the border, STEP", _require_marked, stored=(EXACT_FACES,)),
-)  # fmt: skip
+    Format(
+        BAFFLE,
+        "part",
+        "opaque honeycombs between the arrays, STL",
+        _write_baffle,
+        _forecast_baffle,
+        _rough_seconds,
+        _require_baffle,
+        optical=False,
+        any_cells=False,
+        bodies=(BAFFLE, "baffle1", "baffle2"),
+    ),
+    _solid(
+        FRAME,
+        "spacer frame and its retainers, STEP",
+        _require_frame,
+        400_000,
+        optical=False,
+        bodies=_FRAME_PARTS,
+    ),
+    _solid(
+        PINS,
+        "shoulder pins between the bodies, STEP",
+        _require_pins,
+        40_000,
+        optical=False,
+        any_cells=False,
+        bodies=(PINS,),
+    ),
+    _solid(
+        COUPON,
+        "test coupon for the compensation of a process, STEP",
+        _require_coupon,
+        2_000_000,
+        optical=False,
+        any_cells=False,
+        bodies=(COUPON,),
+        stored=(EXACT_FACES,),
+    ),
+    _solid(
+        MARKED,
+        "bodies with their name and an arrow in the border, STEP",
+        _require_marked,
+        stored=(EXACT_FACES,),
+    ),
+)
 
 FILES = (FileKind(BREP, "solid", (".brep",), native=True),)

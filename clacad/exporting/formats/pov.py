@@ -74,10 +74,17 @@ def _note(window: Window) -> str:
 
 FORMATS = (
     Format(
-        WORD, "map", "scene of the sheet for POV-Ray, with exact surfaces", _write, _forecast,
+        WORD,
+        "map",
+        "scene of the sheet for POV-Ray, with exact surfaces",
+        _write,
+        _forecast,
         lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies),
-        optical=False, turned_arrays=False, many_sizes=False, stored=(OWN_NUMBERS,),
+        optical=False,
+        turned_arrays=False,
+        many_sizes=False,
+        stored=(OWN_NUMBERS,),
     ),
-)  # fmt: skip
+)
 
 FILES = (FileKind(WORD, "other"), FileKind("scene", "other"))

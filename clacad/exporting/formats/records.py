@@ -24,20 +24,28 @@ SCALES = {"mm": 1.0, "m": 1e-3}
 
 
 def mesh_facts(
-    job: Job, facets: int, volume: float, exact: float | None, names: Sequence[str], unit: str = "mm",
+    job: Job,
+    facets: int,
+    volume: float,
+    exact: float | None,
+    names: Sequence[str],
+    unit: str = "mm",
     repeated: bool = False,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Facts of a mesh file; `repeated`: it holds one cell, and the whole sheet is not meshed."""
     mesh = job.tessellation.cell if repeated else job.tessellation.mesh
     scale = job.scale * SCALES[unit]
     cube = scale**3
     parts = [part for part, body in zip(mesh.bodies, job.window.bodies, strict=True) if body.name in names]
     return {
-        "triangles": facets, "quads": job.tessellation.quads, "slope_error_rms": float(mesh.slope_error),
-        "sag_error_max": float(mesh.sag_error) * scale, "volume": volume * cube,
+        "triangles": facets,
+        "quads": job.tessellation.quads,
+        "slope_error_rms": float(mesh.slope_error),
+        "sag_error_max": float(mesh.sag_error) * scale,
+        "volume": volume * cube,
         "volume_exact": None if exact is None else exact * cube,
         **_saddle_facts(job, sum(part.saddles for part in parts), scale),
-    }  # fmt: skip
+    }
 
 
 def _saddle_facts(job: Job, saddles: int, scale: float) -> dict[str, Any]:
@@ -51,7 +59,9 @@ def _saddle_facts(job: Job, saddles: int, scale: float) -> dict[str, Any]:
 
 
 def of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
-    """Row of a mesh with the cost of a non-uniform sheet: each cell is cut and joined to its neighbours separately."""
+    """Row of a mesh with the cost of a non-uniform sheet: each cell is cut and joined to its neighbours
+    separately.
+    """
     if window.uniform:
         return row
     bodies = sum(any(f.change is not None for f in (body.front, body.back)) for body in window.bodies)

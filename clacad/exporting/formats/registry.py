@@ -18,9 +18,18 @@ if TYPE_CHECKING:
     from clacad.exporting.formats.format import Format
 
 MODULES = (
-    "step", "stl", "indexed_meshes", "height_maps", "table", "masks", "pov", "parts", "engraved_meshes",
-    "sequential", "drawing",
-)  # fmt: skip
+    "step",
+    "stl",
+    "indexed_meshes",
+    "height_maps",
+    "table",
+    "masks",
+    "pov",
+    "parts",
+    "engraved_meshes",
+    "sequential",
+    "drawing",
+)
 
 
 @cache

@@ -109,14 +109,29 @@ def _forecast_optiland(meshes: Meshes, _quads: int, _asked: Request) -> Forecast
 
 FORMATS = (
     Format(
-        ZMX, "prescription", "one telescopelet as a sequential prescription for Zemax", _write_zmx, _forecast_zmx,
-        lambda _sheet, _quads, _asked: ZMX_SECONDS, _require_zmx, optical=False, any_cells=False, stored=(ONE_TELESCOPELET,),
+        ZMX,
+        "prescription",
+        "one telescopelet as a sequential prescription for Zemax",
+        _write_zmx,
+        _forecast_zmx,
+        lambda _sheet, _quads, _asked: ZMX_SECONDS,
+        _require_zmx,
+        optical=False,
+        any_cells=False,
+        stored=(ONE_TELESCOPELET,),
     ),
     Format(
-        OPTILAND, "prescription", "one telescopelet as a sequential prescription for optiland; needs the extra optiland", _write_optiland,
-        _forecast_optiland, lambda _sheet, _quads, _asked: OPTILAND_SECONDS, _require_optiland,
-        optical=False, any_cells=False, stored=(ONE_TELESCOPELET,),
+        OPTILAND,
+        "prescription",
+        "one telescopelet as a sequential prescription for optiland; needs the extra optiland",
+        _write_optiland,
+        _forecast_optiland,
+        lambda _sheet, _quads, _asked: OPTILAND_SECONDS,
+        _require_optiland,
+        optical=False,
+        any_cells=False,
+        stored=(ONE_TELESCOPELET,),
     ),
-)  # fmt: skip
+)
 
 FILES = (FileKind(ZMX, "other"), FileKind(OPTILAND, "other"))

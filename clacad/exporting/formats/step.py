@@ -50,7 +50,9 @@ def _seconds(size: int, mode: str) -> float:
 
 
 def _rough_bytes(sheet: RoughSheet, fused: bool) -> int:
-    """Bytes within 20 % for an assembly, within a factor of two for fused solids: walls depend on the neighbours."""
+    """Bytes within 20 % for an assembly, within a factor of two for fused solids: walls depend on the
+    neighbours.
+    """
     if not fused:
         return sheet.bodies * (20_000 + 500 * sum(sheet.count))
     kind = "tilted" if sheet.tilted else "hexagonal" if sheet.hexagonal else "straight"
@@ -160,14 +162,22 @@ def _smaller_sheet(window: Window, n: int) -> Window:
 
 FORMATS = (
     Format(
-        WORD, "exact", "exact solids of all bodies, for CAD and machining", _write, _forecast, _rough_seconds,
-        at_a_glance=_at_a_glance, fusable=True, kernel=True, smaller="--step instanced, or --cells 50x50",
+        WORD,
+        "exact",
+        "exact solids of all bodies, for CAD and machining",
+        _write,
+        _forecast,
+        _rough_seconds,
+        at_a_glance=_at_a_glance,
+        fusable=True,
+        kernel=True,
+        smaller="--step instanced, or --cells 50x50",
         stored=(EXACT_FACES,),
     ),
-)  # fmt: skip
+)
 
 FILES = (
     FileKind(
         WORD, "solid", (".step", ".stp"), states_unit=True, native=True, text_budget="step-text", older=True
     ),
-)  # fmt: skip
+)

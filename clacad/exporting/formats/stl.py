@@ -106,15 +106,29 @@ def _at_a_glance(_window: Window, sheet: RoughSheet, chosen: ChosenMesh | None) 
 
 FORMATS = (
     Format(
-        WORD, "stream", "facets of all bodies in one binary STL file", _write, _forecast, rough_seconds,
-        at_a_glance=_at_a_glance, stored=(IN_SHEET,),
+        WORD,
+        "stream",
+        "facets of all bodies in one binary STL file",
+        _write,
+        _forecast,
+        rough_seconds,
+        at_a_glance=_at_a_glance,
+        stored=(IN_SHEET,),
     ),
     Format(
-        PARTS, "stream", "facets, one binary STL file a body", _write_parts, _forecast_parts, rough_seconds,
-        whole_sheet=False, stored=(IN_SHEET,),
+        PARTS,
+        "stream",
+        "facets, one binary STL file a body",
+        _write_parts,
+        _forecast_parts,
+        rough_seconds,
+        whole_sheet=False,
+        stored=(IN_SHEET,),
     ),
-)  # fmt: skip
+)
 
 FILES = (
-    FileKind(WORD, "mesh", (".stl",)), FileKind(KIND, "mesh"), FileKind("stl-ascii", "mesh", bytes_a_facet=260.0),
-)  # fmt: skip
+    FileKind(WORD, "mesh", (".stl",)),
+    FileKind(KIND, "mesh"),
+    FileKind("stl-ascii", "mesh", bytes_a_facet=260.0),
+)

@@ -58,7 +58,19 @@ AT_POINTS = Storing("exact heights and slopes at points; the reader interpolates
 NO_SURFACE = Storing("no refracting surface")
 
 WAYS = (
-    IN_SHEET, IN_CELL, DOUBLES, DOUBLE_NORMALS, SINGLE_NORMALS, ABOVE_FACE, SIXTEEN_BITS, LAYERS, AS_PLAIN, EXACT_FACES,
-    ONE_TELESCOPELET, OWN_NUMBERS, AT_POINTS, NO_SURFACE,
-)  # fmt: skip
+    IN_SHEET,
+    IN_CELL,
+    DOUBLES,
+    DOUBLE_NORMALS,
+    SINGLE_NORMALS,
+    ABOVE_FACE,
+    SIXTEEN_BITS,
+    LAYERS,
+    AS_PLAIN,
+    EXACT_FACES,
+    ONE_TELESCOPELET,
+    OWN_NUMBERS,
+    AT_POINTS,
+    NO_SURFACE,
+)
 """In the order of tables."""

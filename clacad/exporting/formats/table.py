@@ -67,9 +67,19 @@ def _bytes(window: Window) -> int:
 
 
 FORMATS = (
-    Format(WORD, "map", "parameters of the surfaces, and the pose of every lenslet", _write, _forecast, drawn_cost(SECONDS), stored=(OWN_NUMBERS,)),
-)  # fmt: skip
+    Format(
+        WORD,
+        "map",
+        "parameters of the surfaces, and the pose of every lenslet",
+        _write,
+        _forecast,
+        drawn_cost(SECONDS),
+        stored=(OWN_NUMBERS,),
+    ),
+)
 
 FILES = (
-    map_kind(POSES, ".poses.csv"), map_kind(SURFACES, ".surfaces.json"), FileKind(CELL_TABLE, "other"),
-)  # fmt: skip
+    map_kind(POSES, ".poses.csv"),
+    map_kind(SURFACES, ".surfaces.json"),
+    FileKind(CELL_TABLE, "other"),
+)

@@ -46,10 +46,13 @@ def outlines(x: Floats, front: Floats, back: Floats) -> list[Floats]:
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         rows = slice(first, last)
         found.append(
-            np.concatenate([
-                np.column_stack([x[rows], front[rows]]), np.column_stack([x[rows], back[rows]])[::-1],
-            ])
-        )  # fmt: skip
+            np.concatenate(
+                [
+                    np.column_stack([x[rows], front[rows]]),
+                    np.column_stack([x[rows], back[rows]])[::-1],
+                ]
+            )
+        )
     return found
 
 

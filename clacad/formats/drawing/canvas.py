@@ -18,11 +18,15 @@ CHARACTER = 6.3
 """Width of a character of the 11 px type, on average, px."""
 
 STYLE = (
-    "text{font:11px system-ui,'Segoe UI',Helvetica,Arial,sans-serif;fill:#1c2733}.note{fill:#5c6b78}.title{font-weight:bold}"
-    ".body{fill:#cfe3f1;stroke:#1b6ca8;stroke-width:1}.cut{fill:#e3eff7;stroke:#1b6ca8;stroke-width:1}"
-    ".dim{stroke:#1c2733;stroke-width:.8;fill:none}.ext{stroke:#8b98a5;stroke-width:.6;fill:none}"
-    ".axis{stroke:#8b98a5;stroke-width:.8;stroke-dasharray:9 3 2 3;fill:none}.ray{stroke:#c2571a;stroke-width:.9;fill:none}"
-    ".focus{stroke:#2b7a4b;stroke-width:1;stroke-dasharray:4 3;fill:none}.head{fill:#1c2733}.mark{fill:#c2571a}.frame{stroke:#1c2733;stroke-width:2.4;fill:none}"
+    "text{font:11px system-ui,'Segoe"
+    " UI',Helvetica,Arial,sans-serif;fill:#1c2733}"
+    ".note{fill:#5c6b78}.title{font-weight:bold}.body{fill:#cfe3f1;stroke:#1b6ca8;stroke-width:1}"
+    ".cut{fill:#e3eff7;stroke:#1b6ca8;stroke-width:1}.dim{stroke:#1c2733;stroke-width:.8;fill:none}"
+    ".ext{stroke:#8b98a5;stroke-width:.6;fill:none}"
+    ".axis{stroke:#8b98a5;stroke-width:.8;stroke-dasharray:9"
+    " 3 2 3;fill:none}.ray{stroke:#c2571a;stroke-width:.9;fill:none}"
+    ".focus{stroke:#2b7a4b;stroke-width:1;stroke-dasharray:4"
+    " 3;fill:none}.head{fill:#1c2733}.mark{fill:#c2571a}.frame{stroke:#1c2733;stroke-width:2.4;fill:none}"
 )
 
 
@@ -46,7 +50,9 @@ class CircleMark:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Text at a position, px; `anchor` is start, middle or end; `room`: width, px, of its background, or 0."""
+    """Text at a position, px; `anchor` is start, middle or end; `room`: width, px, of its background, or
+    0.
+    """
 
     at: Point
     words: str
@@ -127,7 +133,9 @@ class Canvas:
         self.marks.append(DimensionMark(ends, (x0, y), False, words, tuple(drawn)))
 
     def upright(self, y0: float, y1: float, x: float, words: str, start: tuple[float, float]) -> None:
-        """Dimension between two y at place x, its words outside; extension lines come from `start` (x at y0, x at y1)."""
+        """Dimension between two y at place x, its words outside; extension lines come from `start` (x at y0,
+        x at y1).
+        """
         drawn: list[LineMark | Words] = [
             _line([(from_x, y), (x + (4 if x > from_x else -4), y)], "ext")
             for y, from_x in zip((y0, y1), start, strict=True)
@@ -161,7 +169,9 @@ class Canvas:
         self.text((middle[0], middle[1] + 4.0), letter)
 
     def finish(self, tip: Point, letter: str) -> None:
-        """Draw the symbol of surface texture (ISO 21920-1) on a face, with the letter that a table explains."""
+        """Draw the symbol of surface texture (ISO 21920-1) on a face, with the letter that a table
+        explains.
+        """
         legs = [(-4.6, -8.0), (0.0, 0.0), (9.2, -16.0), (9.2 + 4.0 + CHARACTER * len(letter), -16.0)]
         self.line(np.asarray(legs) + tip, "dim")
         self.text((tip[0] + 10.0, tip[1] - 5.0), letter, "start")
@@ -174,9 +184,9 @@ class Canvas:
         """The drawing as one SVG element with a label of its content."""
         rules = "".join(f".drawing {rule}}}" for rule in STYLE.split("}") if rule)
         return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" class="drawing" viewBox="0 0 {self.width:.0f} {self.height:.0f}" '
-            f'width="{self.width:.0f}" height="{self.height:.0f}" role="img" aria-label="{escape(self.label, quote=True)}">'
-            f"<style>{rules}</style>\n{self.body()}\n</svg>"
+            f'<svg xmlns="http://www.w3.org/2000/svg" class="drawing" viewBox="0 0 {self.width:.0f}'
+            f' {self.height:.0f}" width="{self.width:.0f}" height="{self.height:.0f}" role="img"'
+            f' aria-label="{escape(self.label, quote=True)}"><style>{rules}</style>\n{self.body()}\n</svg>'
         )
 
 
@@ -204,9 +214,11 @@ def _measure(a: Point, b: Point, inside: bool) -> list[LineMark]:
     if inside:
         return [_line([a, b], "dim"), _head(a, -unit), _head(b, unit)]
     return [
-        LineMark(np.array([np.asarray(a) - 14 * unit, a]), "dim"), LineMark(np.array([b, np.asarray(b) + 14 * unit]), "dim"),
-        _head(a, unit), _head(b, -unit),
-    ]  # fmt: skip
+        LineMark(np.array([np.asarray(a) - 14 * unit, a]), "dim"),
+        LineMark(np.array([b, np.asarray(b) + 14 * unit]), "dim"),
+        _head(a, unit),
+        _head(b, -unit),
+    ]
 
 
 def _head(tip: Point, way: Floats) -> LineMark:
@@ -234,11 +246,14 @@ def _svg(mark: Mark, scale: float | None, zoom: float) -> str:
     if mark.room:
         left = mark.at[0] - {"start": 0.0, "middle": 0.5 * mark.room, "end": mark.room}[mark.anchor]
         ground = (
-            f'<rect x="{left - 1:.1f}" y="{mark.at[1] - 10:.1f}" width="{mark.room + 2:.1f}" height="13" fill="#fff" '
-            'fill-opacity=".85"/>\n'
+            f'<rect x="{left - 1:.1f}" y="{mark.at[1] - 10:.1f}" width="{mark.room + 2:.1f}" height="13"'
+            ' fill="#fff" fill-opacity=".85"/>\n'
         )
     named = f' class="{mark.kind}"' if mark.kind else ""
-    return f'{ground}<text{named} x="{mark.at[0]:.1f}" y="{mark.at[1]:.1f}" text-anchor="{mark.anchor}">{escape(mark.words)}</text>'
+    return (
+        f'{ground}<text{named} x="{mark.at[0]:.1f}" y="{mark.at[1]:.1f}"'
+        f' text-anchor="{mark.anchor}">{escape(mark.words)}</text>'
+    )
 
 
 def said_scale(note: ScaleNote, scale: float | None, zoom: float) -> Words:

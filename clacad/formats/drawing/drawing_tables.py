@@ -58,7 +58,9 @@ def _radius(value: float, mm: float, half: float) -> str:
 
 
 def faces_table(window: Window, allowed: Allowances) -> Canvas:
-    """Every face: radii and conic constants along its own axes, position of its apex in its cell, rotation."""
+    """Every face: radii and conic constants along its own axes, position of its apex in its cell,
+    rotation.
+    """
     mm = millimetres(window.unit)
     head = [
         "face",
@@ -172,9 +174,11 @@ def plate_tables(design: Design, window: Window) -> list[Canvas]:
     made = []
     rows = []
     for number, hole in enumerate(plate.holes, 1):
-        use = "mounting" if hole.purpose == "mount" or pins is None else (
-            f"pin {mm_text(pins.diameter * mm)}, play {mm_text(pins.play * mm)}"
-        )  # fmt: skip
+        use = (
+            "mounting"
+            if hole.purpose == "mount" or pins is None
+            else (f"pin {mm_text(pins.diameter * mm)}, play {mm_text(pins.play * mm)}")
+        )
         place = (_coordinate(v, plate, mm) for v in (hole.x, hole.y))
         rows.append([str(number), *place, mm_text(hole.diameter * mm), use])
     if rows:
@@ -184,10 +188,18 @@ def plate_tables(design: Design, window: Window) -> list[Canvas]:
     edges = plate.loops[0]
     if len(edges) <= MOST_EDGES:
         rows = [
-            [str(n), _coordinate(edge[X0], plate, mm), _coordinate(edge[Y0], plate, mm),
-             "straight" if edge[SENSE] == 0.0 else f"{'out' if edge[SENSE] > 0.0 else 'in'}wards, R {mm_text(edge[RADIUS] * mm)}"]
+            [
+                str(n),
+                _coordinate(edge[X0], plate, mm),
+                _coordinate(edge[Y0], plate, mm),
+                (
+                    "straight"
+                    if edge[SENSE] == 0.0
+                    else f"{'out' if edge[SENSE] > 0.0 else 'in'}wards, R {mm_text(edge[RADIUS] * mm)}"
+                ),
+            ]
             for n, edge in enumerate(edges, 1)
-        ]  # fmt: skip
+        ]
         made.append(
             table(
                 "boundary, counter-clockwise with +x to the right (mm)",
@@ -212,13 +224,21 @@ def errors_table(
     two = len(window.bodies) > 1
     named = {
         "decentre of array 1, array 2 (x and y)": [f"±{mm_text(v)} mm" for v in allowed.decentre if v > 0.0],
-        "rotation of array 2 about the normal of A": [f"±{1e3 * allowed.rotation:.3g} mrad"] if allowed.rotation else [],
+        "rotation of array 2 about the normal of A": (
+            [f"±{1e3 * allowed.rotation:.3g} mrad"] if allowed.rotation else []
+        ),
         "tilt of array 2 against A": [f"±{1e3 * allowed.tilt:.3g} mrad"] if allowed.tilt else [],
         "lens to lens": [f"±{mm_text(allowed.separation)} mm"] if two and allowed.separation else [],
-        "play of the pins (x and y)": [] if design.body.pins is None else [f"±{mm_text(design.body.pins.play * millimetres(design.unit_m))} mm"],
-        "centre thickness of the bodies": [f"±{mm_text(v)} mm" for v in allowed.thickness[: len(window.bodies)] if v > 0.0],
+        "play of the pins (x and y)": (
+            []
+            if design.body.pins is None
+            else [f"±{mm_text(design.body.pins.play * millimetres(design.unit_m))} mm"]
+        ),
+        "centre thickness of the bodies": [
+            f"±{mm_text(v)} mm" for v in allowed.thickness[: len(window.bodies)] if v > 0.0
+        ],
         "radii of array 1, array 2": [f"±{100 * v:.3g} %" for v in allowed.radius if v > 0.0],
-    }  # fmt: skip
+    }
     rows = [[name, ", ".join(values), "not studied"] for name, values in named.items() if values]
     rows = rows or [["none stated: [tolerances] of the design is empty", "-", "not studied"]]
     return table(
@@ -229,7 +249,9 @@ def errors_table(
 
 
 def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
-    """Parameters of a study with the change over the tolerance of each, the largest effect on the law first."""
+    """Parameters of a study with the change over the tolerance of each, the largest effect on the law
+    first.
+    """
     changes = {
         measure: {row["parameter"]: row["change"] for row in study["ranking"].get(measure, ())}
         for measure in COSTS
@@ -244,13 +266,20 @@ def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
         else:
             stated = f"{p['tolerance']:.3g}"
         costs = [changes[measure].get(p["name"]) for measure in COSTS]
-        rows.append([p["name"], ("" if p["one_sided"] else "±") + stated, *("-" if c is None else f"{1e3 * c:.3g}" for c in costs)])  # fmt: skip
+        rows.append(
+            [
+                p["name"],
+                ("" if p["one_sided"] else "±") + stated,
+                *("-" if c is None else f"{1e3 * c:.3g}" for c in costs),
+            ]
+        )
     title = "errors allowed, and what each alone changes (mrad), by a tolerance study of this design"
     return table(title, ["error", "allowed", *COSTS.values()], rows)
 
 
 def surfaces_table(window: Window, allowed: Allowances, slope_rms: float) -> Canvas:
-    """Texture of every kind of face (ISO 21920), with form, centring and imperfections of lens faces (ISO 10110).
+    """Texture of every kind of face (ISO 21920), with form, centring and imperfections of lens faces (ISO
+    10110).
 
     What the design does not state is to be agreed: no value is assumed.
     """
@@ -258,9 +287,16 @@ def surfaces_table(window: Window, allowed: Allowances, slope_rms: float) -> Can
     form = f"slope {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else AGREE
     centred = [allowed.decentre[0] > 0.0, max(allowed.decentre[1], allowed.tilt, allowed.rotation) > 0.0]
     rows = [
-        [LENS_FINISH, f"lens {array + 1}", texture, f"3/ {form}", f"4/ {'see errors allowed' if known else AGREE}", f"5/ {AGREE}"]
+        [
+            LENS_FINISH,
+            f"lens {array + 1}",
+            texture,
+            f"3/ {form}",
+            f"4/ {'see errors allowed' if known else AGREE}",
+            f"5/ {AGREE}",
+        ]
         for array, known in enumerate(centred)
-    ]  # fmt: skip
+    ]
     rows.append([OTHER_FINISH, "all others: sides, land, holes", f"Ra {AGREE}", "-", "-", "-"])
     head = ["symbol", "faces", "texture, at most", "form", "centring", "imperfections"]
     return table("surfaces (texture: ISO 21920; 3/, 4/, 5/: ISO 10110)", head, rows)
@@ -282,14 +318,28 @@ def notes(
     )
     slope = f", slope error at most {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else ""
     sides = (
-        "B: the outermost side towards -y; C: towards -x; holes and corners are placed about the middle of the cells"
-    ) if isinstance(window.outline, Plate) else "B: the round side" if isinstance(window.outline, Circle) else (
-        "B: the -y side; C: the -x side; the mark is at the corner +x, +y"
-    )  # fmt: skip
+        "B: the outermost side towards -y; C: towards -x; holes and corners are placed about the middle of"
+        " the cells"
+        if isinstance(window.outline, Plate)
+        else (
+            "B: the round side"
+            if isinstance(window.outline, Circle)
+            else ("B: the -y side; C: the -x side; the mark is at the corner +x, +y")
+        )
+    )
     said = [
-        f"Datum A: the plane z = {mm_text(window.z_range[0] * mm)} through the lowest points of the side of lens 1; {sides}.",
-        f"Surface finish of lens faces: {rough}{slope}. Land and sides are opaque where the design says so. All faces: see the table of surfaces.",
-        "± is an error that the design allows. Dimensions without ± are theoretically exact; agree on the workshop's own class.",
+        (
+            f"Datum A: the plane z = {mm_text(window.z_range[0] * mm)} through the lowest points of the side"
+            f" of lens 1; {sides}."
+        ),
+        (
+            f"Surface finish of lens faces: {rough}{slope}. Land and sides are opaque where the design says"
+            " so. All faces: see the table of surfaces."
+        ),
+        (
+            "± is an error that the design allows. Dimensions without ± are theoretically exact; agree on the"
+            " workshop's own class."
+        ),
         *orientation(window),
         *more,
     ]

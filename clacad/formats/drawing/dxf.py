@@ -31,14 +31,26 @@ GAP = 20.0
 """Gap between two sheets, mm."""
 
 LAYERS = {
-    "OUTLINE": (5, 35), "DIMENSIONS": (7, 18), "TEXT": (7, 18), "AXES": (8, 18), "LIGHT": (30, 18), "FRAME": (7, 50),
-}  # fmt: skip
+    "OUTLINE": (5, 35),
+    "DIMENSIONS": (7, 18),
+    "TEXT": (7, 18),
+    "AXES": (8, 18),
+    "LIGHT": (30, 18),
+    "FRAME": (7, 50),
+}
 """Layer: colour (AutoCAD's index), line weight (hundredths of a millimetre)."""
 
 LAYER_OF = {
-    "body": "OUTLINE", "cut": "OUTLINE", "axis": "AXES", "ext": "DIMENSIONS", "dim": "DIMENSIONS", "head": "DIMENSIONS",
-    "ray": "LIGHT", "focus": "LIGHT", "frame": "FRAME",
-}  # fmt: skip
+    "body": "OUTLINE",
+    "cut": "OUTLINE",
+    "axis": "AXES",
+    "ext": "DIMENSIONS",
+    "dim": "DIMENSIONS",
+    "head": "DIMENSIONS",
+    "ray": "LIGHT",
+    "focus": "LIGHT",
+    "frame": "FRAME",
+}
 
 TYPE = 7.6
 """Height of capital letters, px of the drawing boards."""
@@ -57,7 +69,8 @@ def require_drawing() -> None:
     lacking = {extra: name for name, extra in (("ezdxf", "dxf"), ("typst", "pdf")) if find_spec(name) is None}
     if lacking:
         raise NotPossible(
-            f"format drawing needs the package{'s' if len(lacking) > 1 else ''} {' and '.join(lacking.values())}\n"
+            f"format drawing needs the package{'s' if len(lacking) > 1 else ''}"
+            f" {' and '.join(lacking.values())}\n"
             f'  install with: pip install "clacad[{",".join(lacking)}]"'
         )
 
@@ -159,9 +172,15 @@ class _Pen:
         assert scale is not None, "a dimension stands on a view to scale"
         factor = 1.0 / (scale * self._unit)
         dimension = self.space.add_linear_dim(
-            base=self._at(mark.base), p1=self._at(mark.ends[0]), p2=self._at(mark.ends[1]), angle=90 if mark.upright else 0,
-            text=mark.words, dimstyle="CLACAD", override={"dimlfac": factor}, dxfattribs={"layer": "DIMENSIONS"},
-        )  # fmt: skip
+            base=self._at(mark.base),
+            p1=self._at(mark.ends[0]),
+            p2=self._at(mark.ends[1]),
+            angle=90 if mark.upright else 0,
+            text=mark.words,
+            dimstyle="CLACAD",
+            override={"dimlfac": factor},
+            dxfattribs={"layer": "DIMENSIONS"},
+        )
         dimension.commit()
         made, picture = dimension.dimension, self.document.blocks.new_anonymous_block(type_char="D")
         made.dxf.geometry = picture.name

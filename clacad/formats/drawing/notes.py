@@ -66,10 +66,14 @@ def allowances(design: Design) -> Allowances:
     """
     spec, mm = design.tolerances, millimetres(design.unit_m)
     return Allowances(
-        (spec.thickness[0] * mm, spec.thickness[1] * mm), spec.separation * mm, spec.radius,
-        (spec.decentre[0] * mm, spec.decentre[1] * mm), spec.rotation, spec.tilt,
+        (spec.thickness[0] * mm, spec.thickness[1] * mm),
+        spec.separation * mm,
+        spec.radius,
+        (spec.decentre[0] * mm, spec.decentre[1] * mm),
+        spec.rotation,
+        spec.tilt,
         max(spec.roughness, design.body.roughness) * mm,
-    )  # fmt: skip
+    )
 
 
 SAME = 1e-9
@@ -91,12 +95,16 @@ def orientation(window: Window) -> list[str]:
             if first != last
             else "; lens 2 is the back of the same body."
         ),
-        "The axes are right-handed: with the light at your back and +y up, +x points to the left. No file is mirrored.",
+        (
+            "The axes are right-handed: with the light at your back and +y up, +x points to the left. No file"
+            " is mirrored."
+        ),
         *_turning(window),
     ]
     if window.recipe.get("field", {}).get("equal_plates"):
         found.append(
-            f"{first} and {last} are the same part: order it twice and put the two back to back, field lenses inside."
+            f"{first} and {last} are the same part: order it twice and put the two back to back, field lenses"
+            " inside."
         )
     return found
 
@@ -113,7 +121,10 @@ def _turning(window: Window) -> tuple[str, str]:
     reach = window.lattice.circumradius
     round_ones = all(_same(_heights(face, reach), _heights(face, reach).T) for face in faces)
     if not _fits(window, HALF):
-        turned = "It may not be turned about z: outline or holes fit one way round. The optics would stay the same by half a turn."
+        turned = (
+            "It may not be turned about z: outline or holes fit one way round. The optics would stay the same"
+            " by half a turn."
+        )
     elif square and round_ones and _fits(window, QUARTER):
         turned = "It may be turned by quarter turns about z: the optics stay the same."
     else:

@@ -33,7 +33,9 @@ def frame_box(paper: tuple[float, float]) -> tuple[float, float, float, float]:
 
 
 def zone_edges(low: float, high: float, middle: float) -> list[float]:
-    """Ends of the zones along a side of the frame (mm): an even number, in steps of 50 from the middle of the paper."""
+    """Ends of the zones along a side of the frame (mm): an even number, in steps of 50 from the middle of
+    the paper.
+    """
     half = max(1, round((high - low) / (2.0 * ZONE)))
     return [low, *(middle + ZONE * k for k in range(1 - half, half)), high]
 
@@ -53,9 +55,16 @@ def sheet_frame(paper: tuple[float, float], unit: float) -> Canvas:
 
 
 def _zones(
-    canvas: Canvas, edges: list[float], names: Sequence[str], sides: tuple[tuple[float, float], ...], axis: int, unit: float
-) -> None:  # fmt: skip
-    """Lines between zones and their names on two opposite sides; a centring mark where the middle of the paper is."""
+    canvas: Canvas,
+    edges: list[float],
+    names: Sequence[str],
+    sides: tuple[tuple[float, float], ...],
+    axis: int,
+    unit: float,
+) -> None:
+    """Lines between zones and their names on two opposite sides; a centring mark where the middle of the
+    paper is.
+    """
     for inner, outer in sides:
         for k, edge in enumerate(edges[1:-1], 1):
             centre = 2 * k == len(edges) - 1
@@ -92,20 +101,38 @@ FIELD = 30.0
 
 
 def title_block(window: Window, heading: Heading, sheet: int, sheets: int) -> Canvas:
-    """Title, part, material, scale, unit, projection, number and sheet; no date: the same design gives the same bytes."""
+    """Title, part, material, scale, unit, projection, number and sheet; no date: the same design gives the
+    same bytes.
+    """
     n1, n2 = window.lattice.count
     materials = ", ".join(dict.fromkeys(_material(body.material, body.index) for body in window.bodies))
     rows = [
         [
-            ("title", f"confocal lenslet array pair, {window.form}, {n1} x {n2} cells ({window.lattice.cell_count:,} kept)"),
+            (
+                "title",
+                (
+                    f"confocal lenslet array pair, {window.form}, {n1} x {n2} cells"
+                    f" ({window.lattice.cell_count:,} kept)"
+                ),
+            ),
         ],
-        [("part", window.name), ("bodies", ", ".join(body.name for body in window.bodies)), ("material", materials)],
-        [("scale (each view has its own)", f"assembly {heading.scale}"), ("unit", "mm"), ("views named; first angle", "")],
         [
-            ("drawing (SHA-256 of the design)", heading.number), ("made by", f"clacad {heading.version}"),
-            ("paper", heading.paper.upper()), ("sheet", f"{sheet} of {sheets}"),
+            ("part", window.name),
+            ("bodies", ", ".join(body.name for body in window.bodies)),
+            ("material", materials),
         ],
-    ]  # fmt: skip
+        [
+            ("scale (each view has its own)", f"assembly {heading.scale}"),
+            ("unit", "mm"),
+            ("views named; first angle", ""),
+        ],
+        [
+            ("drawing (SHA-256 of the design)", heading.number),
+            ("made by", f"clacad {heading.version}"),
+            ("paper", heading.paper.upper()),
+            ("sheet", f"{sheet} of {sheets}"),
+        ],
+    ]
     wide = max(sum(_field_width(*field) for field in row) for row in rows)
     canvas = Canvas(wide, FIELD * len(rows), "title block")
     canvas.polygon(np.array([[0.0, 0.0], [wide, 0.0], [wide, canvas.height], [0.0, canvas.height]]), "frame")
@@ -130,7 +157,9 @@ def _field_width(name: str, value: str) -> float:
 
 
 def _first_angle(canvas: Canvas, at: tuple[float, float]) -> None:
-    """The symbol of first-angle projection (ISO 5456-2): a cone from its side, and from its narrow end to the right."""
+    """The symbol of first-angle projection (ISO 5456-2): a cone from its side, and from its narrow end to
+    the right.
+    """
     x, y = at
     canvas.polygon(
         np.array([[x - 20.0, y - 3.5], [x - 4.0, y - 7.0], [x - 4.0, y + 7.0], [x - 20.0, y + 3.5]]), "dim"

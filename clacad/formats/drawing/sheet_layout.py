@@ -1,6 +1,7 @@
 """Layout of views and tables on sheets of paper: positions, scales, number of sheets.
 
-Boxes on sheets of paper: rows of columns, spread over the sheet, around a title block in the lower right corner.
+Boxes on sheets of paper: rows of columns, spread over the sheet, around a title block in the lower right
+corner.
 
 Notes of a drawing on a non-uniform sheet: the key that makes it non-uniform, and three of its cells, the
 worst included.
@@ -41,7 +42,9 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """Room for boxes, mm: its size, that of the corner at its lower right that is taken, and the least gap."""
+    """Room for boxes, mm: its size, that of the corner at its lower right that is taken, and the least
+    gap.
+    """
 
     size: Size
     corner: Size
@@ -96,7 +99,9 @@ def _join(row: _Row, number: int, sizes: Sequence[Size], area: Area) -> bool:
 
 
 def _spread(rows: Sequence[_Row], sizes: Sequence[Size], area: Area) -> dict[int, Box] | None:
-    """Share the room that is left among rows, columns and boxes; the last rows end next to the corner, or above it."""
+    """Share the room that is left among rows, columns and boxes; the last rows end next to the corner, or
+    above it.
+    """
     (wide, tall), (taken, low) = area.size, area.corner
     used = sum(row.height for row in rows) + area.gap * (len(rows) - 1)
     for bottom in (tall, tall - low - area.gap):
@@ -115,7 +120,9 @@ def _spread(rows: Sequence[_Row], sizes: Sequence[Size], area: Area) -> dict[int
 
 
 def _row_boxes(row: _Row, y: float, room: float, sizes: Sequence[Size]) -> dict[int, Box]:
-    """Columns spread over the width, the first at the left; boxes of a column spread over the height of the row."""
+    """Columns spread over the width, the first at the left; boxes of a column spread over the height of the
+    row.
+    """
     count = len(row.columns)
     spare = room - sum(column.width for column in row.columns)
     step, x = (spare / (count - 1), 0.0) if count > 1 else (0.0, 0.5 * spare)
@@ -165,9 +172,12 @@ def differing_notes(design: Design, window: Window) -> tuple[str, ...]:
     if window.uniform:
         return ()
     return (
-        f"The cells differ ({differing_key(design)}): the views show the one nearest the middle, the table the first, that "
-        f"one and the worst of {window.lattice.cell_count:,}. None can stand for another: cut by the STEP file, or by the table "
-        "of faces (--format table), which hold every cell.",
+        (
+            f"The cells differ ({differing_key(design)}): the views show the one nearest the middle, the"
+            f" table the first, that one and the worst of {window.lattice.cell_count:,}. None can stand for"
+            " another: cut by the STEP file, or by the table of faces (--format table), which hold every"
+            " cell."
+        ),
     )
 
 
@@ -197,7 +207,10 @@ def cells_table(window: Window) -> Canvas:
                 own = window.in_cell(face, index)
                 row.append(mm_text(own.side * principal_radii(own.surface)[0] * mm))
         rows.append(row)
-    title = "cells that differ (mm; step: the highest to a neighbour; worst: the lens farthest from the middle of its cell)"
+    title = (
+        "cells that differ (mm; step: the highest to a neighbour; worst: the lens farthest from the middle of"
+        " its cell)"
+    )
     return table(title, head, rows)
 
 
@@ -221,7 +234,8 @@ PIXEL = 25.4 / 96.0
 """Millimetres a pixel of the drawing boards, enlarged by 1."""
 
 ZOOMS = (1.3, 1.1, 1.0, 0.9, 0.8)
-"""Enlargements of the type that are tried, largest first; smaller ones (type below 2.3 mm) only where a table is too wide."""
+"""Enlargements of the type that are tried, largest first; smaller ones (type below 2.3 mm) only where a
+table is too wide."""
 
 SHARES = (1.0, 2.0, 4.0)
 """Largest scales of the views that are tried, as parts of those in a report."""
@@ -266,7 +280,9 @@ class _Trial:
 
     @property
     def cost(self) -> tuple[int, float, float]:
-        """The fewest sheets are best; of those the fullest, and of equally full ones the largest views and type."""
+        """The fewest sheets are best; of those the fullest, and of equally full ones the largest views and
+        type.
+        """
         used = sum((x1 - x0) * (y1 - y0) for page in self.pages for x0, y0, x1, y1 in page.values())
         return len(self.pages), max(self.empty, ENOUGH), -used
 
@@ -275,8 +291,9 @@ ENOUGH = 0.18
 """Part of the frame that may be empty: below, larger views and type are better than fuller sheets."""
 
 
-def sheets(design: Design, window: Window, facts: Feasibility, paper: str, study: Mapping[str, Any] | None
-           ) -> tuple[Sheet, ...]:  # fmt: skip
+def sheets(
+    design: Design, window: Window, facts: Feasibility, paper: str, study: Mapping[str, Any] | None
+) -> tuple[Sheet, ...]:
     """Lay out the drawing of a part.
 
     Parameters
@@ -329,12 +346,14 @@ def _tables(design: Design, window: Window, study: Mapping[str, Any] | None) -> 
     allowed, slope = allowances(design), design.body.slope_rms
     more = differing_notes(design, window)
     return [
-        drawing_tables.faces_table(window, allowed), drawing_tables.sag_table(window),
+        drawing_tables.faces_table(window, allowed),
+        drawing_tables.sag_table(window),
         *([] if window.uniform else [cells_table(window)]),
-        *drawing_tables.plate_tables(design, window), drawing_tables.surfaces_table(window, allowed, slope),
+        *drawing_tables.plate_tables(design, window),
+        drawing_tables.surfaces_table(window, allowed, slope),
         drawing_tables.errors_table(design, window, allowed, study),
         drawing_tables.notes(window, allowed, slope, NOTES, more),
-    ]  # fmt: skip
+    ]
 
 
 NOTES = 560.0
@@ -344,7 +363,9 @@ NOTES = 560.0
 def _sets_of_views(
     window: Window, facts: Feasibility, allowed: Allowances, unit: float
 ) -> list[list[Canvas]]:
-    """The views at every share of their scales that differs: those of the sheet, and those of its cells, each together."""
+    """The views at every share of their scales that differs: those of the sheet, and those of its cells,
+    each together.
+    """
     ranges = [(body.low, body.high) for body in facts.bodies]
 
     def of_sheet(share: float) -> list[Canvas]:
@@ -370,7 +391,9 @@ def _different(draw: Callable[[float], list[Canvas]]) -> list[list[Canvas]]:
 def _laid_out(
     boards: Sequence[Canvas], corner: Canvas, paper: tuple[float, float], zoom: float
 ) -> _Trial | None:
-    """Boards on the fewest sheets that hold them, the least empty way that was found; None where one fits on none."""
+    """Boards on the fewest sheets that hold them, the least empty way that was found; None where one fits on
+    none.
+    """
     unit = PIXEL * zoom
     left, top, right, bottom = frame_box(paper)
     size = (right - left - 2.0 * ROOM, bottom - top - 2.0 * ROOM)
@@ -388,7 +411,9 @@ def _laid_out(
 
 
 def _splits(sizes: Sequence[tuple[float, float]], area: Area) -> Iterator[list[dict[int, Box]]]:
-    """Boxes on the fewest sheets, each as full as it gets; the last two share what is left in every way that fits."""
+    """Boxes on the fewest sheets, each as full as it gets; the last two share what is left in every way that
+    fits.
+    """
     left, full = list(range(len(sizes))), list[dict[int, Box]]()
     while (last := _page(sizes, left, area)) is None:
         parts = [(_page(sizes, left[:n], area), _page(sizes, left[n:], area)) for n in range(1, len(left))]
@@ -405,7 +430,9 @@ def _splits(sizes: Sequence[tuple[float, float]], area: Area) -> Iterator[list[d
 
 
 def _page(sizes: Sequence[tuple[float, float]], numbers: Sequence[int], area: Area) -> dict[int, Box] | None:
-    """Boxes on one sheet, in the order of reading or the highest first, as leaves the least empty; None: no room."""
+    """Boxes on one sheet, in the order of reading or the highest first, as leaves the least empty; None: no
+    room.
+    """
     orders = (numbers, sorted(numbers, key=lambda k: -sizes[k][1]))
     (wide, tall), (taken, low) = area.size, area.corner
     title = (wide - taken, tall - low, wide, tall)

@@ -15,12 +15,13 @@ def sheet_svg(sheet: Sheet) -> str:
     """A sheet of paper as SVG, a millimetre a unit."""
     wide, tall = sheet.paper
     boards = "\n".join(
-        f'<g transform="translate({one.x:.4f} {one.y:.4f}) scale({sheet.unit:.7f})">\n{one.canvas.body(sheet.zoom)}\n</g>'
+        f'<g transform="translate({one.x:.4f} {one.y:.4f})'
+        f' scale({sheet.unit:.7f})">\n{one.canvas.body(sheet.zoom)}\n</g>'
         for one in sheet.drawn
     )
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide:g} {tall:g}" width="{wide:g}mm" height="{tall:g}mm">'
-        f"<style>{STYLE}</style>\n{boards}\n</svg>"
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide:g} {tall:g}" width="{wide:g}mm"'
+        f' height="{tall:g}mm"><style>{STYLE}</style>\n{boards}\n</svg>'
     )
 
 
@@ -34,7 +35,8 @@ def write_drawing_pdf(made: Sequence[Sheet], path: Path) -> None:
             (place / f"{number}.svg").write_text(sheet_svg(sheet), encoding="utf-8")
             wide, tall = sheet.paper
             lines.append(
-                f'#page(width: {wide:g}mm, height: {tall:g}mm, margin: 0mm, image("{number}.svg", width: {wide:g}mm))'
+                f'#page(width: {wide:g}mm, height: {tall:g}mm, margin: 0mm, image("{number}.svg", width:'
+                f" {wide:g}mm))"
             )
         main = '#set document(title: "drawing", author: "clacad", date: none)\n' + "\n".join(lines)
         (place / "main.typ").write_text(main, encoding="utf-8")

@@ -67,7 +67,9 @@ class OnPaper:
     share: float
 
     def scale(self, largest: float) -> float:
-        """The largest scale of ISO 5455 (1, 2 or 5 times a power of ten) up to a share of `largest`, px per mm."""
+        """The largest scale of ISO 5455 (1, 2 or 5 times a power of ten) up to a share of `largest`, px per
+        mm.
+        """
         wanted = largest * self.share * self.unit * (1.0 + 1e-9)
         power = 10.0 ** floor(log10(wanted))
         return next(step for step in (5.0, 2.0, 1.0) if step * power <= wanted) * power / self.unit
@@ -91,7 +93,8 @@ Range = tuple[float, float]
 
 
 def assembly(window: Window, paper: OnPaper | None = None, ranges: Sequence[Range] | None = None) -> Canvas:
-    """The whole sheet from the side, cut through a row of cells, with its outer sizes and those of its bodies.
+    """The whole sheet from the side, cut through a row of cells, with its outer sizes and those of its
+    bodies.
 
     ranges : lowest and highest point of every body (lengths), where they are known already
     """
@@ -126,10 +129,16 @@ def assembly(window: Window, paper: OnPaper | None = None, ranges: Sequence[Rang
 
 
 def _assembly_dimensions(
-    canvas: Canvas, window: Window, at: Callable[..., Floats], ranges: Sequence[Range],
-    across: tuple[float, float], down: tuple[float, float],
-) -> None:  # fmt: skip
-    """Outer sizes, heights of the bodies, datum A, the finish of the sides, and the direction of the light."""
+    canvas: Canvas,
+    window: Window,
+    at: Callable[..., Floats],
+    ranges: Sequence[Range],
+    across: tuple[float, float],
+    down: tuple[float, float],
+) -> None:
+    """Outer sizes, heights of the bodies, datum A, the finish of the sides, and the direction of the
+    light.
+    """
     mm = millimetres(window.unit)
     x0, x1, _, _ = whole_extent(window)
     low, high = window.z_range
@@ -149,7 +158,8 @@ def _assembly_dimensions(
 
 
 LENS_FINISH, OTHER_FINISH = "z", "y"
-"""Letters at the symbols of surface texture, on lens faces and on all others; the table of surfaces explains them."""
+"""Letters at the symbols of surface texture, on lens faces and on all others; the table of surfaces explains
+them."""
 
 
 def row_text(window: Window) -> str:
@@ -197,9 +207,11 @@ def plan(window: Window, paper: OnPaper | None = None) -> Canvas:
     full = max(needed, _text_width(*foot))
     left += 0.5 * (full - needed)
     canvas = Canvas(
-        full, top + tall + drop + 50.0 + STEP_DOWN * len(across) + 15.0 * len(foot),
-        "the sheet seen along the light, with axes, sizes and places of holes, to scale", scale,
-    )  # fmt: skip
+        full,
+        top + tall + drop + 50.0 + STEP_DOWN * len(across) + 15.0 * len(foot),
+        "the sheet seen along the light, with axes, sizes and places of holes, to scale",
+        scale,
+    )
     _outline(canvas, window, (left, top), (wide, tall))
     _axes(canvas, (left + 0.5 * wide, top + 0.5 * tall), min(48.0, 0.3 * wide, 0.3 * tall))
     bottom = top + tall
@@ -214,7 +226,9 @@ def plan(window: Window, paper: OnPaper | None = None) -> Canvas:
 
 
 def _outline(canvas: Canvas, window: Window, at: tuple[float, float], size: tuple[float, float]) -> None:
-    """The outline of the sheet, its mark and its datums; `at`: upper left corner, `size`: width and height, px."""
+    """The outline of the sheet, its mark and its datums; `at`: upper left corner, `size`: width and height,
+    px.
+    """
     (left, top), (wide, tall) = at, size
     x0, x1, y0, y1 = whole_extent(window)
     scale = wide / (x1 - x0)
@@ -241,7 +255,9 @@ def _outline(canvas: Canvas, window: Window, at: tuple[float, float], size: tupl
 
 
 def _free_way(place: float, taken: Sequence[float]) -> float:
-    """Least offset (px) of a datum letter from its place, so that no extension line (at `taken`) crosses it."""
+    """Least offset (px) of a datum letter from its place, so that no extension line (at `taken`) crosses
+    it.
+    """
     ways = sorted((4.0 * k for k in range(-40, 41)), key=lambda way: (abs(way), way))
     return next((way for way in ways if all(abs(place + way - line) > 9.0 for line in taken)), 0.0)
 
@@ -303,7 +319,9 @@ Distance = tuple[float, float, str]
 
 
 def _inner_distances(window: Window) -> tuple[list[Distance], list[Distance]]:
-    """Stretches (low, high, words) along x and along y, lengths, to be dimensioned: clear aperture, places of holes."""
+    """Stretches (low, high, words) along x and along y, lengths, to be dimensioned: clear aperture, places
+    of holes.
+    """
     clear = _clear_aperture(window)
     found = [places if len(places) <= MOST_PLACES else [] for places in _hole_places(window)]
     return clear[0] + found[0], clear[1] + found[1]
@@ -351,7 +369,8 @@ def _extreme_places(plate: Plate) -> tuple[float, float]:
 def _plate_plan(
     canvas: Canvas, plate: Plate, corner: tuple[float, float], at: tuple[float, float], scale: float
 ) -> None:
-    """A plate seen along the light, +x to the left: its edge, its numbered holes, the mark at the corner +x, +y.
+    """A plate seen along the light, +x to the left: its edge, its numbered holes, the mark at the corner +x,
+    +y.
 
     corner : (x, y), lengths, that lies at the point `at`, px; scale : px per length
     """
@@ -372,10 +391,15 @@ def _plate_plan(
 
 
 def telescopelet(
-    window: Window, facts: Feasibility, light: DrawnLight | None = None, allowed: Allowances = NO_ALLOWANCES,
+    window: Window,
+    facts: Feasibility,
+    light: DrawnLight | None = None,
+    allowed: Allowances = NO_ALLOWANCES,
     paper: OnPaper | None = None,
-) -> Canvas:  # fmt: skip
-    """One telescopelet cut along x, light from the left, with separation, thicknesses, pitch and focal plane."""
+) -> Canvas:
+    """One telescopelet cut along x, light from the left, with separation, thicknesses, pitch and focal
+    plane.
+    """
     mm = millimetres(window.unit)
     pitch = window.lattice.pitch[0] * mm
     low, high = window.z_range
@@ -460,8 +484,9 @@ def _spans(window: Window, at: Callable[..., Floats], canvas: Canvas) -> dict[st
     return found
 
 
-def _focal_plane(canvas: Canvas, window: Window, light: DrawnLight, at: Callable[..., Floats], middle: float
-                 ) -> None:  # fmt: skip
+def _focal_plane(
+    canvas: Canvas, window: Window, light: DrawnLight, at: Callable[..., Floats], middle: float
+) -> None:
     """Common focal plane along x, where it lies between the lenses, and traced rays."""
     for ray in light.rays:
         path = at(ray[:, 0] + middle, ray[:, 2])
@@ -481,10 +506,15 @@ def _focal_plane(canvas: Canvas, window: Window, light: DrawnLight, at: Callable
 
 
 def lens_detail(
-    window: Window, facts: Feasibility, number: int, allowed: Allowances = NO_ALLOWANCES,
+    window: Window,
+    facts: Feasibility,
+    number: int,
+    allowed: Allowances = NO_ALLOWANCES,
     paper: OnPaper | None = None,
-) -> Canvas:  # fmt: skip
-    """Lens `number` of the facts over its cell, enlarged, with pitch, sag, thickness and apex radii; light from below."""
+) -> Canvas:
+    """Lens `number` of the facts over its cell, enlarged, with pitch, sag, thickness and apex radii; light
+    from below.
+    """
     lens = facts.lenses[number]
     array = lens.array
     place = next(k for k, one in enumerate(window.bodies) if one.name == lens.body)
@@ -541,7 +571,9 @@ def _shape_words(lens: LensFacts, mm: float) -> tuple[str, str]:
 
 
 def _lens_finish(canvas: Canvas, x: Floats, face: Floats, at: Callable[..., Floats], below: bool) -> None:
-    """The symbol of surface texture on a lens face, next to its apex; of a face seen from below at the end of a leader."""
+    """The symbol of surface texture on a lens face, next to its apex; of a face seen from below at the end
+    of a leader.
+    """
     known = np.flatnonzero(np.isfinite(face))
     if not len(known):
         return
@@ -570,10 +602,19 @@ def _depth(front: Floats, back: Floats) -> float:
 
 
 def _detail_dimensions(
-    canvas: Canvas, x: Floats, front: Floats, back: Floats, at: Callable[..., Floats], mm: float, curved: int | None,
-    base: float, half: float,
-) -> None:  # fmt: skip
-    """Draw pitch, and sag of a lens on a plate, or thicknesses of a separate lens at the middle and the edge."""
+    canvas: Canvas,
+    x: Floats,
+    front: Floats,
+    back: Floats,
+    at: Callable[..., Floats],
+    mm: float,
+    curved: int | None,
+    base: float,
+    half: float,
+) -> None:
+    """Draw pitch, and sag of a lens on a plate, or thicknesses of a separate lens at the middle and the
+    edge.
+    """
     pitch = (x[-1] - x[0]) * mm
     (xa, ya), (xb, _) = at(x[0], _low(front)), at(x[-1], _low(front))
     canvas.across(
@@ -587,15 +628,29 @@ def _detail_dimensions(
     if curved is not None:
         face = front if curved == 0 else back
         ends = float(at(0.0, face[first])[1]), float(at(0.0, face[mid])[1])
-        canvas.upright(*ends, float(xb) + 18, mm_text(abs(face[mid] - face[first]) * mm),
-                       (float(at(x[-1], 0.0)[0]), float(at(x[mid], 0.0)[0])))  # fmt: skip
+        canvas.upright(
+            *ends,
+            float(xb) + 18,
+            mm_text(abs(face[mid] - face[first]) * mm),
+            (float(at(x[-1], 0.0)[0]), float(at(x[mid], 0.0)[0])),
+        )
         return
     za, zb = float(at(0.0, front[mid])[1]), float(at(0.0, back[mid])[1])
-    canvas.upright(za, zb, float(xb) + 18, mm_text((back[mid] - front[mid]) * mm, half),
-                   (float(at(x[mid], 0.0)[0]), float(at(x[mid], 0.0)[0])))  # fmt: skip
+    canvas.upright(
+        za,
+        zb,
+        float(xb) + 18,
+        mm_text((back[mid] - front[mid]) * mm, half),
+        (float(at(x[mid], 0.0)[0]), float(at(x[mid], 0.0)[0])),
+    )
     za, zb = float(at(0.0, front[first])[1]), float(at(0.0, back[first])[1])
-    canvas.upright(za, zb, float(xa) - 18, mm_text((back[first] - front[first]) * mm),
-                   (float(at(x[first], 0.0)[0]), float(at(x[first], 0.0)[0])))  # fmt: skip
+    canvas.upright(
+        za,
+        zb,
+        float(xa) - 18,
+        mm_text((back[first] - front[first]) * mm),
+        (float(at(x[first], 0.0)[0]), float(at(x[first], 0.0)[0])),
+    )
 
 
 def _low(values: Floats) -> float:

@@ -95,11 +95,19 @@ class GreyCell:
         for _, _, one in self.each() if self.own else (("", (0.0, 0.0), self),):
             counts.update(one.level[one.level >= 0].ravel().tolist())
         return {
-            "face": self.map.label, "levels": self.levels, "layer_of_low": 0, "low_mm": self.map.low * scale,
-            "high_mm": self.map.high * scale, "step_mm": self.step * scale, "pixel_um": list(self.pixel),
-            "reference_z_mm": self.map.reference * scale, "outward": "-z" if self.map.face.side > 0 else "+z",
-            "unit_um": 1.0, "grid_um": GRID, "pixels_of_layer": [counts.get(n, 0) for n in range(self.levels)],
-        }  # fmt: skip
+            "face": self.map.label,
+            "levels": self.levels,
+            "layer_of_low": 0,
+            "low_mm": self.map.low * scale,
+            "high_mm": self.map.high * scale,
+            "step_mm": self.step * scale,
+            "pixel_um": list(self.pixel),
+            "reference_z_mm": self.map.reference * scale,
+            "outward": "-z" if self.map.face.side > 0 else "+z",
+            "unit_um": 1.0,
+            "grid_um": GRID,
+            "pixels_of_layer": [counts.get(n, 0) for n in range(self.levels)],
+        }
 
     def boxes(self) -> Iterator[tuple[int, float, float, float, float]]:
         """Layer and (x0, y0, x1, y1) in micrometres of runs of equal pixels, the cell's centre at 0."""
@@ -209,7 +217,9 @@ def _range_of_cells(map_: HeightMap) -> tuple[float, float]:
 
 
 def _outward(map_: HeightMap, points: Floats, index: Ints) -> Floats:
-    """Heights (n,) of a face over points (n, 2) of the cells `index` (n, 2), away from the material; NaN in holes."""
+    """Heights (n,) of a face over points (n, 2) of the cells `index` (n, 2), away from the material; NaN in
+    holes.
+    """
     window, body, face = map_.window, map_.body, map_.face
     if body.columnar:
         z = column(window, body, points[:, 0], points[:, 1], index)[0 if face is body.front else 1]
@@ -229,7 +239,9 @@ def _levels_in(map_: HeightMap, levels: int, cell: Ints) -> Ints:
 
 
 def _levels_at(one: Window, body: Body, map_: HeightMap, levels: int, x: Floats, y: Floats) -> Ints:
-    """Level (n,) of a face at points (n,) from the centre of its cell, 0 the lowest; −1 outside the cell or the lens."""
+    """Level (n,) of a face at points (n,) from the centre of its cell, 0 the lowest; −1 outside the cell or
+    the lens.
+    """
     assert map_.face.array is not None
     index, _, _ = one.lattice_of(map_.face.array).locate(x, y)
     dx, dy = one.shifts[map_.face.array]

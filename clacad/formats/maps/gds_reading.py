@@ -1,4 +1,6 @@
-"""GDSII files of grey levels read back: by gdstk and by their bare records, compared with the lens formula."""
+"""GDSII files of grey levels read back: by gdstk and by their bare records, compared with the lens
+formula.
+"""
 
 from __future__ import annotations
 

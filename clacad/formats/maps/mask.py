@@ -44,8 +44,12 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
     if body.front.change is not None or body.back.change is not None:
         _refuse_rims(window, body, face, zone)
         return zone
-    edge = np.concatenate([zone[k] + np.linspace(0, 1, 64, endpoint=False)[:, None] * (zone[(k + 1) % len(zone)] - zone[k])
-                           for k in range(len(zone))])  # fmt: skip
+    edge = np.concatenate(
+        [
+            zone[k] + np.linspace(0, 1, 64, endpoint=False)[:, None] * (zone[(k + 1) % len(zone)] - zone[k])
+            for k in range(len(zone))
+        ]
+    )
     if _proud(window, body, face, edge * (1 - 1e-9)).all():
         return zone
     start = _inside_point(window, body, face, zone)
@@ -64,7 +68,9 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
 
 
 def _refuse_rims(window: Window, body: Body, face: Face, zone: Floats) -> None:
-    """Reject a non-uniform sheet where a cell does not fill its optical zone at its corners, sides or middle."""
+    """Reject a non-uniform sheet where a cell does not fill its optical zone at its corners, sides or
+    middle.
+    """
     at = (1.0 - 1e-9) * np.concatenate([zone, 0.5 * (zone + np.roll(zone, 1, axis=0)), [[0.0, 0.0]]])
     cells = window.lattice.cells()
     index = np.repeat(cells, len(at), axis=0)
@@ -101,7 +107,9 @@ def _proud(window: Window, body: Body, face: Face, points: Floats) -> NDArray[np
 
 
 def _inside_point(window: Window, body: Body, face: Face, zone: Floats) -> Floats | None:
-    """Point of the zone that lies deepest inside the lens: the apex, or the nearest grid point on the lens."""
+    """Point of the zone that lies deepest inside the lens: the apex, or the nearest grid point on the
+    lens.
+    """
     u = np.linspace(zone[:, 0].min(), zone[:, 0].max(), 65)
     v = np.linspace(zone[:, 1].min(), zone[:, 1].max(), 65)
     x, y = np.meshgrid(u, v)
@@ -148,12 +156,12 @@ def write_svg(window: Window, body: Body, face: Face, label: str, path: Path, sc
     )
     with path.open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(
-            '<?xml version="1.0" encoding="UTF-8"?>\n'
-            f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" width="{x1 - x0!r}mm" '
-            f'height="{y1 - y0!r}mm" viewBox="{(-x1 if mirror else x0)!r} {-y1!r} {x1 - x0!r} {y1 - y0!r}">\n'
-            f"<title>clacad aperture mask {label}, {view}</title>\n"
-            f'<defs><polygon id="lens" points="{_points(aperture(window, body, face) * scale)}"/></defs>\n'
-            f'<g transform="scale({-1 if mirror else 1} -1)">\n'
+            '<?xml version="1.0" encoding="UTF-8"?>\n<svg xmlns="http://www.w3.org/2000/svg"'
+            f' xmlns:xlink="http://www.w3.org/1999/xlink" width="{x1 - x0!r}mm" height="{y1 - y0!r}mm"'
+            f' viewBox="{(-x1 if mirror else x0)!r} {-y1!r} {x1 - x0!r} {y1 - y0!r}">\n<title>clacad aperture'
+            f' mask {label}, {view}</title>\n<defs><polygon id="lens"'
+            f' points="{_points(aperture(window, body, face) * scale)}"/></defs>\n<g'
+            f' transform="scale({-1 if mirror else 1} -1)">\n'
         )
         stream.write(_ground(window, x0, x1, y0, y1, scale) + '<g id="lenses" fill="#ffffff">\n')
         for x, y in _centres(window, face, scale):
@@ -167,10 +175,16 @@ def _points(polygon: Floats) -> str:
 
 def _ground(window: Window, x0: float, x1: float, y0: float, y1: float, scale: float) -> str:
     if isinstance(window.outline, Plate):
-        return f'<path d="{" ".join(_svg_loop(loop, scale) for loop in window.outline.loops)}" fill="#000000"/>\n'
+        return (
+            f'<path d="{" ".join(_svg_loop(loop, scale) for loop in window.outline.loops)}"'
+            ' fill="#000000"/>\n'
+        )
     if isinstance(window.outline, Circle):
         cx, cy = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
-        return f'<circle cx="{cx!r}" cy="{cy!r}" r="{0.5 * window.outline.diameter * scale!r}" fill="#000000"/>\n'
+        return (
+            f'<circle cx="{cx!r}" cy="{cy!r}" r="{0.5 * window.outline.diameter * scale!r}"'
+            ' fill="#000000"/>\n'
+        )
     return f'<rect x="{x0!r}" y="{y0!r}" width="{x1 - x0!r}" height="{y1 - y0!r}" fill="#000000"/>\n'
 
 
@@ -215,15 +229,33 @@ def write_dxf(window: Window, body: Body, face: Face, label: str, path: Path, sc
     """
     x0, x1, y0, y1 = (v * scale for v in whole_extent(window))
     lens = aperture(window, body, face) * scale
-    lines = [(999, f"clacad aperture mask {label}, unit mm"), (0, "SECTION"), (2, "BLOCKS"), (0, "BLOCK"), (8, "0"), (2, "LENS"),
-             (70, "0"), (10, "0"), (20, "0"), *_polyline(lens, "APERTURE"), (0, "ENDBLK"), (0, "ENDSEC"),
-             (0, "SECTION"), (2, "ENTITIES")]  # fmt: skip
+    lines = [
+        (999, f"clacad aperture mask {label}, unit mm"),
+        (0, "SECTION"),
+        (2, "BLOCKS"),
+        (0, "BLOCK"),
+        (8, "0"),
+        (2, "LENS"),
+        (70, "0"),
+        (10, "0"),
+        (20, "0"),
+        *_polyline(lens, "APERTURE"),
+        (0, "ENDBLK"),
+        (0, "ENDSEC"),
+        (0, "SECTION"),
+        (2, "ENTITIES"),
+    ]
     if isinstance(window.outline, Plate):
         for loop in window.outline.loops:
             lines += _dxf_loop(loop, scale)
     elif isinstance(window.outline, Circle):
-        lines += [(0, "CIRCLE"), (8, "OUTLINE"), (10, repr(0.5 * (x0 + x1))), (20, repr(0.5 * (y0 + y1))),
-                  (40, repr(0.5 * window.outline.diameter * scale))]  # fmt: skip
+        lines += [
+            (0, "CIRCLE"),
+            (8, "OUTLINE"),
+            (10, repr(0.5 * (x0 + x1))),
+            (20, repr(0.5 * (y0 + y1))),
+            (40, repr(0.5 * window.outline.diameter * scale)),
+        ]
     else:
         lines += _polyline(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]), "OUTLINE")
     with path.open("w", encoding="ascii", newline="\n") as stream:

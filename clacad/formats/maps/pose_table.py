@@ -1,4 +1,6 @@
-"""Surface equation and pose table: the data that a tool-path programmer needs to cut the faces without CAD."""
+"""Surface equation and pose table: the data that a tool-path programmer needs to cut the faces without
+CAD.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,20 @@ from clacad.storage.atomic import canonical_json
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 
 EQUATION = {
-    "quadric": "cx x^2 + cy y^2 + kappa z^2 - 2 side z = 0, the half nearer the apex, in the lens frame (apex at the origin)",
-    "biconic": "z = side q / (1 + sqrt(1 - (1+Kx) cx^2 x^2 - (1+Ky) cy^2 y^2)), q = cx x^2 + cy y^2, in the lens frame",
+    "quadric": (
+        "cx x^2 + cy y^2 + kappa z^2 - 2 side z = 0, the half nearer the apex, in the lens frame (apex at the"
+        " origin)"
+    ),
+    "biconic": (
+        "z = side q / (1 + sqrt(1 - (1+Kx) cx^2 x^2 - (1+Ky) cy^2 y^2)), q = cx x^2 + cy y^2, in the lens"
+        " frame"
+    ),
 }
 POLYNOMIAL = {
-    "even polynomial": "z = side (q / (1 + sqrt(1 - (1+Kx) cx^2 x^2 - (1+Ky) cy^2 y^2)) + a x^4 + b x^2 y^2 + c y^4), "
-    "a4 = [a, b, c], q = cx x^2 + cy y^2, in the lens frame"
+    "even polynomial": (
+        "z = side (q / (1 + sqrt(1 - (1+Kx) cx^2 x^2 - (1+Ky) cy^2 y^2)) + a x^4 + b x^2 y^2 + c y^4), "
+        "a4 = [a, b, c], q = cx x^2 + cy y^2, in the lens frame"
+    )
 }
 HIGHER = (
     "; in the bracket also + a6 . (x^6, x^4 y^2, x^2 y^4, y^6) + a8 . (x^8, x^6 y^2, x^4 y^4, x^2 y^6, y^8)"
@@ -59,9 +69,13 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
         "equations": EQUATION | _of_polynomials(window),
         "euler": "R = Rz(psi) Rx(theta) Rz(phi) about the fixed sheet axes",
         "lattice": {
-            "kind": lattice.kind, "pitch_mm": [p * scale for p in lattice.pitch], "count": list(lattice.count),
-            "a1_mm": [v * scale for v in lattice.a1], "a2_mm": [v * scale for v in lattice.a2],
-            "first_centre_mm": [v * scale for v in lattice.first_centre], "seam_mm": window.land.seam * scale,
+            "kind": lattice.kind,
+            "pitch_mm": [p * scale for p in lattice.pitch],
+            "count": list(lattice.count),
+            "a1_mm": [v * scale for v in lattice.a1],
+            "a2_mm": [v * scale for v in lattice.a2],
+            "first_centre_mm": [v * scale for v in lattice.first_centre],
+            "seam_mm": window.land.seam * scale,
         },
         "bodies": [
             {"name": body.name, "index": body.index, "material": getattr(body.material, "name", None)}
@@ -72,7 +86,7 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
             for body in window.bodies
             for face, label in ((body.front, f"{body.name}-front"), (body.back, f"{body.name}-back"))
         ],
-    }  # fmt: skip
+    }
 
 
 def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
@@ -94,7 +108,10 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
         found |= {
             "apex_radius_x_mm": None,
             "apex_radius_y_mm": None,
-            "size": "cell by cell in the pose table: the face of a cell is the one of these coefficients, all lengths times its size",
+            "size": (
+                "cell by cell in the pose table: the face of a cell is the one of these coefficients, all"
+                " lengths times its size"
+            ),
         }
     return found
 
@@ -111,12 +128,17 @@ def _face(window: Window, body: str, face: Face, label: str, scale: float) -> di
     """One face as the surface table lists it; `scale`: millimetres per design unit."""
     surface: Any = face.surface
     plain: dict[str, Any] = {
-        "face": label, "body": body, "side": face.side, "curvature_x_per_mm": surface.curvature_x / scale,
-        "curvature_y_per_mm": surface.curvature_y / scale, "array": face.array,
+        "face": label,
+        "body": body,
+        "side": face.side,
+        "curvature_x_per_mm": surface.curvature_x / scale,
+        "curvature_y_per_mm": surface.curvature_y / scale,
+        "array": face.array,
         "cells_shift_mm": None if face.array is None else [v * scale for v in window.shifts[face.array]],
-        "apex_in_cell_mm": [v * scale for v in face.vertex], "rotation": face.rotation.tolist(),
+        "apex_in_cell_mm": [v * scale for v in face.vertex],
+        "rotation": face.rotation.tolist(),
         "land_z_mm": None if face.land is None else face.land * scale,
-    }  # fmt: skip
+    }
     if hasattr(surface, "kappa"):
         plain |= {"equation": "quadric", "kappa_per_mm": surface.kappa / scale}
     else:
@@ -141,7 +163,9 @@ def write_table_json(window: Window, path: Path, scale: float) -> None:
 
 
 def write_table_csv(window: Window, path: Path, scale: float) -> int:
-    """Write one line for each lenslet face of each cell: apex and Euler angles. Returns the number of lines."""
+    """Write one line for each lenslet face of each cell: apex and Euler angles. Returns the number of
+    lines.
+    """
     count = 0
     with path.open("w", encoding="ascii", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -218,8 +242,9 @@ def check_table(window: Window, json_path: Path, csv_path: Path, scale: float, c
             _check_pose(window, face, entry, row, scale, json_path.name, body.name)
 
 
-def _check_pose(window: Window, face: Face, entry: dict[str, Any], row: dict[str, str], scale: float, name: str,
-                body: str) -> None:  # fmt: skip
+def _check_pose(
+    window: Window, face: Face, entry: dict[str, Any], row: dict[str, str], scale: float, name: str, body: str
+) -> None:
     """Reject a row whose lens, at the pose it states, differs from the design's lens there."""
     assert face.array is not None
     apex = np.array([float(row[f"apex_{axis}_mm"]) for axis in "xyz"])

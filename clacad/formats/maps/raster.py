@@ -27,8 +27,15 @@ def tiff_bytes(width: int, height: int, bits: int, description: str) -> int:
     return len(_tiff_head(width, height, bits, 1.0, description)) + width * height * bits // 8
 
 
-def write_tiff(rows: Iterable[Pixels], path: Path, width: int, height: int, bits: int, pixels_per_cm: float,
-               description: str) -> None:  # fmt: skip
+def write_tiff(
+    rows: Iterable[Pixels],
+    path: Path,
+    width: int,
+    height: int,
+    bits: int,
+    pixels_per_cm: float,
+    description: str,
+) -> None:
     """Write blocks of rows (k, width), uint16 or float32, as a TIFF file; row 0 is the top.
 
     Parameters
@@ -74,12 +81,21 @@ def _tiff_head(width: int, height: int, bits: int, pixels_per_cm: float, descrip
     data = words + len(text)
     ratio = (min(round(pixels_per_cm * 1000.0), (1 << 32) - 1) or 1, 1000)
     fields = [
-        (256, _LONG, 1, width), (257, _LONG, 1, height), (258, _SHORT, 1, bits), (259, _SHORT, 1, 1),
-        (262, _SHORT, 1, 1), (270, _ASCII, len(text), words), (273, _LONG, 1, data), (277, _SHORT, 1, 1),
-        (278, _LONG, 1, height), (279, _LONG, 1, width * height * bits // 8),
-        (282, _RATIONAL, 1, resolution), (283, _RATIONAL, 1, resolution + 8), (296, _SHORT, 1, 3),
+        (256, _LONG, 1, width),
+        (257, _LONG, 1, height),
+        (258, _SHORT, 1, bits),
+        (259, _SHORT, 1, 1),
+        (262, _SHORT, 1, 1),
+        (270, _ASCII, len(text), words),
+        (273, _LONG, 1, data),
+        (277, _SHORT, 1, 1),
+        (278, _LONG, 1, height),
+        (279, _LONG, 1, width * height * bits // 8),
+        (282, _RATIONAL, 1, resolution),
+        (283, _RATIONAL, 1, resolution + 8),
+        (296, _SHORT, 1, 3),
         (339, _SHORT, 1, 1 if bits == 16 else 3),
-    ]  # fmt: skip
+    ]
     directory = b"".join(struct.pack("<HHII", *field) for field in fields)
     head = b"II*\0" + struct.pack("<I", 8) + struct.pack("<H", entries) + directory + struct.pack("<I", 0)
     return head + struct.pack("<IIII", *ratio, *ratio) + text

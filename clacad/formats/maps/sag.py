@@ -68,15 +68,26 @@ class HeightMap:
         return (self.high - self.low) / 65534.0 or 1.0
 
     def calibration(self, scale: float) -> dict[str, object]:
-        """Data that a machine needs to use the map, in millimetres (`scale` = millimetres per design unit)."""
+        """Data that a machine needs to use the map, in millimetres (`scale` = millimetres per design
+        unit).
+        """
         return {
-            "face": self.label, "pixel_mm": self.pixel * scale, "width": self.width, "height": self.height,
-            "left_mm": self.origin[0] * scale, "bottom_mm": self.origin[1] * scale,
-            "reference_z_mm": self.reference * scale, "outward": "-z" if self.face.side > 0 else "+z",
-            "low_mm": self.low * scale, "high_mm": self.high * scale, "step_mm": self.step * scale,
-            "level_of_low": 1, "row_0": "top (greatest y)", "column_0": "left (least x)",
+            "face": self.label,
+            "pixel_mm": self.pixel * scale,
+            "width": self.width,
+            "height": self.height,
+            "left_mm": self.origin[0] * scale,
+            "bottom_mm": self.origin[1] * scale,
+            "reference_z_mm": self.reference * scale,
+            "outward": "-z" if self.face.side > 0 else "+z",
+            "low_mm": self.low * scale,
+            "high_mm": self.high * scale,
+            "step_mm": self.step * scale,
+            "level_of_low": 1,
+            "row_0": "top (greatest y)",
+            "column_0": "left (least x)",
             "hole": {"u16": 0, "f32": NO_DATA},
-        }  # fmt: skip
+        }
 
     def blocks(self) -> Iterator[Floats]:
         """Heights (k, width) from the top row down, design units, NaN where there is no face."""
@@ -202,7 +213,10 @@ def write_map(map_: HeightMap, path: Path, kind: str, scale: float) -> None:
     ------
     OSError, FileDisagrees
     """
-    text = f"clacad height map {map_.label}, pixel {map_.pixel * scale!r} mm, low {map_.low * scale!r} mm, step {map_.step * scale!r} mm"
+    text = (
+        f"clacad height map {map_.label}, pixel {map_.pixel * scale!r} mm, low {map_.low * scale!r} mm, step"
+        f" {map_.step * scale!r} mm"
+    )
     per_mm = 1.0 / (map_.pixel * scale)
     if kind == "tiff32":
         rows: Iterator[Pixels] = (_millimetres(block, scale) for block in map_.blocks())
@@ -298,7 +312,8 @@ _LINE = "%.9f %.9f %.9f %.12f %.12f %.12f"
 def _cell_points(
     window: Window, face: Face, per_cell: int, index: NDArray[np.int64] | None = None
 ) -> tuple[Floats, Floats, Floats]:
-    """Points (n, 2) of a grid inside a cell, about its centre; heights (n,) there; outward unit normals (n, 3).
+    """Points (n, 2) of a grid inside a cell, about its centre; heights (n,) there; outward unit normals (n,
+    3).
 
     index : (2,) or None
         The cell, on a non-uniform sheet.

@@ -116,7 +116,9 @@ def welded(corners: Floats) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def welded_points(points: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Merge points (n, 3) that agree in all bits: vertices (v, 3), and the vertex number of each point, (n,)."""
+    """Merge points (n, 3) that agree in all bits: vertices (v, 3), and the vertex number of each point,
+    (n,).
+    """
     flat = points + 0.0
     threes = np.concatenate([flat, np.zeros((-len(flat) % 3, 3))]).reshape(-1, 3, 3)  # as corners of facets
     hashes = vertex_hashes(threes).ravel()[: len(flat)]

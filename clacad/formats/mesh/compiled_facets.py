@@ -16,7 +16,8 @@ def facet_numbers(corners: Floats, scale: float, numbers: Singles) -> bool:
     scale : float
         File units per unit of the corners.
 
-    Corners are rounded first, without −0; the normal is that of the rounded triangle, of length 1, or 0 for one
+    Corners are rounded first, without −0; the normal is that of the rounded triangle, of length 1, or 0 for
+    one
     without area.
     """
     finite = True

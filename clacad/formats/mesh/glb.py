@@ -128,10 +128,14 @@ def _begun(name: str) -> dict[str, Any]:
     return {
         "asset": {"version": "2.0", "generator": "clacad"},
         "extensionsUsed": ["KHR_materials_ior", "KHR_materials_transmission"],
-        "scene": 0, "scenes": [{"name": name, "nodes": [0]}],
+        "scene": 0,
+        "scenes": [{"name": name, "nodes": [0]}],
         "nodes": [{"name": name, "scale": [MILLIMETRE] * 3, "children": []}],
-        "meshes": [], "materials": [], "accessors": [], "bufferViews": [],
-    }  # fmt: skip
+        "meshes": [],
+        "materials": [],
+        "accessors": [],
+        "bufferViews": [],
+    }
 
 
 def _write_chunks(path: Path, document: dict[str, Any], binary: bytearray) -> None:
@@ -174,20 +178,32 @@ def _add_mesh(document: dict[str, Any], binary: bytearray, piece: Piece, scale: 
     }
     corners = np.asarray(piece.triangles, dtype="<u4").reshape(-1)
     primitive = {
-        "attributes": attributes, "mode": 4, "material": len(document["materials"]) - 1,
+        "attributes": attributes,
+        "mode": 4,
+        "material": len(document["materials"]) - 1,
         "indices": _add_accessor(document, binary, corners, 5125, "SCALAR", 34963),
-    }  # fmt: skip
+    }
     document["meshes"].append({"name": piece.name, "primitives": [primitive]})
 
 
-def _add_accessor(document: dict[str, Any], binary: bytearray, array: np.ndarray[Any, Any], component: int, kind: str,
-                  target: int, bounds: bool = False) -> int:  # fmt: skip
+def _add_accessor(
+    document: dict[str, Any],
+    binary: bytearray,
+    array: np.ndarray[Any, Any],
+    component: int,
+    kind: str,
+    target: int,
+    bounds: bool = False,
+) -> int:
     view = {"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes, "target": target}
     binary.extend(np.ascontiguousarray(array).tobytes())
     document["bufferViews"].append(view)
     accessor: dict[str, Any] = {
-        "bufferView": len(document["bufferViews"]) - 1, "componentType": component, "count": len(array), "type": kind,
-    }  # fmt: skip
+        "bufferView": len(document["bufferViews"]) - 1,
+        "componentType": component,
+        "count": len(array),
+        "type": kind,
+    }
     if bounds:
         accessor["min"], accessor["max"] = array.min(axis=0).tolist(), array.max(axis=0).tolist()
     document["accessors"].append(accessor)
@@ -408,10 +424,12 @@ def _local(node: dict[str, Any]) -> Floats:
     else:
         x, y, z, w = (float(v) for v in node.get("rotation", (0, 0, 0, 1)))
         turn = np.array(
-            [[1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
-             [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
-             [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)]]
-        )  # fmt: skip
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
+                [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
+                [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
         size = np.array([float(v) for v in node.get("scale", (1, 1, 1))])
         place[:3, :3] = size[:, None] * turn
         place[3, :3] = [float(v) for v in node.get("translation", (0, 0, 0))]

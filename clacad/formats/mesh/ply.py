@@ -18,10 +18,23 @@ from clacad.storage.errors import UnreadableFile
 from clacad.storage.reading import Spending
 
 _TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-    "double": "f8", "float64": "f8",
-}  # fmt: skip
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
 _LONGEST_HEADER = 1 << 16
 _LONGEST_WORD = 1000
 _BLOCK = 1 << 20
@@ -54,11 +67,17 @@ def write_ply(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> N
 
 def _header(name: str, vertices: int, facets: int) -> bytes:
     lines = [
-        "ply", "format binary_little_endian 1.0", "comment clacad unit=mm",
-        "comment name=" + re.sub(r"[^ -~]", "?", name)[:200], f"element vertex {vertices}",
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment clacad unit=mm",
+        "comment name=" + re.sub(r"[^ -~]", "?", name)[:200],
+        f"element vertex {vertices}",
         *(f"property double {p}" for p in ("x", "y", "z", "nx", "ny", "nz")),
-        f"element face {facets}", "property list uchar int vertex_indices", "end_header", "",
-    ]  # fmt: skip
+        f"element face {facets}",
+        "property list uchar int vertex_indices",
+        "end_header",
+        "",
+    ]
     return "\n".join(lines).encode("ascii")
 
 
@@ -210,7 +229,9 @@ def _ascii_body(
 
 
 def _words(spent: Spending, body: NDArray[np.uint8], most: int) -> Iterator[Floats]:
-    """Numbers of a text, a block at a time, until there are more than `most`; a block's end may cut a word."""
+    """Numbers of a text, a block at a time, until there are more than `most`; a block's end may cut a
+    word.
+    """
     found, rest = 0, b""
     for start in range(0, len(body), _BLOCK):
         spent.look(f"at byte {start:,} of its data")

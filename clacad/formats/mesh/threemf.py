@@ -108,7 +108,10 @@ def _model(pieces: Sequence[Piece], scale: float, name: str) -> Iterator[str]:
     """Lines of the model part: materials, meshes, components and build items."""
     yield '<?xml version="1.0" encoding="UTF-8"?>\n'
     yield f'<model unit="millimeter" xml:lang="en-US" xmlns="{NAMESPACE}">\n'
-    yield f'<metadata name="Title">{escape(name, quote=False)}</metadata>\n<metadata name="Application">clacad</metadata>\n'
+    yield (
+        f'<metadata name="Title">{escape(name, quote=False)}</metadata>\n<metadata'
+        ' name="Application">clacad</metadata>\n'
+    )
     yield "<resources>\n"
     numbers = iter(range(1, 1 << 31))
     items: list[tuple[int, str]] = []
@@ -314,9 +317,10 @@ def _runs(model: _Model) -> dict[str, ElementRun]:
         _current(model).components.extend(zip(numbers, places, strict=True))
 
     return {
-        "vertices": ElementRun(_VERTEX, vertices), "triangles": ElementRun(_TRIANGLE, triangles),
+        "vertices": ElementRun(_VERTEX, vertices),
+        "triangles": ElementRun(_TRIANGLE, triangles),
         "components": ElementRun(_COMPONENT, components),
-    }  # fmt: skip
+    }
 
 
 def _on_model(model: _Model, attributes: Attributes) -> None:
@@ -376,13 +380,24 @@ def _transform(model: _Model, attributes: Attributes) -> Floats:
 
 
 _HANDLERS = {
-    "model": _on_model, "metadata": _on_metadata, "object": _on_object, "vertex": _on_vertex,
-    "triangle": _on_triangle, "component": _on_component, "item": _on_item,
-}  # fmt: skip
+    "model": _on_model,
+    "metadata": _on_metadata,
+    "object": _on_object,
+    "vertex": _on_vertex,
+    "triangle": _on_triangle,
+    "component": _on_component,
+    "item": _on_item,
+}
 
 
-def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Placements]], above: tuple[str, ...],
-            budget: list[int]) -> None:  # fmt: skip
+def _expand(
+    model: _Model,
+    number: str,
+    place: Floats,
+    places: dict[str, list[Placements]],
+    above: tuple[str, ...],
+    budget: list[int],
+) -> None:
     """Collect the placements of each mesh.
 
     Leaf components are placed as one array, rows of such in sequence as rows: a sheet costs as much as its

@@ -120,8 +120,8 @@ def prism(
                 f"plane {{ <{number(sign * ox / length)}, {number(sign * oy / length)}, 0>, {number(half)} }}"
             )
     return (
-        f"intersection {{ {' '.join(sides)} plane {{ z, {high} }} plane {{ -z, {number(-units * span.low)} }} "
-        f"{_bounded(lattice, units, span)} }}"
+        f"intersection {{ {' '.join(sides)} plane {{ z, {high} }} plane {{ -z, {number(-units * span.low)} }}"
+        f" {_bounded(lattice, units, span)} }}"
     )
 
 
@@ -166,7 +166,9 @@ def moved(window: Window, face: Face) -> str:
 
 
 def tables(window: Window) -> Iterator[str]:
-    """Moves of the lenses of kept cells, row by row, in the sheet's own unit, where they follow no formula."""
+    """Moves of the lenses of kept cells, row by row, in the sheet's own unit, where they follow no
+    formula.
+    """
     for k, change in enumerate(changes(window)):
         if change.table is None:
             continue
@@ -316,7 +318,10 @@ def all_cells(
     yield f"    #declare I = {first}; #while (I < {end})"
     if moving:
         yield from _moves(window, units)
-    yield f"      object {{ {name} translate <{_place(window.lattice_of(array), window.shifts[array], units)}> }}"
+    yield (
+        f"      object {{ {name} translate"
+        f" <{_place(window.lattice_of(array), window.shifts[array], units)}> }}"
+    )
     if moving:
         yield "    #declare N = N + 1;"
     yield "    #declare I = I + 1; #end"

@@ -83,7 +83,9 @@ def _default_world(window: Window) -> Iterator[str]:
     yield f"camera {{ location <0, 0, {number(-20 * side)}> direction <0, 0, {number(20 * side)}>"
     yield f"  right <{number(1.1 * side)}, 0, 0> up <0, {number(1.1 * side)}, 0> }}"
     yield "background { rgb <0.62, 0.8, 1.0> }"
-    yield f"plane {{ y, {number(-0.6 * side)} pigment {{ checker rgb <0.42, 0.28, 0.16> rgb <0.86, 0.74, 0.55> "
+    yield (
+        f"plane {{ y, {number(-0.6 * side)} pigment {{ checker rgb <0.42, 0.28, 0.16> rgb <0.86, 0.74, 0.55> "
+    )
     yield f"  scale {number(side)} translate <0, {number(-0.6 * side)} - 0.5, 0> }} }}"
 
 
@@ -92,12 +94,16 @@ def _world(scene: Scene) -> Iterator[str]:
     zenith, horizon = scene.background.sky
     ground = scene.background.ground
     yield "sky_sphere { pigment { function { asin(max(-1, min(1, y)))/pi + 0.5 } color_map {"
-    yield f"  [0 {colour(ground)}] [0.5 {colour(ground)}] [0.5 {colour(horizon)}] [1 {colour(zenith)}] }} }} }}"
+    yield (
+        f"  [0 {colour(ground)}] [0.5 {colour(ground)}] [0.5 {colour(horizon)}] [1 {colour(zenith)}] }} }} }}"
+    )
     light = scene.light
     if light.key > 0.0:
         x, y, z = (number(FAR * v / math.hypot(*light.direction)) for v in light.direction)
         yield f"light_source {{ <{x}, {y}, {z}> rgb 1 parallel point_at <0, 0, 0> shadowless }}"
-    yield f"#declare Lit = finish {{ ambient 0 emission {number(light.ambient)} diffuse {number(light.key)} }}"
+    yield (
+        f"#declare Lit = finish {{ ambient 0 emission {number(light.ambient)} diffuse {number(light.key)} }}"
+    )
     for thing in scene.objects:
         yield from _thing(scene, thing, np.eye(3), np.zeros(3))
 
@@ -118,8 +124,8 @@ def _camera(camera: Camera) -> str:
     width, height = camera.pixels
     sign = -1.0 if camera.mirror else 1.0
     return (
-        f"camera {{ location {vector(position * SCALE)} direction {vector(look * SCALE)}\n"
-        f"  right {vector(sign * across * SCALE * right)} up {vector(across * SCALE * height / width * up)} }}"
+        f"camera {{ location {vector(position * SCALE)} direction {vector(look * SCALE)}\n  right"
+        f" {vector(sign * across * SCALE * right)} up {vector(across * SCALE * height / width * up)} }}"
     )
 
 
@@ -135,8 +141,13 @@ def _thing(scene: Scene, thing: SceneObject, rotation: Floats, origin: Floats) -
         yield _floor(thing)
         return
     shapes = {
-        "sphere": _sphere, "box": _box, "cone": _cone, "screen": _screen, "knight": _knight, "mesh": _mesh,
-    }  # fmt: skip
+        "sphere": _sphere,
+        "box": _box,
+        "cone": _cone,
+        "screen": _screen,
+        "knight": _knight,
+        "mesh": _mesh,
+    }
     where = matrix(turn, at * SCALE)
     for shape, pigment in shapes[thing.kind](scene, thing):
         shines = thing.kind == "screen" and thing.pattern in ("coordinates", "image")
@@ -185,7 +196,10 @@ def _knight(scene: Scene, thing: SceneObject) -> Shapes:
     )
     x, y, radius = (s * v for v in chess_knight.EYE)
     dark = tuple(chess_knight.EYE_SHADE * v for v in thing.colour)
-    ends = f"<{number(x)}, {number(y)}, {number(-1.02 * half)}>, <{number(x)}, {number(y)}, {number(1.02 * half)}>"
+    ends = (
+        f"<{number(x)}, {number(y)}, {number(-1.02 * half)}>, <{number(x)}, {number(y)},"
+        f" {number(1.02 * half)}>"
+    )
     shapes.append((f"cylinder {{ {ends}, {number(radius)}", colour(dark)))
     return shapes
 
@@ -193,7 +207,10 @@ def _knight(scene: Scene, thing: SceneObject) -> Shapes:
 def _screen(scene: Scene, thing: SceneObject) -> Shapes:
     """A flat screen with its pattern."""
     w, h = (SCALE * v for v in thing.size)
-    sheet = f"box {{ <{number(-0.5 * w)}, {number(-0.5 * h)}, 0>, <{number(0.5 * w)}, {number(0.5 * h)}, {number(1e-3)}>"
+    sheet = (
+        f"box {{ <{number(-0.5 * w)}, {number(-0.5 * h)}, 0>, <{number(0.5 * w)}, {number(0.5 * h)},"
+        f" {number(1e-3)}>"
+    )
     if thing.pattern == "coordinates":
         return [(sheet, _coordinates(w, h))]
     if thing.pattern == "stripes":
@@ -216,8 +233,14 @@ def _coordinates(w: float, h: float) -> str:
     """Red and green rise from 0 to 1 across the screen, blue is 1: an average of three maps, each three times
     as strong.
     """
-    across = f"gradient x color_map {{ [0 rgb 0] [1 rgb <3, 0, 0>] }} scale {number(w)} translate <{number(-0.5 * w)}, 0, 0>"
-    up = f"gradient y color_map {{ [0 rgb 0] [1 rgb <0, 3, 0>] }} scale {number(h)} translate <0, {number(-0.5 * h)}, 0>"
+    across = (
+        f"gradient x color_map {{ [0 rgb 0] [1 rgb <3, 0, 0>] }} scale {number(w)} translate"
+        f" <{number(-0.5 * w)}, 0, 0>"
+    )
+    up = (
+        f"gradient y color_map {{ [0 rgb 0] [1 rgb <0, 3, 0>] }} scale {number(h)} translate <0,"
+        f" {number(-0.5 * h)}, 0>"
+    )
     return f"average pigment_map {{ [1 {across}] [1 {up}] [1 color rgb <0, 0, 3>] }}"
 
 
@@ -236,7 +259,10 @@ def _floor(thing: SceneObject) -> str:
     odd, even = thing.colours
     side, y = SCALE * thing.tile, SCALE * thing.height
     # POV-Ray's first colour fills the cube at the origin, where floor(x) + floor(z) is even
-    pattern = f"checker {colour(even)} {colour(odd)} translate <0, -0.5, 0> scale {number(side)} translate <0, {number(y)}, 0>"
+    pattern = (
+        f"checker {colour(even)} {colour(odd)} translate <0, -0.5, 0> scale {number(side)} translate <0,"
+        f" {number(y)}, 0>"
+    )
     return f"plane {{ y, {number(y)} pigment {{ {pattern} }} finish {{ Lit }} }}"
 
 

@@ -40,7 +40,10 @@ from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
 SAMPLES = 33
 """Points along a side of a cell, and from its middle to its border, on which heights are sampled."""
 
-GLASS = "texture { pigment { rgbt <1, 1, 1, 1> } finish { ambient 0 diffuse 0 emission 0 specular 0 reflection 0 } }"
+GLASS = (
+    "texture { pigment { rgbt <1, 1, 1, 1> } finish { ambient 0 diffuse 0 emission 0 specular 0 reflection"
+    " 0 } }"
+)
 BLACK = Substance("texture { pigment { rgb 0 } finish { ambient 0 diffuse 0 emission 0 } }")
 
 
@@ -152,7 +155,10 @@ def _layer(
         level = land.low if side > 0.0 else land.high
         paint = HeightRange(*sorted((level, level - side * gap)))
         wider = HeightRange(paint.low - gap, paint.high + gap)
-        rim = f"difference {{ {prism(window, face.array, units, paint, spare=0.0)} {prism(window, face.array, units, wider, zone=True)} }}"
+        rim = (
+            f"difference {{ {prism(window, face.array, units, paint, spare=0.0)}"
+            f" {prism(window, face.array, units, wider, zone=True)} }}"
+        )
         yield from in_every_cell(window, face.array, f"{name}Land", [rim], units, depth, BLACK)
         yield from _beside(window, face.array, units, paint, BLACK)
 
@@ -258,8 +264,9 @@ def _plate(plate: Plate, units: float, low: str, high: str) -> str:
     )
     room = f"({high} - {low})"
     holes = "".join(
-        f" cylinder {{ <{number(units * hole.x)}, {number(units * hole.y)}, {low} - {room}>, "
-        f"<{number(units * hole.x)}, {number(units * hole.y)}, {high} + {room}>, {number(0.5 * units * hole.diameter)} }}"
+        f" cylinder {{ <{number(units * hole.x)}, {number(units * hole.y)}, {low} - {room}>,"
+        f" <{number(units * hole.x)}, {number(units * hole.y)}, {high} + {room}>,"
+        f" {number(0.5 * units * hole.diameter)} }}"
         for hole in plate.holes
     )
     return f"difference {{ {body}{holes} }}" if holes else body

@@ -79,10 +79,14 @@ def optiland_document(window: Window) -> dict[str, Any]:
     low = min(float(one.vertex[2]) for one in faces) - pupil(window)
     plane = {"type": "Plane", "radius": inf}
     rows = [
-        {"type": "ObjectSurface", "geometry": plane | {"cs": _frame(np.array([0.0, 0.0, -inf]), np.eye(3))},
-         "material_post": _material(1.0), "comment": "object"},
+        {
+            "type": "ObjectSurface",
+            "geometry": plane | {"cs": _frame(np.array([0.0, 0.0, -inf]), np.eye(3))},
+            "material_post": _material(1.0),
+            "comment": "object",
+        },
         _surface("before the first face", plane, np.array([0.0, 0.0, low]), np.eye(3), 1.0, stop=True),
-    ]  # fmt: skip
+    ]
     worst = 0.0
     for one in faces:
         geometry, error = _geometry(one)
@@ -90,22 +94,32 @@ def optiland_document(window: Window) -> dict[str, Any]:
         rows.append(_surface(one.name, geometry, one.vertex, one.rotation, one.index))
     rows.append(_surface("image", plane, np.array([0.0, 0.0, image_height(window)]), np.eye(3), 1.0))
     return {
-        "version": 1.0, "name": f"{window.name}, one telescopelet",
+        "version": 1.0,
+        "name": f"{window.name}, one telescopelet",
         "aperture": {"type": "EPD", "value": pupil(window)},
         "fields": {
-            "fields": [{"x": 0.0, "y": 0.0, "vx": 0.0, "vy": 0.0, "weight": 1.0}], "telecentric": False,
+            "fields": [{"x": 0.0, "y": 0.0, "vx": 0.0, "vy": 0.0, "weight": 1.0}],
+            "telecentric": False,
             "field_definition": {"field_type": "AngleField"},
         },
         "wavelengths": {
-            "wavelengths": [{"value": wavelength_um(window), "is_primary": True, "unit": "um", "weight": 1.0}],
+            "wavelengths": [
+                {"value": wavelength_um(window), "is_primary": True, "unit": "um", "weight": 1.0}
+            ],
             "polarization": "ignore",
         },
-        "apodization": None, "pickups": [], "solves": {"solves": []}, "surface_group": {"surfaces": rows},
+        "apodization": None,
+        "pickups": [],
+        "solves": {"solves": []},
+        "surface_group": {"surfaces": rows},
         "clacad": {
-            "unit": "mm", "frame": "sheet frame, light towards +z, the centre of lens 1's cell at x = y = 0",
-            "left_out": left_out(window), "faces": told_of_faces(worst), "largest_slope_error": worst,
+            "unit": "mm",
+            "frame": "sheet frame, light towards +z, the centre of lens 1's cell at x = y = 0",
+            "left_out": left_out(window),
+            "faces": told_of_faces(worst),
+            "largest_slope_error": worst,
         },
-    }  # fmt: skip
+    }
 
 
 def told_of_faces(worst: float) -> str:
@@ -113,20 +127,29 @@ def told_of_faces(worst: float) -> str:
     if not worst:
         return "every face is held exactly"
     return (
-        f"faces of two radii to the last digit: they are polynomials within {worst:.1g} rad of the faces' slope over the "
-        "cell, for optiland has no such surface"
+        f"faces of two radii to the last digit: they are polynomials within {worst:.1g} rad of the faces'"
+        " slope over the cell, for optiland has no such surface"
     )
 
 
-def _surface(name: str, geometry: dict[str, Any], place: Floats, turn: Floats, index: float, stop: bool = False
-             ) -> dict[str, Any]:  # fmt: skip
+def _surface(
+    name: str, geometry: dict[str, Any], place: Floats, turn: Floats, index: float, stop: bool = False
+) -> dict[str, Any]:
     return {
-        "type": "Surface", "thickness": 0.0, "geometry": geometry | {"cs": _frame(place, turn)},
-        "material_post": _material(index), "is_stop": stop, "aperture": None, "comment": name,
+        "type": "Surface",
+        "thickness": 0.0,
+        "geometry": geometry | {"cs": _frame(place, turn)},
+        "material_post": _material(index),
+        "is_stop": stop,
+        "aperture": None,
+        "comment": name,
         "interaction_model": {
-            "type": "RefractiveReflectiveModel", "is_reflective": False, "coating": None, "bsdf": None,
+            "type": "RefractiveReflectiveModel",
+            "is_reflective": False,
+            "coating": None,
+            "bsdf": None,
         },
-    }  # fmt: skip
+    }
 
 
 def _material(index: float) -> dict[str, Any]:
@@ -138,8 +161,10 @@ def _frame(place: Floats, turn: Floats) -> dict[str, Any]:
     """Pose in the form of optiland: R = Rz Ry Rx of three angles, radians."""
     tilt = hypot(turn[0, 0], turn[1, 0])
     angles = {
-        "rx": atan2(turn[2, 1], turn[2, 2]), "ry": atan2(-turn[2, 0], tilt), "rz": atan2(turn[1, 0], turn[0, 0]),
-    }  # fmt: skip
+        "rx": atan2(turn[2, 1], turn[2, 2]),
+        "ry": atan2(-turn[2, 0], tilt),
+        "rz": atan2(turn[1, 0], turn[0, 0]),
+    }
     x, y, z = (float(v) + 0.0 for v in place)
     return {"x": x, "y": y, "z": z, **{k: v + 0.0 for k, v in angles.items()}, "reference_cs": None}
 
@@ -192,8 +217,9 @@ def terms_needed(one: Station) -> tuple[int, float]:
         if len(enough) and enough[0] + 1 <= MOST_TERMS:
             return int(enough[0]) + 1, float(left[enough[0] + 1])
     raise NotPossible(
-        f"optiland: {one.name} is too steep at its corners (w = {w:.2g}; below about 0.6 can be held): none of optiland's "
-        "surfaces is a face of two radii, and the series that stands for it does not converge soon enough; use format zmx"
+        f"optiland: {one.name} is too steep at its corners (w = {w:.2g}; below about 0.6 can be held): none"
+        " of optiland's surfaces is a face of two radii, and the series that stands for it does not converge"
+        " soon enough; use format zmx"
     )
 
 

@@ -97,7 +97,9 @@ class Station:
 
 
 def _rotational(terms: tuple[float, ...]) -> bool:
-    """Whether terms of one order are a multiple of (x² + y²)^k, to the rounding of numbers written by hand."""
+    """Whether terms of one order are a multiple of (x² + y²)^k, to the rounding of numbers written by
+    hand.
+    """
     wanted = [terms[0] * comb(len(terms) - 1, j) for j in range(len(terms))]
     return all(abs(a - b) <= 4.0 * ULP * abs(b) for a, b in zip(terms, wanted, strict=True))
 
@@ -168,8 +170,10 @@ def left_out(window: Window) -> list[str]:
     n1, n2 = window.lattice.count
     nanometres = f"{1e3 * wavelength_um(window):.6g} nm"
     found = [
-        f"the neighbours: it is one telescopelet of {window.lattice.cell_count:,} ({n1} x {n2}), and light that leaves lens "
-        "2's cell (ghosts, walls) goes on as if that lens had no border",
+        (
+            f"the neighbours: it is one telescopelet of {window.lattice.cell_count:,} ({n1} x {n2}), and"
+            " light that leaves lens 2's cell (ghosts, walls) goes on as if that lens had no border"
+        ),
         "the border of its cell: the beam is the circle in the cell",
     ]
     if window.land.seam > 0.0:

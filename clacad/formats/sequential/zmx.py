@@ -61,7 +61,10 @@ def write_zmx(window: Window, path: Path) -> None:
 def zmx_lines(window: Window) -> Iterator[str]:
     """Lines of the file."""
     yield from ("VERS 140124 0 0", "MODE SEQ", f"NAME {safe_name(window.name)}, one telescopelet")
-    yield f"NOTE 0 Written by clacad: {window.form}, mm, light towards +z, the centre of lens 1's cell at x = y = 0."
+    yield (
+        f"NOTE 0 Written by clacad: {window.form}, mm, light towards +z, the centre of lens 1's cell at x = y"
+        " = 0."
+    )
     yield from (f"NOTE 0 Not in this file: {sentence}." for sentence in left_out(window))
     yield from ("UNIT MM X W X CM MR CPMM", f"ENPD {pupil(window)!r}", "FTYP 0 0 1 1 0 0 0")
     yield from ("XFLN 0.0", "YFLN 0.0", "FWGN 1.0", f"WAVM 1 {wavelength_um(window)!r} 1.0", "PWAV 1")
@@ -101,7 +104,9 @@ def _surfaces(window: Window) -> Iterator[str]:
 
 
 def _breaks(x: float, y: float, turn: Floats) -> list[list[str]]:
-    """COORDBRK blocks that decentre by x and y (mm), then rotate from the sheet's axes by R (3, 3): z, x, z."""
+    """COORDBRK blocks that decentre by x and y (mm), then rotate from the sheet's axes by R (3, 3): z, x,
+    z.
+    """
     phi, theta, psi = (degrees(angle) for angle in euler_angles(turn))
     found = [_break((x, y), 5, psi)] if x or y or psi else []
     return found + [_break((0.0, 0.0), about, angle) for about, angle in ((3, theta), (5, phi)) if angle]
@@ -129,8 +134,8 @@ def _face(one: Station) -> list[str]:
     (cx, cy), (kx, ky) = one.curvature, one.conic
     if one.polynomial and not one.rotational:
         raise NotPossible(
-            f"zmx: {one.name} has even terms that differ along x and y, which none of the surfaces written here holds; "
-            "use format optiland"
+            f"zmx: {one.name} has even terms that differ along x and y, which none of the surfaces written"
+            " here holds; use format optiland"
         )
     kind = "EVENASPH" if one.polynomial else "STANDARD" if one.rotational else "BICONICX"
     lines = [f"TYPE {kind}", f"COMM {one.name}", f"CURV {cy!r}", NO_WAY]

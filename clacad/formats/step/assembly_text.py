@@ -28,9 +28,23 @@ _MEASURE = re.compile(r"MEASURE(?:_WITH_UNIT)?\(\s*([-+]?\d+\.?\d*(?:[Ee][-+]?\d
 _ASSIGNED = re.compile(r"GLOBAL_UNIT_ASSIGNED_CONTEXT\(\s*\(([^)]*)\)")
 
 PREFIXES = {
-    None: 1.0, "": 1.0, "EXA": 1e18, "PETA": 1e15, "TERA": 1e12, "GIGA": 1e9, "MEGA": 1e6, "KILO": 1e3, "HECTO": 1e2,
-    "DECA": 1e1, "DECI": 1e-1, "CENTI": 1e-2, "MILLI": 1e-3, "MICRO": 1e-6, "NANO": 1e-9, "PICO": 1e-12,
-}  # fmt: skip
+    None: 1.0,
+    "": 1.0,
+    "EXA": 1e18,
+    "PETA": 1e15,
+    "TERA": 1e12,
+    "GIGA": 1e9,
+    "MEGA": 1e6,
+    "KILO": 1e3,
+    "HECTO": 1e2,
+    "DECA": 1e1,
+    "DECI": 1e-1,
+    "CENTI": 1e-2,
+    "MILLI": 1e-3,
+    "MICRO": 1e-6,
+    "NANO": 1e-9,
+    "PICO": 1e-12,
+}
 MILLIMETRES = 1e3
 """Millimetres in a metre."""
 
@@ -164,7 +178,9 @@ class Units:
 
 
 class Assembly:
-    """Collector of the entities of the assembly structure while a file is scanned; composes them afterwards."""
+    """Collector of the entities of the assembly structure while a file is scanned; composes them
+    afterwards.
+    """
 
     def __init__(self) -> None:
         self.directions = Vectors()
@@ -257,10 +273,13 @@ class Assembly:
                     numbers = tuple(self._turned_shells.get(shell, shell) for shell in shells)
                     found.append(
                         PlacedPart(
-                            name, kind != "SHELL_BASED_SURFACE_MODEL", numbers, self.units.of(representation),
+                            name,
+                            kind != "SHELL_BASED_SURFACE_MODEL",
+                            numbers,
+                            self.units.of(representation),
                             placed[self._of(representation)],
                         )
-                    )  # fmt: skip
+                    )
         return found
 
     def _definitions(self) -> set[int]:
@@ -342,8 +361,12 @@ class _Frames:
     """Axis placements and transformation operators as placements, mm."""
 
     def __init__(
-        self, points: Lookup, directions: Lookup, axes: array[int], operators: dict[int, tuple[list[int], float]]
-    ) -> None:  # fmt: skip
+        self,
+        points: Lookup,
+        directions: Lookup,
+        axes: array[int],
+        operators: dict[int, tuple[list[int], float]],
+    ) -> None:
         rows = np.array(axes, dtype=np.int64).reshape(-1, 4)
         order = np.argsort(rows[:, 0], kind="stable")
         self._axes = Lookup(rows[order, 0], rows[order, 1:])

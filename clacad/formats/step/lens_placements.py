@@ -50,15 +50,23 @@ class LensPoints:
     @classmethod
     def joined(cls, several: Sequence[LensPoints]) -> LensPoints:
         """Points of groups, with patches numbered consecutively."""
-        return cls(*(np.concatenate([getattr(one, name) for one in several]) for name in ("place", "outward", "patch", "part")))  # fmt: skip
+        return cls(
+            *(
+                np.concatenate([getattr(one, name) for one in several])
+                for name in ("place", "outward", "patch", "part")
+            )
+        )
 
     def of_part(self, part: int) -> LensPoints:
         """Points of one part, patches numbered from 0."""
         kept = np.flatnonzero(self.part == part)
         chosen = np.isin(self.patch, kept)
         return LensPoints(
-            self.place[chosen], self.outward[chosen], np.searchsorted(kept, self.patch[chosen]), self.part[kept]
-        )  # fmt: skip
+            self.place[chosen],
+            self.outward[chosen],
+            np.searchsorted(kept, self.patch[chosen]),
+            self.part[kept],
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -305,14 +305,20 @@ class _Board:
             doubled = doubled.with_those(names[face], (whole.times > 1) & whole.repeated, self._cells)
         worst, face, cell = self._worst
         return {
-            "instances": self._instances, "lattice_error": worst, "lattice_cell": list(cell),
-            "lattice_body": names[face] if face >= 0 else "", "moved": self._moved,
-            "missing": missing.count, "doubled": doubled.count, "lenses": len(asked) * cells,
-            "missing_cell": missing.first, "doubled_cell": doubled.first,
+            "instances": self._instances,
+            "lattice_error": worst,
+            "lattice_cell": list(cell),
+            "lattice_body": names[face] if face >= 0 else "",
+            "moved": self._moved,
+            "missing": missing.count,
+            "doubled": doubled.count,
+            "lenses": len(asked) * cells,
+            "missing_cell": missing.first,
+            "doubled_cell": doubled.first,
             "bodies": [body.name for body in window.bodies if body.name in held],
             "standing": _share(sum(right.values()), len(lens) * cells),
             "standing_held": _share(sum(right[face] for face in asked), len(asked) * cells),
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)

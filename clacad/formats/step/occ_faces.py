@@ -60,8 +60,9 @@ def sampled_lenses(several: list[ShapePart], window: Window, lens_faces: int, po
     return {
         "lens_error": float(error.max()) if len(error) else None,
         "lens_slope_error": float(angle.max()) if len(error) else None,
-        "lens_points": len(error), "lens_faces": int(ends[-1]),
-    }  # fmt: skip
+        "lens_points": len(error),
+        "lens_faces": int(ends[-1]),
+    }
 
 
 def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:
@@ -118,8 +119,11 @@ def _hole(face: Any) -> dict[str, Any] | None:
     if outward @ (np.array([point.X(), point.Y(), point.Z()]) - middle) >= 0.0:
         return None  # an outline, or a peg
     return {
-        "diameter": 2.0 * cylinder.Radius(), "length": high - low, "at": middle.tolist(), "axis": axis.tolist(),
-    }  # fmt: skip
+        "diameter": 2.0 * cylinder.Radius(),
+        "length": high - low,
+        "at": middle.tolist(),
+        "axis": axis.tolist(),
+    }
 
 
 def occ_lenses(several: list[ShapePart], each: int = 3) -> LensPoints:

@@ -55,9 +55,13 @@ class RayPaths:
     def to_lists(self, curved: Bools) -> dict[str, Any]:
         """As JSON lists, with whether each face crossed is curved both ways (n, steps)."""
         return {
-            "position": self.position.tolist(), "direction": self.direction.tolist(), "end": self.end.tolist(),
-            "crossings": self.crossings.tolist(), "hits": self.hits.tolist(), "curved": curved.tolist(),
-        }  # fmt: skip
+            "position": self.position.tolist(),
+            "direction": self.direction.tolist(),
+            "end": self.end.tolist(),
+            "crossings": self.crossings.tolist(),
+            "hits": self.hits.tolist(),
+            "curved": curved.tolist(),
+        }
 
 
 def media_of(indices: Sequence[float]) -> list[float]:
@@ -74,9 +78,11 @@ GRAZING = 1e-6
 
 
 def cast_rays(
-    path: str | os.PathLike[str], position: Sequence[Sequence[float]], direction: Sequence[Sequence[float]],
+    path: str | os.PathLike[str],
+    position: Sequence[Sequence[float]],
+    direction: Sequence[Sequence[float]],
     indices: Sequence[float],
-) -> list[list[float] | None]:  # fmt: skip
+) -> list[list[float] | None]:
     """Trace rays through the solids of a STEP file.
 
     Parameters
@@ -102,9 +108,13 @@ def cast_rays(
 
 
 def follow_rays(
-    path: str | os.PathLike[str], position: Any, direction: Any, indices: Sequence[float],
-    low: Sequence[float], high: Sequence[float],
-) -> dict[str, Any]:  # fmt: skip
+    path: str | os.PathLike[str],
+    position: Any,
+    direction: Any,
+    indices: Sequence[float],
+    low: Sequence[float],
+    high: Sequence[float],
+) -> dict[str, Any]:
     """Trace rays through the faces of a file that reach into a column, and report where they crossed.
 
     Parameters

@@ -106,7 +106,8 @@ class Part21:
             f"GLOBAL_UNIT_ASSIGNED_CONTEXT((#{length},#{angle},#{solid}))REPRESENTATION_CONTEXT('','3D'))"
         )
         self.parameter_space = self.add(
-            "(GEOMETRIC_REPRESENTATION_CONTEXT(2)PARAMETRIC_REPRESENTATION_CONTEXT()REPRESENTATION_CONTEXT('','2D'))"
+            "(GEOMETRIC_REPRESENTATION_CONTEXT(2)"
+            "PARAMETRIC_REPRESENTATION_CONTEXT()REPRESENTATION_CONTEXT('','2D'))"
         )
         self.up = self.add("DIRECTION('',(0.,0.,1.))")
         self.across = self.add("DIRECTION('',(1.,0.,0.))")
@@ -169,7 +170,9 @@ class Part21:
         return definition, representation
 
     def component(self, parent: tuple[int, int], child: tuple[int, int], name: str, placement: int) -> None:
-        """Put an instance of `child` into the assembly `parent` at a placement listed in its representation."""
+        """Put an instance of `child` into the assembly `parent` at a placement listed in its
+        representation.
+        """
         use = self.add(
             f"NEXT_ASSEMBLY_USAGE_OCCURRENCE({quoted(name)},{quoted(name)},'',#{parent[0]},#{child[0]},$)"
         )

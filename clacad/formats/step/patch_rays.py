@@ -163,9 +163,15 @@ def _casteljau(control: NDArray[np.float64], t: Floats) -> tuple[Floats, Floats]
 
 
 def follow_patches(
-    path: str | os.PathLike[str], position: Any, direction: Any, indices: Sequence[float],
-    low: Sequence[float], high: Sequence[float], window: Window, faces: Sequence[int],
-) -> dict[str, Any]:  # fmt: skip
+    path: str | os.PathLike[str],
+    position: Any,
+    direction: Any,
+    indices: Sequence[float],
+    low: Sequence[float],
+    high: Sequence[float],
+    window: Window,
+    faces: Sequence[int],
+) -> dict[str, Any]:
     """Trace rays through the lens patches of a file's text.
 
     Parameters

@@ -29,8 +29,14 @@ FEW_FACES = 2000
 """Faces up to which each is examined at three points; at its middle, where there are more."""
 
 
-def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel: bool | None = None,
-              lens_faces: int = 200, points: int = 24, place: SheetPlace | None = None) -> dict[str, Any]:  # fmt: skip
+def read_step(
+    path: str | os.PathLike[str],
+    window: Window | None = None,
+    kernel: bool | None = None,
+    lens_faces: int = 200,
+    points: int = 24,
+    place: SheetPlace | None = None,
+) -> dict[str, Any]:
     """Read a STEP file and report its content.
 
     Parameters
@@ -87,8 +93,9 @@ def _occ_placement(
     return placement
 
 
-def read_brep(path: str | os.PathLike[str], window: Window | None = None, lens_faces: int = 200, points: int = 24
-              ) -> dict[str, Any]:  # fmt: skip
+def read_brep(
+    path: str | os.PathLike[str], window: Window | None = None, lens_faces: int = 200, points: int = 24
+) -> dict[str, Any]:
     """Read a BREP file of OCC, mm: the OCC results of `read_step`; there is no text to scan.
 
     Raises
@@ -115,17 +122,32 @@ def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = No
     that.
     """
     facts: dict[str, Any] = {
-        "schema": scan.schema, "name": scan.name, "names": scan.names, "colours": scan.colours,
-        "millimetres": scan.millimetres, "solids": scan.solids, "faces": scan.faces, "dangling": scan.dangling,
-        "open_edges": scan.open_edges, "entities": dict(sorted(scan.entities.items())), "units": list(scan.units),
+        "schema": scan.schema,
+        "name": scan.name,
+        "names": scan.names,
+        "colours": scan.colours,
+        "millimetres": scan.millimetres,
+        "solids": scan.solids,
+        "faces": scan.faces,
+        "dangling": scan.dangling,
+        "open_edges": scan.open_edges,
+        "entities": dict(sorted(scan.entities.items())),
+        "units": list(scan.units),
         "holds": _held(
-            scan.solids, scan.shells, scan.faces,
+            scan.solids,
+            scan.shells,
+            scan.faces,
             [
-                (one.name, one.solid, sum(len(scan.shell_faces.get(s, ())) for s in one.shells), len(one.placements))
+                (
+                    one.name,
+                    one.solid,
+                    sum(len(scan.shell_faces.get(s, ())) for s in one.shells),
+                    len(one.placements),
+                )
                 for one in scan.parts
             ],
         ),
-    }  # fmt: skip
+    }
     if window is None:
         return facts
     lenses, parts = patch_points(scan), [part.placements for part in scan.parts]
@@ -136,7 +158,9 @@ def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = No
 def _held(
     solids: int, shells: int, faces: int, pieces: Sequence[tuple[str, bool, int, int]]
 ) -> dict[str, Any]:
-    """Content that a workshop will find in a file; pieces: (name, whether it is a solid, faces, instances)."""
+    """Content that a workshop will find in a file; pieces: (name, whether it is a solid, faces,
+    instances).
+    """
     rows = [
         {"name": name, "solid": solid, "faces": each, "instances": many} for name, solid, each, many in pieces
     ]
@@ -145,9 +169,12 @@ def _held(
 
 # -- OCC -------------------------------------------------------------------------------------
 def _occ_facts(
-    path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int,
+    path: str | os.PathLike[str],
+    window: Window | None,
+    lens_faces: int,
+    points: int,
     place: SheetPlace | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Facts that OCC finds in a file; with a window also its sampled lens faces compared with that.
 
     Lengths in mm.
@@ -162,7 +189,8 @@ def _occ_facts(
     faces = sum(len(piece.faces) * k for piece, k in zip(several, many, strict=True))
     if not faces:
         raise UnreadableFile(
-            f"{os.fspath(path)}: the CAD kernel finds no face in it{'' if place is None else ' where the sheet should stand'}; the file is damaged"
+            f"{os.fspath(path)}: the CAD kernel finds no face in"
+            f" it{'' if place is None else ' where the sheet should stand'}; the file is damaged"
         )
     engraved = 0.0 if window is None else engraved_in(several, window)
     measured = engraved_volume if engraved else volume
@@ -177,10 +205,12 @@ def _occ_facts(
         "box": whole_box(several),
         "tolerance": max(tolerance.Tolerance(piece.shape, 1) for piece in several),
         "holds": _held(
-            count, sum(piece.shells * k for piece, k in zip(several, many, strict=True)), faces,
+            count,
+            sum(piece.shells * k for piece, k in zip(several, many, strict=True)),
+            faces,
             [("", piece.solid, len(piece.faces), k) for piece, k in zip(several, many, strict=True)],
         ),
-    }  # fmt: skip
+    }
     facts["holes"] = holes_in(several)
     if window is not None:
         facts |= sampled_lenses(several, window, lens_faces, points) | {"engraved": engraved}

@@ -57,10 +57,13 @@ def pieces(shape: Any) -> list[ShapePart]:
             continue
         found.append(
             ShapePart(
-                one, kind == TopAbs_SOLID, explored(one, TopAbs_FACE), len(explored(one, TopAbs_SHELL)),
+                one,
+                kind == TopAbs_SOLID,
+                explored(one, TopAbs_FACE),
+                len(explored(one, TopAbs_SHELL)),
                 _under(top, placed[key]),
             )
-        )  # fmt: skip
+        )
     return found
 
 

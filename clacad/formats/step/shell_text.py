@@ -285,8 +285,11 @@ def _curve_text(weights: Floats, written: Callable[[float], str]) -> tuple[str, 
     listed = ",".join([written(value) for value in weights])
     return (
         f"(BOUNDED_CURVE()B_SPLINE_CURVE({degree},(",
-        f"),.UNSPECIFIED.,.F.,.F.)B_SPLINE_CURVE_WITH_KNOTS({many},{knots},.UNSPECIFIED.)CURVE()"
-        f"GEOMETRIC_REPRESENTATION_ITEM()RATIONAL_B_SPLINE_CURVE(({listed}))REPRESENTATION_ITEM(''))",
+        (
+            f"),.UNSPECIFIED.,.F.,.F.)B_SPLINE_CURVE_WITH_KNOTS({many},{knots},.UNSPECIFIED.)CURVE()"
+            f"GEOMETRIC_REPRESENTATION_ITEM()"
+            f"RATIONAL_B_SPLINE_CURVE(({listed}))REPRESENTATION_ITEM(''))"
+        ),
     )
 
 
@@ -302,6 +305,9 @@ def _patch_text(weights: Floats) -> tuple[str, str]:
     listed = ",".join([f"({','.join([weight(value) for value in row])})" for row in weights])
     return (
         f"(BOUNDED_SURFACE()B_SPLINE_SURFACE({m - 1},{n - 1},(",
-        f"),.UNSPECIFIED.,.F.,.F.,.F.)B_SPLINE_SURFACE_WITH_KNOTS({many_u},{many_v},{knots},{knots},.UNSPECIFIED.)"
-        f"GEOMETRIC_REPRESENTATION_ITEM()RATIONAL_B_SPLINE_SURFACE(({listed}))REPRESENTATION_ITEM('')SURFACE())",
+        (
+            f"),.UNSPECIFIED.,.F.,.F.,.F.)"
+            f"B_SPLINE_SURFACE_WITH_KNOTS({many_u},{many_v},{knots},{knots},.UNSPECIFIED.)"
+            f"GEOMETRIC_REPRESENTATION_ITEM()RATIONAL_B_SPLINE_SURFACE(({listed}))REPRESENTATION_ITEM('')SURFACE())"
+        ),
     )

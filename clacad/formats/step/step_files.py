@@ -69,8 +69,14 @@ LAND_COLOUR = StepColour(0.25, 0.25, 0.28)
 """Colour of land, separate so that it can be found and painted black."""
 
 
-def write_step(window: Window, path: str | os.PathLike[str], mode: Mode = "auto", schema: Schema = "AP242",
-               pcurves: bool = True, merge: float = MERGE) -> dict[str, Any]:  # fmt: skip
+def write_step(
+    window: Window,
+    path: str | os.PathLike[str],
+    mode: Mode = "auto",
+    schema: Schema = "AP242",
+    pcurves: bool = True,
+    merge: float = MERGE,
+) -> dict[str, Any]:
     """Write a window as a STEP file.
 
     Parameters
@@ -79,7 +85,8 @@ def write_step(window: Window, path: str | os.PathLike[str], mode: Mode = "auto"
     path : path
         Written in place; publish it atomically from outside.
     mode : "auto", "fused" or "instanced"
-        fused: one closed solid per connected piece; instanced: an assembly cell → row → body of touching solids;
+        fused: one closed solid per connected piece; instanced: an assembly cell → row → body of touching
+        solids;
         auto: fused up to 2500 cells.
     schema : "AP242" or "AP214"
     pcurves : bool
@@ -90,8 +97,10 @@ def write_step(window: Window, path: str | os.PathLike[str], mode: Mode = "auto"
     Returns
     -------
     dict
-        mode, schema, pcurves, unit, bytes, solids, faces, bodies (per body: name, solids, faces by role), saddles, wedges,
-        merged_steps, merge, largest_shift, fit_error and rim_error (largest distance of fitted lens faces and of fitted
+        mode, schema, pcurves, unit, bytes, solids, faces, bodies (per body: name, solids, faces by role),
+        saddles, wedges,
+        merged_steps, merge, largest_shift, fit_error and rim_error (largest distance of fitted lens faces
+        and of fitted
         rims from the true ones, mm; 0 where all are exact), placed (solids counted with their instances).
 
     Raises
@@ -145,9 +154,15 @@ def _write(
     return {"merge": merge, **_total(sheet.bodies)}
 
 
-def write_step_stack(placed: Sequence[tuple[str, Window, float]], name: str, path: str | os.PathLike[str],
-                     mode: Mode = "auto", schema: Schema = "AP242", pcurves: bool = True, merge: float = MERGE
-                     ) -> dict[str, Any]:  # fmt: skip
+def write_step_stack(
+    placed: Sequence[tuple[str, Window, float]],
+    name: str,
+    path: str | os.PathLike[str],
+    mode: Mode = "auto",
+    schema: Schema = "AP242",
+    pcurves: bool = True,
+    merge: float = MERGE,
+) -> dict[str, Any]:
     """Write several windows as one assembly, each moved along z; a window that occurs twice is written once.
 
     Parameters
@@ -162,7 +177,8 @@ def write_step_stack(placed: Sequence[tuple[str, Window, float]], name: str, pat
     Returns
     -------
     dict
-        schema, pcurves, unit, bytes, merge and the totals of `write_step`; sheets: for each the facts of `write_step`,
+        schema, pcurves, unit, bytes, merge and the totals of `write_step`; sheets: for each the facts of
+        `write_step`,
         with its name and z.
 
     Raises
@@ -243,9 +259,16 @@ def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) 
     fit = max((face.lens.error for face in faces if face.lens is not None), default=0.0)
     rim = max((face.rim_error for face in faces), default=0.0)
     return StepBodyFacts(
-        name, solids, dict(sorted(counts.faces.items())), counts.saddles, counts.wedges, counts.merged_steps,
-        counts.largest_shift, fit, rim,
-    )  # fmt: skip
+        name,
+        solids,
+        dict(sorted(counts.faces.items())),
+        counts.saddles,
+        counts.wedges,
+        counts.merged_steps,
+        counts.largest_shift,
+        fit,
+        rim,
+    )
 
 
 # -- fused ------------------------------------------------------------------------------------------
@@ -301,12 +324,14 @@ def _write_instanced(window: Window, part: Part21, pcurves: bool, merge: float) 
 
 
 _SHEET: dict[str, Callable[[Window, Part21, bool, float], _Sheet]] = {
-    "fused": _write_fused, "instanced": _write_instanced,
-}  # fmt: skip
+    "fused": _write_fused,
+    "instanced": _write_instanced,
+}
 
 
-def _instanced_body(window: Window, body: Body, part: Part21, pcurves: bool, merge: float, colour: StepColour
-                    ) -> tuple[StepBodyFacts, Part, list[int]]:  # fmt: skip
+def _instanced_body(
+    window: Window, body: Body, part: Part21, pcurves: bool, merge: float, colour: StepColour
+) -> tuple[StepBodyFacts, Part, list[int]]:
     """One body as an assembly: rows of cells, and the surrounding land as a separate part.
 
     A slab whose arrays are displaced has no common cell. It is cut at a plane half way into cells of the
@@ -353,8 +378,9 @@ def _add_counts(total: ShellCounts, counts: ShellCounts, times: int) -> None:
     total.largest_shift = max(total.largest_shift, counts.largest_shift)
 
 
-def _rows(window: Window, layer: Layer, part: Part21, cell: Part, name: str, scale: float
-          ) -> list[tuple[Part, Floats, str]]:  # fmt: skip
+def _rows(
+    window: Window, layer: Layer, part: Part21, cell: Part, name: str, scale: float
+) -> list[tuple[Part, Floats, str]]:
     """Rows of cells; rows with the same pattern are one part."""
     made: dict[tuple[float, ...], Part] = {}
     placed = []

@@ -29,12 +29,36 @@ _STATEMENT = re.compile(r"((?:'[^']*+'|[^';]++)*+);")
 _ENTITY = re.compile(r"\s*#(\d+)\s*=\s*\(?\s*([A-Z0-9_]+)")
 _REFERENCE = re.compile(r"#(\d+)")
 _STRING = re.compile(r"'((?:[^']|'')*)'")
-GEOMETRY = frozenset((
-    "CARTESIAN_POINT", "ORIENTED_EDGE", "EDGE_CURVE", "EDGE_LOOP", "VERTEX_POINT", "FACE_BOUND", "FACE_OUTER_BOUND",
-    "ADVANCED_FACE", "LINE", "VECTOR", "PLANE", "B_SPLINE_CURVE_WITH_KNOTS", "BOUNDED_CURVE", "PCURVE", "SURFACE_CURVE",
-    "DEFINITIONAL_REPRESENTATION", "SEAM_CURVE", "CIRCLE", "AXIS2_PLACEMENT_2D", "BOUNDED_SURFACE",
-    "B_SPLINE_SURFACE_WITH_KNOTS", "STYLED_ITEM", "OVER_RIDING_STYLED_ITEM", "COLOUR_RGB", "CLOSED_SHELL", "OPEN_SHELL",
-))  # fmt: skip
+GEOMETRY = frozenset(
+    (
+        "CARTESIAN_POINT",
+        "ORIENTED_EDGE",
+        "EDGE_CURVE",
+        "EDGE_LOOP",
+        "VERTEX_POINT",
+        "FACE_BOUND",
+        "FACE_OUTER_BOUND",
+        "ADVANCED_FACE",
+        "LINE",
+        "VECTOR",
+        "PLANE",
+        "B_SPLINE_CURVE_WITH_KNOTS",
+        "BOUNDED_CURVE",
+        "PCURVE",
+        "SURFACE_CURVE",
+        "DEFINITIONAL_REPRESENTATION",
+        "SEAM_CURVE",
+        "CIRCLE",
+        "AXIS2_PLACEMENT_2D",
+        "BOUNDED_SURFACE",
+        "B_SPLINE_SURFACE_WITH_KNOTS",
+        "STYLED_ITEM",
+        "OVER_RIDING_STYLED_ITEM",
+        "COLOUR_RGB",
+        "CLOSED_SHELL",
+        "OPEN_SHELL",
+    )
+)
 """Frequent entities that no assembly consists of."""
 PATCHES = ("BOUNDED_SURFACE", "B_SPLINE_SURFACE_WITH_KNOTS", "B_SPLINE_SURFACE", "RATIONAL_B_SPLINE_SURFACE")
 _CHUNK = 1 << 22
@@ -63,7 +87,8 @@ class Scan:
         Every solid and bare shell, with its placements.
     points : Vectors
         All 3-D points, in the file's unit.
-    patches : (pole numbers, (m, n), weights (m, n)) of every surface curved both ways that is one Bézier patch
+    patches : (pole numbers, (m, n), weights (m, n)) of every surface curved both ways that is one Bézier
+    patch
     uneven : number of surfaces curved both ways that have more than one span; they are not evaluated here
     face_ids, face_surfaces : number of every face, and of its surface
     reversed_faces : faces oriented against their surface's own normal
@@ -355,7 +380,9 @@ def patch_points(scan: Scan, per_side: int = 3) -> LensPoints:
 
 
 def _evaluate(poles: Floats, weights: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """Points and unit normals du × dv of rational Bézier patches (k, m, n) at the grid t × t, by de Casteljau."""
+    """Points and unit normals du × dv of rational Bézier patches (k, m, n) at the grid t × t, by de
+    Casteljau.
+    """
     homogeneous = np.concatenate([poles * weights[..., None], weights[..., None]], axis=-1)
     points, normals = [], []
     for u in t:

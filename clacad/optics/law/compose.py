@@ -126,7 +126,8 @@ def candidate_axes(matrix: Floats) -> list[Floats]:
 
     Notes
     -----
-    The axis is a left eigenvector n with n · w = 0, w = (A₃₂ − A₂₃, A₁₃ − A₃₁, A₂₁ − A₁₂): A is then symmetric
+    The axis is a left eigenvector n with n · w = 0, w = (A₃₂ − A₂₃, A₁₃ − A₃₁, A₂₁ − A₁₂): A is then
+    symmetric
     across n. Where two eigenvalues agree (η = 1 along an axis) every mixture of their vectors is a left
     eigenvector and n · w = 0 picks the one; rounding or noise may have split them into a complex pair.
     """
@@ -168,13 +169,15 @@ def _why_not(n1: Floats, n2: Floats, asymmetry: float, matrix: Floats) -> str:
     apart = float(np.degrees(angle_between(n1, n2)))
     if apart > 1e-9:
         return (
-            f"the two sheets do not compose to one: they have no common optical axis (theirs stand {apart:.3g} "
-            "degrees apart, and across no axis that the product keeps is it symmetric); use the same theta and psi"
+            "the two sheets do not compose to one: they have no common optical axis (theirs stand"
+            f" {apart:.3g} degrees apart, and across no axis that the product keeps is it symmetric); use the"
+            " same theta and psi"
         )
     return (
-        "the two sheets do not compose to one: their principal axes do not agree, so the product is not symmetric "
-        f"across the optical axis (antisymmetric part {asymmetry / float(np.linalg.norm(matrix)):.3g} of its norm, "
-        "a turn of the light about the axis); use the same phi + psi, or one sheet with eta_x = eta_y"
+        "the two sheets do not compose to one: their principal axes do not agree, so the product is not"
+        " symmetric across the optical axis (antisymmetric part"
+        f" {asymmetry / float(np.linalg.norm(matrix)):.3g} of its norm, a turn of the light about the axis);"
+        " use the same phi + psi, or one sheet with eta_x = eta_y"
     )
 
 

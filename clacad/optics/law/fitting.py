@@ -49,7 +49,8 @@ def fit_law(d_in: ArrayLike, d_out: ArrayLike, axes: LawParameters | None = None
     Raises
     ------
     ValueError
-        Fewer than 2 (axes held) or 4 usable rays, shapes that differ, or exit directions that do not depend on
+        Fewer than 2 (axes held) or 4 usable rays, shapes that differ, or exit directions that do not depend
+        on
         the incoming ones along an axis (η would be infinite).
 
     Notes

@@ -161,8 +161,10 @@ class Glens:
         """Lateral position of the image of the point (x, z), lengths; z finite. Infinite at the focus."""
         high, low = self._distance(Exact(z))
         chief = Exact(x) / Exact(z)  # slope through the middle of lens 1
-        return _ratio((chief - Exact(self.delta)) * high + Exact(self.eta) * low * Exact(self.separation) * chief,
-                      Exact(self.eta) * low)  # fmt: skip
+        return _ratio(
+            (chief - Exact(self.delta)) * high + Exact(self.eta) * low * Exact(self.separation) * chief,
+            Exact(self.eta) * low,
+        )
 
     def image_x_of_parallel(self, slope: float) -> float:
         """Lateral position (length) at which parallel light of slope t meets: s t + (t − δ₀)/κ."""
@@ -309,7 +311,8 @@ class Superlens:
 def moire_magnification(pitch: float, pitch_2: float, turn: float) -> float:
     """Magnification p/√(Δp² + (pα)²) of a moiré magnifier: pitches in lengths, small rotation α in radians.
 
-    M. C. Hutley et al., Pure Appl. Opt. 3, 133 (1994); H. Kamal, R. Völkel and J. Alda, Opt. Eng. 37(11) (1998).
+    M. C. Hutley et al., Pure Appl. Opt. 3, 133 (1994); H. Kamal, R. Völkel and J. Alda, Opt. Eng. 37(11)
+    (1998).
     """
     apart = hypot(float(Exact(pitch_2) - Exact(pitch)), pitch * turn)
     return inf if apart == 0.0 else pitch / apart

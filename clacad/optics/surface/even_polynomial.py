@@ -112,8 +112,7 @@ class _Search:
         """The search restricted to some of the rays."""
         return _Search(self.surface, self.first[rows], self.last[rows])
 
-    def gap(self, base: list[Floats], ray: list[Floats], t: Floats
-            ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+    def gap(self, base: list[Floats], ray: list[Floats], t: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Height over the surface, G·D, w (0 where rounding passes the equator), size of subtracted terms.
 
         All at distances t (m,).

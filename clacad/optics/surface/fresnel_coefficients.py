@@ -2,7 +2,8 @@
 
 A ray keeps, at an interface, the unit direction D before and D' after it. Snell's law makes n2 D' − n1 D the
 normal's direction, so cosines of incidence and refraction, and with them Fresnel's coefficients, follow from
-c = D·D', the cosine of the deviation (Born and Wolf, Principles of Optics, 1.5.2, with the angles eliminated):
+c = D·D', the cosine of the deviation (Born and Wolf, Principles of Optics, 1.5.2, with the angles
+eliminated):
 
     r_s = −((n2 − n1)² + 2 n1 n2 (1 − c)) / (n2² − n1²)
     r_p = ((n2 − n1)² − (n1² + n2²) (1 − c)) / ((n2² − n1²) c)
@@ -94,7 +95,9 @@ def coated(turn: Floats, n1: float, n2: float, ratio: float) -> tuple[Floats, Fl
 def reflected(
     turn: Floats, n1: float, n2: float, coating: str = "none", ratio: float = 1.0
 ) -> tuple[Floats, Floats]:
-    """Reflected shares (R_s, R_p), (m,) each, of a bare or coated interface; see `amplitudes` and `coated`."""
+    """Reflected shares (R_s, R_p), (m,) each, of a bare or coated interface; see `amplitudes` and
+    `coated`.
+    """
     if coating == "quarter-wave":
         return coated(turn, n1, n2, ratio)
     s, p = amplitudes(turn, n1, n2)

@@ -110,7 +110,8 @@ def refract(
 
     Notes
     -----
-    g = (1 − µ²)/(q + µ r) is (q − µ r)/G² without its cancellation, and 1 − µ² = (n2 − n1)(n2 + n1)/n2²: equal
+    g = (1 − µ²)/(q + µ r) is (q − µ r)/G² without its cancellation, and 1 − µ² = (n2 − n1)(n2 + n1)/n2²:
+    equal
     indices give back the direction exactly, and n2/n1 = 1 + 1e-10 loses nothing. No angle is ever formed.
     """
     n1, n2 = np.asarray(n1, dtype=np.float64), np.asarray(n2, dtype=np.float64)

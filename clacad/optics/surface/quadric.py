@@ -40,9 +40,11 @@ def carry(start: Columns, ray: Columns) -> tuple[Floats, Columns]:
 def quadric_root(
     surface: Surface, kappa: Floats | float, start: Columns, base: Columns, ray: Columns
 ) -> tuple[Floats, Floats]:
-    """Distance from the base point (length) and r = sqrt(B² − AC), (n,) each, of a quadric of the surface's curvatures.
+    """Distance from the base point (length) and r = sqrt(B² − AC), (n,) each, of a quadric of the surface's
+    curvatures.
 
-    kappa : 1/length, (n,) or one for all; start, base, ray : three columns (n,): point, base point, direction.
+    kappa : 1/length, (n,) or one for all; start, base, ray : three columns (n,): point, base point,
+    direction.
     """
     cx, cy, side = surface.curvature_x, surface.curvature_y, surface.side
     (x, y, z), (L, M, N) = base, ray

@@ -1,7 +1,8 @@
 """Quadrics, biconics and even polynomials in apex form: their sag and normal.
 
 `Quadric`:  cx x² + cy y² + κ z² − 2 side z = 0,  apex at the origin. Sphere cx = cy = κ, paraboloid κ = 0,
-hyperboloid κ < 0, cylinder cy = 0, plane 0, 0, 0: none is a special case, for nothing is divided by a curvature.
+hyperboloid κ < 0, cylinder cy = 0, plane 0, 0, 0: none is a special case, for nothing is divided by a
+curvature.
 `Biconic`:  z = side Q/(1 + w),  Q = cx x² + cy y²,  w² = 1 − (1 + K_x) cx² x² − (1 + K_y) cy² y².
 `EvenPolynomial`:  z = side (Q/(1 + w) + P): a biconic plus terms P of order 4 to 8,
 `clacad.optics.surface.sag_and_normal`.
@@ -11,8 +12,10 @@ side = +1: positive curvature bends towards +z (front of a biconvex lens); side 
 curvatures carry the sign, so a concave face has negative cx, cy and κ. Only the half nearer the apex belongs.
 
 Notation inside: position (x, y, z), direction (L, M, N), apex curvatures cx, cy, index ratio µ = n1/n2;
-G is the unnormalised normal (−side cx x, −side cy y, 1 − side κ z). At a hit D·G = r = sqrt(B² − AC) for a unit
-direction, so the cosine of incidence comes free and no normal is normalised. A miss and a total reflection are
+G is the unnormalised normal (−side cx x, −side cy y, 1 − side κ z). At a hit D·G = r = sqrt(B² − AC) for a
+unit
+direction, so the cosine of incidence comes free and no normal is normalised. A miss and a total reflection
+are
 NaN and stay NaN: `clacad.trace` turns them into fates. After Welford, Aberrations of Optical Systems, ch. 4.
 
 Terms of fourth, sixth and eighth order that an even polynomial adds to its conic, and their slopes.
@@ -182,7 +185,8 @@ class EvenPolynomial(_OverXY):
 
     Notes
     -----
-    z = side (Q/(1 + w) + P) is defined where the base is. Where base and terms cancel, the error of z is that of
+    z = side (Q/(1 + w) + P) is defined where the base is. Where base and terms cancel, the error of z is
+    that of
     the larger of them.
     """
 
@@ -326,7 +330,9 @@ def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple
 
 
 def lateral_square(surface: Surface, x: Floats, y: Floats) -> Floats:
-    """The form cx x² + cy y² (n,), length, of x, y (n,); in pairs for a saddle, the only case whose terms cancel."""
+    """The form cx x² + cy y² (n,), length, of x, y (n,); in pairs for a saddle, the only case whose terms
+    cancel.
+    """
     cx, cy = surface.curvature_x, surface.curvature_y
     if cx * cy < 0:
         in_x = pair_product(pair(cx), two_product(x, x))

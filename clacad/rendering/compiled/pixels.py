@@ -128,13 +128,25 @@ class Walk(NamedTuple):
 def new_walk() -> Walk:
     """Allocate the working memory of one thread."""
     out = Outcome(
-        np.empty((1, 3)), np.empty((1, 3)), np.empty(1, np.uint8), np.empty(1), np.empty((1, 2), np.int32),
-        np.empty((1, 2), np.int32), np.empty(1, np.int32), np.empty((0, 0, 3)), np.empty((0, 0, 3)),
-    )  # fmt: skip
+        np.empty((1, 3)),
+        np.empty((1, 3)),
+        np.empty(1, np.uint8),
+        np.empty(1),
+        np.empty((1, 2), np.int32),
+        np.empty((1, 2), np.int32),
+        np.empty(1, np.int32),
+        np.empty((0, 0, 3)),
+        np.empty((0, 0, 3)),
+    )
     return Walk(
-        np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), np.arange(BLOCK), np.empty((1, 3)), np.empty((1, 3)), out,
+        np.zeros((SCRATCH, BLOCK)),
+        np.empty(BLOCK),
+        np.arange(BLOCK),
+        np.empty((1, 3)),
+        np.empty((1, 3)),
+        out,
         new_scratch(),
-    )  # fmt: skip
+    )
 
 
 @owning
@@ -270,7 +282,9 @@ def _crosses(numbers: Floats, m: int, ray: Floats, near: Floats) -> int:
 
 @exact
 def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
-    """Trace through the exact surfaces: straight where the conditions of the block trace hold, else walked."""
+    """Trace through the exact surfaces: straight where the conditions of the block trace hold, else
+    walked.
+    """
     near, ray, s = pad.near, pad.ray, walk.s
     for i in range(m):
         state[i] = BESIDE
@@ -298,8 +312,15 @@ def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
 
 @exact
 def _collect(
-    shining: NDArray[np.uint8], scale: float, top: float, m: int, s: Floats, ray: Floats, near: Floats, state: Ints
-) -> None:  # fmt: skip
+    shining: NDArray[np.uint8],
+    scale: float,
+    top: float,
+    m: int,
+    s: Floats,
+    ray: Floats,
+    near: Floats,
+    state: Ints,
+) -> None:
     """Collect the rays behind the sheet whose straight trace holds; their mark `near` becomes 2."""
     direct, ghost = SHINES if shining[ALIVE] else BLACK, SHINES if shining[GHOST] else BLACK
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]

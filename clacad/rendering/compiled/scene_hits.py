@@ -74,16 +74,26 @@ class Pad(NamedTuple):
 def new_pad() -> Pad:
     """Scratch for one thread."""
     return Pad(
-        np.empty((6, BLOCK)), np.empty(BLOCK), np.empty(BLOCK, np.int64), np.empty((3, BLOCK)), np.empty(BLOCK),
-        np.empty((4, max(BLOCK, DEPTH)), np.int64), np.empty((16, BLOCK)),
-    )  # fmt: skip
+        np.empty((6, BLOCK)),
+        np.empty(BLOCK),
+        np.empty(BLOCK, np.int64),
+        np.empty((3, BLOCK)),
+        np.empty(BLOCK),
+        np.empty((4, max(BLOCK, DEPTH)), np.int64),
+        np.empty((16, BLOCK)),
+    )
 
 
 @owning
 def look_all(
-    tables: Tables, origin: Floats, direction: Floats, limit: Floats, light: Floats, met: NDArray[np.bool_],
+    tables: Tables,
+    origin: Floats,
+    direction: Floats,
+    limit: Floats,
+    light: Floats,
+    met: NDArray[np.bool_],
     distance: Floats,
-) -> None:  # fmt: skip
+) -> None:
     """Write the light of each ray, whether it met an object and its distance; see
     `reference.scene_hits.look`.
 
@@ -195,9 +205,13 @@ def bound(cluster: Floats, c: int, m: int, ray: Floats, near: Floats) -> None:
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
     out = near[:m]
     mx, my, mz, hx, hy, hz = (
-        cluster[c, CENTRE], cluster[c, CENTRE + 1], cluster[c, CENTRE + 2], cluster[c, EXTENT],
-        cluster[c, EXTENT + 1], cluster[c, EXTENT + 2],
-    )  # fmt: skip
+        cluster[c, CENTRE],
+        cluster[c, CENTRE + 1],
+        cluster[c, CENTRE + 2],
+        cluster[c, EXTENT],
+        cluster[c, EXTENT + 1],
+        cluster[c, EXTENT + 2],
+    )
     for i in range(m):
         inverse = 1.0 / w[i]
         s, along, aside = (mz - z[i]) * inverse, u[i] * inverse, v[i] * inverse

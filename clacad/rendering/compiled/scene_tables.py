@@ -12,8 +12,19 @@ from clacad.tracing.triangles.hierarchy import ROOT, Hierarchy
 
 # Columns of `Tables.prim`.
 KIND, PAINT, PATTERN, PIECE, END, ROWS, COLUMNS, SIZE, BOUND, ORIGIN, TURN, COLOUR = (
-    0, 1, 2, 3, 4, 5, 6, 7, 11, 17, 20, 29,
-)  # fmt: skip
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    11,
+    17,
+    20,
+    29,
+)
 PRIM_WIDTH = 35
 # Numbers of `Tables.world`.
 AMBIENT, KEY, TOWARDS_LIGHT, ZENITH, HORIZON, GROUND = 0, 1, 2, 5, 8, 11
@@ -33,7 +44,8 @@ class Tables(NamedTuple):
     world : (14,)
         Ambient, key, direction to the light (3), zenith (3), horizon (3), ground (3).
     cluster : (m, 8)
-        First primitive and one past the last, centre and half extents of a box round them (infinite round a floor).
+        First primitive and one past the last, centre and half extents of a box round them (infinite round a
+        floor).
     prim : (n, 35)
         A primitive a row, columns as named above; BOUND: low and high corner of a box round it, scene frame.
     store : (k,)
@@ -59,9 +71,19 @@ def tables(stage: SceneArrays) -> Tables:
         piece[rows] = start + width * stage.piece[rows]
     boxes = np.array([_box(stage, k) for k in range(n)]).reshape(-1, 2, 3)
     prim = np.column_stack(
-        [stage.kind, stage.paint, stage.pattern, piece, stage.picture, stage.size, boxes.reshape(-1, 6), stage.origin,
-         stage.rotation.reshape(-1, 9), stage.colours.reshape(-1, 6)]
-    )  # fmt: skip
+        [
+            stage.kind,
+            stage.paint,
+            stage.pattern,
+            piece,
+            stage.picture,
+            stage.size,
+            boxes.reshape(-1, 6),
+            stage.origin,
+            stage.rotation.reshape(-1, 9),
+            stage.colours.reshape(-1, 6),
+        ]
+    )
     world = np.concatenate([[stage.ambient, stage.key], stage.towards_light, stage.sky.ravel(), stage.ground])
     cluster = np.column_stack([stage.cluster, _round(stage, boxes)])
     cluster, prim = np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH)

@@ -102,8 +102,10 @@ def _may_meet(bound: Floats, origin: Floats, direction: Floats) -> Bools:
     along, length2 = x * dx + y * dy + z * dz, dx * dx + dy * dy + dz * dz
     off2 = (x * x + y * y + z * z) * length2 - along * along
     # the difference of two near squares: a tolerance is added for its rounding
-    return np.asarray((off2 <= bound[3] * bound[3] * length2 + 1e-12 * along * along)
-                      & (along >= -bound[3] * np.sqrt(length2)))  # fmt: skip
+    return np.asarray(
+        (off2 <= bound[3] * bound[3] * length2 + 1e-12 * along * along)
+        & (along >= -bound[3] * np.sqrt(length2))
+    )
 
 
 def _distance(stage: SceneArrays, k: int, local: Floats, ray: Floats) -> Floats:
@@ -287,7 +289,9 @@ def _prism_normal(local: Floats, half: float, outline: Floats) -> Floats:
 
 
 def _sampled(stage: SceneArrays, k: int, local: Floats) -> Floats:
-    """Bilinear light of a picture; its right edge is at −x, where a viewer before the screen sees it right."""
+    """Bilinear light of a picture; its right edge is at −x, where a viewer before the screen sees it
+    right.
+    """
     height, width = stage.picture[k]
     x = np.clip((0.5 - local[:, 0] / (2.0 * stage.size[k, 0])) * width - 0.5, 0.0, width - 1.0)
     y = np.clip((0.5 - local[:, 1] / (2.0 * stage.size[k, 1])) * height - 0.5, 0.0, height - 1.0)

@@ -48,9 +48,23 @@ from clacad.sheet.vignetting import (
 from clacad.sheet.window import Body, Window
 
 __all__ = [
-    "BodyFacts", "BorderFacts", "FaceShape", "Feasibility", "LensFacts", "FactRow", "body_facts", "body_of", "body_range",
-    "cell_feasibility", "connectedness", "describe", "feasibility", "least_thickness", "lens_margin", "thicker",
-]  # fmt: skip
+    "BodyFacts",
+    "BorderFacts",
+    "FaceShape",
+    "Feasibility",
+    "LensFacts",
+    "FactRow",
+    "body_facts",
+    "body_of",
+    "body_range",
+    "cell_feasibility",
+    "connectedness",
+    "describe",
+    "feasibility",
+    "least_thickness",
+    "lens_margin",
+    "thicker",
+]
 
 
 def feasibility(window: Window, viewer: float | None = None, distance: float | None = None) -> Feasibility:

@@ -112,12 +112,31 @@ def imaging_rows(
     zone = zone_of(window)
     if zone is not None:
         rows += [
-            ("width of one lens, x, y", of_length(zone.width), name,
-             "p1²/|p2 − p1|, with a turn p1²/√((p2 − p1)² + 4 p1 p2 sin²(α/2)): over it light along the normal stays with its partner; a superlens is a lattice of lenses of that period"),
-            ("F-number of one lens, x, y", ", ".join(map(digits, zone.f_number)), "", "|f2|/p1; law.varying makes one large lens"),
-            ("moire period, x, y", of_length(zone.moire), name,
-             "of the two arrays: no field of a cell survives beyond it; over a pitch it is the magnification of a moire magnifier"),
-        ]  # fmt: skip
+            (
+                "width of one lens, x, y",
+                of_length(zone.width),
+                name,
+                (
+                    "p1²/|p2 − p1|, with a turn p1²/√((p2 − p1)² + 4 p1 p2 sin²(α/2)): over it light along"
+                    " the normal stays with its partner; a superlens is a lattice of lenses of that period"
+                ),
+            ),
+            (
+                "F-number of one lens, x, y",
+                ", ".join(map(digits, zone.f_number)),
+                "",
+                "|f2|/p1; law.varying makes one large lens",
+            ),
+            (
+                "moire period, x, y",
+                of_length(zone.moire),
+                name,
+                (
+                    "of the two arrays: no field of a cell survives beyond it; over a pitch it is the"
+                    " magnification of a moire magnifier"
+                ),
+            ),
+        ]
     return rows
 
 
@@ -183,11 +202,22 @@ def _field_rows(
     wave = facts.wavelength / window.unit
     spot = two(1.22 * wave * f / pitch for f in window.thin.focal_length[0])
     rows = [
-        FactRow("field lens", "spot on the field faces, x, y", of_length(spot), name,
-            "1.22 λ f1/p: dirt, scratches and seams of that size on those faces are seen sharply, like things far away"),
-        FactRow("field lens", "power density there", digits((pitch / max(spot)) ** 2), "",
-            "(p/spot)² times that on lens 1, for light of one direction: mind lasers"),
-    ]  # fmt: skip
+        FactRow(
+            "field lens",
+            "spot on the field faces, x, y",
+            of_length(spot),
+            name,
+            "1.22 λ f1/p: dirt, scratches and seams of that size on those faces are seen sharply, like things"
+            " far away",
+        ),
+        FactRow(
+            "field lens",
+            "power density there",
+            digits((pitch / max(spot)) ** 2),
+            "",
+            "(p/spot)² times that on lens 1, for light of one direction: mind lasers",
+        ),
+    ]
     if "gap" in told:
         rows.insert(
             0,
@@ -224,14 +254,41 @@ def _sheet_rows(
     is_round = x1 - x0 <= _diameter(rim) * (1.0 + 1e-12)  # no array protrudes from the other
     low, top = min(body.low for body in facts.bodies), max(body.high for body in facts.bodies)
     return [
-        FactRow("sheet", "outer size", f"{wide} round" if is_round else f"{wide} x {high}", name, "of all bodies, seen along z"),
-        FactRow("sheet", "height", of_length(top - low), name, "from the lowest point of all bodies to the highest"),
-        FactRow("sheet", "cells", cells_text(lattice), "", "telescopelets" if lattice.outline is None else
-            "telescopelets that lie wholly inside the outline"),
-        FactRow("sheet", "index ratio n1/n2, lens x, y", ", ".join(digits(1.0 / m) for m in focal_ratio(window.thin)), "",
-            "−f1/f2 = 1/η: near the lens axis the sheet acts as the interface from a medium of index n1 to one of n2"),
+        FactRow(
+            "sheet",
+            "outer size",
+            f"{wide} round" if is_round else f"{wide} x {high}",
+            name,
+            "of all bodies, seen along z",
+        ),
+        FactRow(
+            "sheet",
+            "height",
+            of_length(top - low),
+            name,
+            "from the lowest point of all bodies to the highest",
+        ),
+        FactRow(
+            "sheet",
+            "cells",
+            cells_text(lattice),
+            "",
+            (
+                "telescopelets"
+                if lattice.outline is None
+                else "telescopelets that lie wholly inside the outline"
+            ),
+        ),
+        FactRow(
+            "sheet",
+            "index ratio n1/n2, lens x, y",
+            ", ".join(digits(1.0 / m) for m in focal_ratio(window.thin)),
+            "",
+            "−f1/f2 = 1/η: near the lens axis the sheet acts as the interface from a medium of index n1 to"
+            " one of n2",
+        ),
         *_plate_rows(rim, of_length, name),
-    ]  # fmt: skip
+    ]
 
 
 def cells_text(lattice: Lattice) -> str:
@@ -251,33 +308,87 @@ def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], 
         return []
     return [
         FactRow("sheet", "holes through the plate", str(len(rim.holes)), "", "for mounting and for pins"),
-        FactRow("sheet", "least land beside a hole", of_length(rim.least_land), name, "to the plate's edge or to another hole"),
-    ]  # fmt: skip
+        FactRow(
+            "sheet",
+            "least land beside a hole",
+            of_length(rim.least_land),
+            name,
+            "to the plate's edge or to another hole",
+        ),
+    ]
 
 
 def _view_rows(facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of the view through the sheet; `of_length` writes lengths in the unit `name`."""
     wave = f"λ = {digits(1e9 * facts.wavelength)} nm"
     return [
-        FactRow("view", "middle of the field, x, y", _angles(facts.aperture), "deg",
-            "from the sheet's normal to the line from a cell's middle to its partner's"),
-        FactRow("view", "half field, lens x, y", _angles(facts.half_field), "deg",
-            "off the middle of the field; beyond it no light meets the partner"),
-        FactRow("view", "first ghosts off the middle, lens x, y", _angles(facts.ghost_onset), "deg",
-            "from there on some light meets a wrong lenslet"),
-        FactRow("view", "undeviated direction, x, y", _angles(facts.undeviated), "deg", "through both lens centres"),
-        FactRow("view", "ray offset on the sheet, lens x, y", of_length(facts.offset_blur), name,
-            "range over a cell of where light leaves less where it came"),
-        FactRow("view", "diffraction, lens x, y", _mrad(facts.diffraction_blur), "mrad",
-            f"λ/w for the light that leaves lens 2, {wave}; w = √12 × rms distance, along that axis, of what is lit of a cell "
-            "from its middle: the slit whose pattern has the same core (a square's own side, however it is turned)"),
-        FactRow("view", "diffraction, first zero, lens x, y", _mrad(facts.first_zero), "mrad",
-            "first dark line of that pattern; more than λ/w where a corner of the zone points along the axis"),
-        FactRow("view", "Fresnel number", digits(facts.fresnel_number), "",
-            f"(w/2)²/(λ f2), the smaller of x and y, {wave}, the same w"),
-        FactRow("view", "lost to diffraction at most, lens x, y", ", ".join(digits(v) for v in facts.viewing.lost), "",
-            ".164/√N, N along that axis: light that reaches neighbours of the partner, where the beam fills its cell"),
-    ]  # fmt: skip
+        FactRow(
+            "view",
+            "middle of the field, x, y",
+            _angles(facts.aperture),
+            "deg",
+            "from the sheet's normal to the line from a cell's middle to its partner's",
+        ),
+        FactRow(
+            "view",
+            "half field, lens x, y",
+            _angles(facts.half_field),
+            "deg",
+            "off the middle of the field; beyond it no light meets the partner",
+        ),
+        FactRow(
+            "view",
+            "first ghosts off the middle, lens x, y",
+            _angles(facts.ghost_onset),
+            "deg",
+            "from there on some light meets a wrong lenslet",
+        ),
+        FactRow(
+            "view",
+            "undeviated direction, x, y",
+            _angles(facts.undeviated),
+            "deg",
+            "through both lens centres",
+        ),
+        FactRow(
+            "view",
+            "ray offset on the sheet, lens x, y",
+            of_length(facts.offset_blur),
+            name,
+            "range over a cell of where light leaves less where it came",
+        ),
+        FactRow(
+            "view",
+            "diffraction, lens x, y",
+            _mrad(facts.diffraction_blur),
+            "mrad",
+            f"λ/w for the light that leaves lens 2, {wave}; w = √12 × rms distance, along that axis, of what"
+            " is lit of a cell from its middle: the slit whose pattern has the same core (a square's own"
+            " side, however it is turned)",
+        ),
+        FactRow(
+            "view",
+            "diffraction, first zero, lens x, y",
+            _mrad(facts.first_zero),
+            "mrad",
+            "first dark line of that pattern; more than λ/w where a corner of the zone points along the axis",
+        ),
+        FactRow(
+            "view",
+            "Fresnel number",
+            digits(facts.fresnel_number),
+            "",
+            f"(w/2)²/(λ f2), the smaller of x and y, {wave}, the same w",
+        ),
+        FactRow(
+            "view",
+            "lost to diffraction at most, lens x, y",
+            ", ".join(digits(v) for v in facts.viewing.lost),
+            "",
+            ".164/√N, N along that axis: light that reaches neighbours of the partner, where the beam fills"
+            " its cell",
+        ),
+    ]
 
 
 def _pitch_rows(
@@ -287,15 +398,40 @@ def _pitch_rows(
     eye = facts.viewing
     place = f"{digits(eye.object)} m behind, seen from {digits(eye.viewer)} m"
     return [
-        FactRow("view", "sharpest pitch, lens x, y", of_length(two(p / unit for p in eye.sharpest)), name,
-            f"√(2λz/|η(1 − η)|)·max(1, |η|) for what lies z = {place}: larger cells are out of focus, smaller ones diffract"),
-        FactRow("view", "least blur, lens x, y", _mrad(eye.blur), "mrad", f"half of the light of a point {place}, at those pitches"),
-        FactRow("view", "sharpest pitch", of_length(eye.advised / unit), name, "of the axis that is blurred more"),
-        FactRow("view", "invisible pitch", of_length(eye.invisible / unit), name,
-            f"one minute of arc from {digits(eye.viewer)} m: cells of this pitch are not seen; {_conflict(eye)}"),
-        FactRow("view", "pitch with diffraction below 1′, lens x, y", of_length(two(p / unit for p in eye.fine)), name,
-            "λ/w ≤ 1′ for light that comes back to the eye: what distant things need"),
-    ]  # fmt: skip
+        FactRow(
+            "view",
+            "sharpest pitch, lens x, y",
+            of_length(two(p / unit for p in eye.sharpest)),
+            name,
+            f"√(2λz/|η(1 − η)|)·max(1, |η|) for what lies z = {place}: larger cells are out of focus, smaller"
+            " ones diffract",
+        ),
+        FactRow(
+            "view",
+            "least blur, lens x, y",
+            _mrad(eye.blur),
+            "mrad",
+            f"half of the light of a point {place}, at those pitches",
+        ),
+        FactRow(
+            "view", "sharpest pitch", of_length(eye.advised / unit), name, "of the axis that is blurred more"
+        ),
+        FactRow(
+            "view",
+            "invisible pitch",
+            of_length(eye.invisible / unit),
+            name,
+            f"one minute of arc from {digits(eye.viewer)} m: cells of this pitch are not seen;"
+            f" {_conflict(eye)}",
+        ),
+        FactRow(
+            "view",
+            "pitch with diffraction below 1′, lens x, y",
+            of_length(two(p / unit for p in eye.fine)),
+            name,
+            "λ/w ≤ 1′ for light that comes back to the eye: what distant things need",
+        ),
+    ]
 
 
 def _conflict(eye: EyeAdvice) -> str:
@@ -309,18 +445,54 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
     """Rows of one lens; `of_length` writes lengths in the unit `name`."""
     about = lens.name
     rows = [
-        FactRow(about, "focal length x, y", of_length(lens.focal_length), name, "of the thin lens it stands for"),
-        FactRow(about, "focal length as built x, y", of_length(lens.built_focal_length), name,
-            "of the lens as made, in air, about its own axis"),
+        FactRow(
+            about, "focal length x, y", of_length(lens.focal_length), name, "of the thin lens it stands for"
+        ),
+        FactRow(
+            about,
+            "focal length as built x, y",
+            of_length(lens.built_focal_length),
+            name,
+            "of the lens as made, in air, about its own axis",
+        ),
         *_shape_rows(lens, of_length, name),
-        FactRow(about, "centre thickness", of_length(lens.thickness), name, "from apex to apex, or to the plane face"),
-        FactRow(about, "sag", of_length(lens.sag), name, "height range of the face over the optical zone of its cell"),
-        FactRow(about, "rim half width x, y", of_length(lens.rim), name, "where the lens would end were it not cut to its cell"),
+        FactRow(
+            about,
+            "centre thickness",
+            of_length(lens.thickness),
+            name,
+            "from apex to apex, or to the plane face",
+        ),
+        FactRow(
+            about,
+            "sag",
+            of_length(lens.sag),
+            name,
+            "height range of the face over the optical zone of its cell",
+        ),
+        FactRow(
+            about,
+            "rim half width x, y",
+            of_length(lens.rim),
+            name,
+            "where the lens would end were it not cut to its cell",
+        ),
         FactRow(about, "cover", digits(lens.cover), "", "share of the optical zone where the lens exists"),
-        FactRow(about, "least normal z", digits(lens.least_normal_z), "", "cosine of the steepest slope against the sheet"),
-        FactRow(about, "F-number x, y", ", ".join(digits(v) for v in lens.f_number), "",
-            "focal length over the full width of the optical zone along that lens axis"),
-    ]  # fmt: skip
+        FactRow(
+            about,
+            "least normal z",
+            digits(lens.least_normal_z),
+            "",
+            "cosine of the steepest slope against the sheet",
+        ),
+        FactRow(
+            about,
+            "F-number x, y",
+            ", ".join(digits(v) for v in lens.f_number),
+            "",
+            "focal length over the full width of the optical zone along that lens axis",
+        ),
+    ]
     if isfinite(lens.corner):
         rows.append(
             FactRow(
@@ -333,8 +505,14 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
         )
     if lens.least_thickness > 0.0:
         rows.append(
-            FactRow(about, "centre thickness that covers the cell", of_length(lens.least_thickness), name, "at these radii")
-        )  # fmt: skip
+            FactRow(
+                about,
+                "centre thickness that covers the cell",
+                of_length(lens.least_thickness),
+                name,
+                "at these radii",
+            )
+        )
     return rows
 
 

@@ -178,7 +178,9 @@ def _built_focal_length(body: Body, array: int) -> Pair2:
 
 
 def _cover(margin: Heights, zone: Floats) -> float:
-    """Share of the zone where the lens is the face; the lens region is star-shaped about its thickest point."""
+    """Share of the zone where the lens is the face; the lens region is star-shaped about its thickest
+    point.
+    """
 
     def inside(x: Floats, y: Floats) -> NDArray[np.bool_]:
         return np.asarray(margin(x, y) >= 0.0)

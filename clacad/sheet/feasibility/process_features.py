@@ -30,7 +30,9 @@ class Named:
 
 
 def wall(window: Window, facts: Feasibility) -> Named:
-    """Highest vertical wall on the optical sides (length): a step between neighbours, or the edge of a seam."""
+    """Highest vertical wall on the optical sides (length): a step between neighbours, or the edge of a
+    seam.
+    """
     found = [Named(body.step, f"the step between neighbours of {body.name}") for body in facts.bodies]
     if window.land.seam > 0.0:
         found += [
@@ -42,11 +44,15 @@ def wall(window: Window, facts: Feasibility) -> Named:
 
 
 def groove(window: Window, radius: float) -> Named:
-    """Greatest share of a cell's width that a tool of this nose radius (length) leaves rounded at the grooves.
+    """Greatest share of a cell's width that a tool of this nose radius (length) leaves rounded at the
+    grooves.
 
-    Where two faces meet in an inner corner of turning angle τ, the nose touches them r·tan(τ/2) before it. Between
-    two spheres of radius R without a seam the share is r/R in the middle of a border and r/√(R² − p²/4) at its
-    ends, where the slopes across it are steepest. A concave lens has no groove at its border, but a nose larger than
+    Where two faces meet in an inner corner of turning angle τ, the nose touches them r·tan(τ/2) before it.
+    Between
+    two spheres of radius R without a seam the share is r/R in the middle of a border and r/√(R² − p²/4) at
+    its
+    ends, where the slopes across it are steepest. A concave lens has no groove at its border, but a nose
+    larger than
     its radius does not fit in at all: 1.
     """
     return max(

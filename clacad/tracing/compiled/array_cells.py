@@ -172,7 +172,9 @@ def _into_own(lattices: Floats, of: int, array: int, i: float, j: float, x: floa
 
 @exact
 def in_plate(edges: Floats, x: float, y: float) -> bool:
-    """Whether a point lies in the material that edges (e, EDGE_NUMBERS) bound; see `clacad.sheet.plate_edges.inside`."""
+    """Whether a point lies in the material that edges (e, EDGE_NUMBERS) bound; see
+    `clacad.sheet.plate_edges.inside`.
+    """
     found = False
     for n in range(len(edges)):
         low, high = edges[n, Y0] <= y, edges[n, Y1] <= y

@@ -1,4 +1,5 @@
-"""The cell a point belongs to, compiled: the scalar twins of `clacad.sheet.lattice` and `clacad.tracing.layout`.
+"""The cell a point belongs to, compiled: the scalar twins of `clacad.sheet.lattice` and
+`clacad.tracing.layout`.
 
 Every trace that is compared with the numpy path checks them: same cells, also on the list of hard cases.
 Blocks of rays have their own loops in `launch` and `straight_path`, which share `hexagon_steps`.
@@ -107,7 +108,9 @@ def _hexagon_step(u: float, v: float, half: float, slant: float) -> tuple[float,
 
 @exact
 def hexagon_steps(u: float, v: float, half: float, slant: float, middle: float) -> tuple[float, float]:
-    """Step (i, j) over a slanted border of a hexagon, without a branch, in the precision of `middle` = 0.5."""
+    """Step (i, j) over a slanted border of a hexagon, without a branch, in the precision of `middle` =
+    0.5.
+    """
     one, zero = middle + middle, middle - middle
     two, three = middle * u + slant * v, -middle * u + slant * v
     second = (one if two >= half else zero) - (one if two < -half else zero)

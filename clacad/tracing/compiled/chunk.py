@@ -177,8 +177,11 @@ def blank_row(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
         for face in range(len(out.hits)):
             out.hits[face, row, c], out.turns[face, row, c] = start[row, c], ray[row, c]
     out.cell[row, 0], out.cell[row, 1], out.order[row, 0], out.order[row, 1] = (
-        NO_CELL, NO_CELL, NO_CELL, NO_CELL,
-    )  # fmt: skip
+        NO_CELL,
+        NO_CELL,
+        NO_CELL,
+        NO_CELL,
+    )
     out.path[row], out.surface[row] = 0.0, NO_CELL
     sound = finite and not zero
     out.fate[row] = MISSED if sound else INVALID
@@ -188,7 +191,7 @@ def blank_row(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
 @owning
 def trace_chunk_of_triangles(
     trees: Hierarchy, squares: Squares, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
-) -> int:  # fmt: skip
+) -> int:
     """Trace the rays `chosen` through triangles from any source; arguments as in `trace_chunk`."""
     waiting, rest = np.empty(len(chosen), dtype=np.intp), chosen
     plain = len(trees.corner_normal) == 0 and len(out.hits) == 0
@@ -201,7 +204,7 @@ def trace_chunk_of_triangles(
 @making
 def _through_squares(
     squares: Squares, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
-) -> int:  # fmt: skip
+) -> int:
     """Trace rays where facets halve the bins of the grid; undecided rows go to `left`, and their count is
     returned.
     """
@@ -245,7 +248,7 @@ def trace_chunk(
 @owning
 def straight_chunk_single(
     sheet: Packed, rounded: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
-) -> int:  # fmt: skip
+) -> int:
     """Trace the rays `chosen` straight through in single precision, starting from the launch plane.
 
     rounded : the sheet's numbers as float32
@@ -274,7 +277,9 @@ def straight_chunk_single(
 
 @exact
 def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
-    """Write the share of light that the straight path transmits, where counted, to the last layer of `turns`."""
+    """Write the share of light that the straight path transmits, where counted, to the last layer of
+    `turns`.
+    """
     indices, bodies, share = sheet.indices, len(sheet.bodies), len(sheet.faces)
     if len(indices) == bodies:
         return
@@ -302,9 +307,15 @@ def queue_undecided(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
 
 @exact
 def _walk(
-    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, waiting: Rows, start: Floats, ray: Floats,
-    out: Outcome, scratch: Scratch,
-) -> None:  # fmt: skip
+    tiles: Tiles | None,
+    trees: Hierarchy | None,
+    sheet: Packed,
+    waiting: Rows,
+    start: Floats,
+    ray: Floats,
+    out: Outcome,
+    scratch: Scratch,
+) -> None:
     """Walk rays one by one, many in a row, so that the code and tables of the walk stay in the cache."""
     counted, share = len(sheet.indices) > len(sheet.bodies), len(sheet.faces)
     for row in waiting:

@@ -281,9 +281,15 @@ def border_ahead(lat: Floats, ray: Ray, u: float, v: float, before: float) -> tu
 
 @inlined
 def _first_stretch(
-    sheet: Packed, b: int, ray: Ray, inside: bool, span: tuple[float, float, int], count: int, work: Floats,
+    sheet: Packed,
+    b: int,
+    ray: Ray,
+    inside: bool,
+    span: tuple[float, float, int],
+    count: int,
+    work: Floats,
     causes: Ints,
-) -> tuple[bool, float, int]:  # fmt: skip
+) -> tuple[bool, float, int]:
     """Find the first stretch of a column whose state differs from the ray's.
 
     span : since when the state is known, where the column ends, and why the state began
@@ -334,9 +340,11 @@ def ends_of_body(sheet: Packed, b: int, ray: CellRay, inside: bool) -> tuple[Ray
 def first_change(
     sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats, work: Floats, causes: Ints
 ) -> None:
-    """Find where a ray first enters the material of body b, or leaves it; see `reference.column.first_change`.
+    """Find where a ray first enters the material of body b, or leaves it; see
+    `reference.column.first_change`.
 
-    `work` (WORK_NUMBERS,) and `causes` (DIVISIONS,) are scratch. Writes `event` (EVENT_NUMBERS,): what, the distance,
+    `work` (WORK_NUMBERS,) and `causes` (DIVISIONS,) are scratch. Writes `event` (EVENT_NUMBERS,): what, the
+    distance,
     and the cell and start for each of the body's arrays.
     """
     lat = sheet.lattice

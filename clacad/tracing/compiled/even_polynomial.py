@@ -1,4 +1,6 @@
-"""An even polynomial, compiled: one ray, one face; the same steps as `clacad.optics.surface.even_polynomial`."""
+"""An even polynomial, compiled: one ray, one face; the same steps as
+`clacad.optics.surface.even_polynomial`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from clacad.tracing.compiled.records import Ray, Vector
 def polynomial_over(
     faces: Floats, row: int, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
-    """Normal G towards +z over (x, y), its z component w (0 beyond the equator), the height of z over the face, and
+    """Normal G towards +z over (x, y), its z component w (0 beyond the equator), the height of z over the
+    face, and
     the size of what is subtracted.
     """
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
@@ -57,7 +60,9 @@ def _lateral(
 
 @exact
 def _even_terms(faces: Floats, row: int, xx: float, yy: float) -> tuple[float, float, float]:
-    """Height of the terms, and its slopes over x and y, from x² and y²; see `clacad.optics.surface.sag_and_normal`."""
+    """Height of the terms, and its slopes over x and y, from x² and y²; see
+    `clacad.optics.surface.sag_and_normal`.
+    """
     a, b, c = faces[row, slot.A40], faces[row, slot.A22], faces[row, slot.A04]
     height, px, py = (
         xx * (a * xx + b * yy) + yy * (c * yy),
@@ -122,7 +127,9 @@ def polynomial_root(faces: Floats, row: int, ray: Ray, base: Vector) -> float:
 
 @exact
 def _real_stretch(faces: Floats, row: int, x: float, y: float, L: float, M: float) -> tuple[float, float]:
-    """Ends of the stretch of the line over which the base is real; see `clacad.optics.surface.even_polynomial`."""
+    """Ends of the stretch of the line over which the base is real; see
+    `clacad.optics.surface.even_polynomial`.
+    """
     cx, cy = faces[row, slot.CX], faces[row, slot.CY]
     a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
     square = -(a * L * L + b * M * M)

@@ -287,7 +287,9 @@ def bend(square: float, incident: float, weight: float) -> float:
 
 @exact
 def snell(direction: Vector, normal: Vector, root: float, n1: float, n2: float) -> Vector:
-    """Direction behind a surface whose normal, turned along the ray, makes root = D·G; NaN at total reflection."""
+    """Direction behind a surface whose normal, turned along the ray, makes root = D·G; NaN at total
+    reflection.
+    """
     L, M, N = direction
     gx, gy, gz = normal
     mu = n1 / n2

@@ -126,6 +126,10 @@ class Scratch(NamedTuple):
 def new_scratch() -> Scratch:
     """Allocate the working memory for the walks of one thread."""
     return Scratch(
-        np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS), np.empty(EVENT_NUMBERS), np.empty(WORK_NUMBERS),
-        np.empty(DIVISIONS, dtype=np.int64), np.empty(DEPTH, dtype=np.int64),
-    )  # fmt: skip
+        np.empty(WALKER_NUMBERS),
+        np.empty(WALKER_NUMBERS),
+        np.empty(EVENT_NUMBERS),
+        np.empty(WORK_NUMBERS),
+        np.empty(DIVISIONS, dtype=np.int64),
+        np.empty(DEPTH, dtype=np.int64),
+    )

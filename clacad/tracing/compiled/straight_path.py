@@ -1,6 +1,7 @@
 """The straight path, compiled: blocks of rays in the first-level cache, face by face, two loops a face.
 
-The twin of `clacad.tracing.reference.surfaces.in_cell`. Each pass is a plain loop over a block that a compiler turns
+The twin of `clacad.tracing.reference.surfaces.in_cell`. Each pass is a plain loop over a block that a
+compiler turns
 into vector instructions: no branch, no call, two square roots and two divisions a face.
 
 Each condition of the straight path is a number that must be positive; the row GOOD keeps the least of them.
@@ -184,7 +185,7 @@ def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, media: Media, offset
     for i in range(m):
         t, x, y, z, gx, gy, gz, root = meet(
             faces, f, s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz, s[DX, i], s[DY, i], s[DZ, i]
-        )  # fmt: skip
+        )
         incident = mu * root
         g = bend(gx * gx + gy * gy + gz * gz, incident, weight)
         s[X, i], s[Y, i], s[Z, i], s[ROOT, i] = x, y, z, root
@@ -485,7 +486,8 @@ def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
 def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
     """Multiply SHARE/OVER by the mean of T_s and T_p at an untilted quadric.
 
-    With a = n1/n2 |g| cos i and b = |g| cos t, g the normal: T_s = 4 a b/(a + b)², T_p = 4 a b/(|g| cos i + n1/n2 b)².
+    With a = n1/n2 |g| cos i and b = |g| cos t, g the normal: T_s = 4 a b/(a + b)², T_p = 4 a b/(|g| cos i +
+    n1/n2 b)².
     """
     x, y, z, dx, dy, dz, root, share, over = lanes(s, (X, Y, Z, DX, DY, DZ, ROOT, SHARE, OVER))
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
@@ -568,9 +570,15 @@ def _same_cell(s: Floats, m: int) -> None:
 
 @inlined
 def _carry_on(
-    own: OwnCells | None, sheet: Packed, s: Floats, m: int, level: float, index: float, arrays: tuple[int, int],
+    own: OwnCells | None,
+    sheet: Packed,
+    s: Floats,
+    m: int,
+    level: float,
+    index: float,
+    arrays: tuple[int, int],
     origin: Vector,
-) -> None:  # fmt: skip
+) -> None:
     """Carry rays to a level and into the cells of the array there, of any pitch."""
     if own is None:
         _carry(sheet.lattice, s, m, level, index, arrays, origin)

@@ -24,10 +24,21 @@ Several = TypeVar("Several", Rows, range, Rows | range)
 
 def in_arrays(rays: Rays, ledger: Ledger) -> tuple[Floats, Floats, Outcome]:
     """Starts and directions (n, 3) as kernels read them, and the ledger's columns as kernels write them."""
-    return np.ascontiguousarray(rays.position), np.ascontiguousarray(rays.direction), Outcome(
-        ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell, ledger.order,
-        ledger.surface, ledger.hits, ledger.directions,
-    )  # fmt: skip
+    return (
+        np.ascontiguousarray(rays.position),
+        np.ascontiguousarray(rays.direction),
+        Outcome(
+            ledger.position,
+            ledger.direction,
+            ledger.fate,
+            ledger.optical_path,
+            ledger.cell,
+            ledger.order,
+            ledger.surface,
+            ledger.hits,
+            ledger.directions,
+        ),
+    )
 
 
 def over_threads(one: Callable[[Several], Found], rows: Several, threads: int) -> list[Found]:

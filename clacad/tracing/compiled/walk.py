@@ -66,10 +66,17 @@ GOES_ON = 255
 
 @inlined
 def walk_ray(
-    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, launched: Launched, row: int, out: Outcome,
+    tiles: Tiles | None,
+    trees: Hierarchy | None,
+    sheet: Packed,
+    launched: Launched,
+    row: int,
+    out: Outcome,
     scratch: Scratch,
-) -> None:  # fmt: skip
-    """Trace one ray from the launch plane and write its row, in which position and direction are its start."""
+) -> None:
+    """Trace one ray from the launch plane and write its row, in which position and direction are its
+    start.
+    """
     w, left = scratch.walker, scratch.left
     _begin(launched, out.position, row, w)
     end = GOES_ON
@@ -124,7 +131,9 @@ def _write_row(w: Floats, end: int, row: int, out: Outcome) -> None:
 
 @exact
 def _order(w: Floats) -> tuple[int, int]:
-    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that face."""
+    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that
+    face.
+    """
     if w[SECOND] == 0.0 or w[FIRST] == NO_CELL or w[LAST] == NO_CELL:
         return NO_CELL, NO_CELL
     i, j = w[LAST] - w[FIRST], w[LAST + 1] - w[FIRST + 1]
@@ -151,9 +160,15 @@ def _next_change(
 
 @inlined
 def _through_body(
-    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, b: int, gap: float, row: int, out: Outcome,
+    tiles: Tiles | None,
+    trees: Hierarchy | None,
+    sheet: Packed,
+    b: int,
+    gap: float,
+    row: int,
+    out: Outcome,
     scratch: Scratch,
-) -> int:  # fmt: skip
+) -> int:
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
     lat, index = sheet.lattice, sheet.indices[b]
     w, left, event, hits, turns = scratch.walker, scratch.left, scratch.event, out.hits, out.turns
@@ -207,16 +222,22 @@ def _over(sheet: Packed, b: int, w: Floats, distance: float) -> bool:
     main = int(sheet.bodies[b, slot.ENTRY])
     i, j, _, _ = into_array(
         sheet, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
-    )  # fmt: skip
+    )
     over = kept(sheet.lattice, sheet.rows, i, j)
     return in_footprint(sheet, b, sx + distance * w[DX], sy + distance * w[DY], over)
 
 
 @exact
 def _refract(
-    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, b: int, side: int, w: Floats, event: Floats,
+    tiles: Tiles | None,
+    trees: Hierarchy | None,
+    sheet: Packed,
+    b: int,
+    side: int,
+    w: Floats,
+    event: Floats,
     media: tuple[float, float],
-) -> int:  # fmt: skip
+) -> int:
     """Refract at the front or back that was met; the fate of a ray that ends there, or GOES_ON."""
     faces, bodies, lat, (n1, n2) = sheet.faces, sheet.bodies, sheet.lattice, media
     f = 2 * b + side
@@ -241,7 +262,8 @@ def _refract(
         u, v, k = to_lens(faces, f, L, M, N)
         t, px, py, pz, gx, gy, gz, root = meet(faces, f, sx, sy, sz, u, v, k)
         if not abs(t - distance) <= SAME * lat[slot.HALF]:
-            # `meet` gives the other crossing where a ray falls in the lens's frame while it rises in the sheet's
+            # `meet` gives the other crossing where a ray falls in the lens's frame while it rises in the
+            # sheet's
             t = distance
             for _ in range(2):
                 gx, gy, gz, over = upward(faces, f, sx + t * u, sy + t * v, sz + t * k)
@@ -312,7 +334,7 @@ def _pass_hole(sheet: Packed, b: int, w: Floats, distance: float) -> None:
         array = int(faces[2 * b + side, slot.ARRAY])
         i, j, x, y = into_array(
             sheet, int(w[AT_ARRAY]), array, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
-        )  # fmt: skip
+        )
         w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, w[Z] + distance * w[DZ], array
         w[PATH] += distance
         _note_cell(sheet.lattice, sheet.rows, w, faces[2 * b + side], False)
@@ -344,7 +366,9 @@ def _cross_gap(sheet: Packed, b: int, w: Floats) -> tuple[float, int]:
 
 @exact
 def reach(lat: Floats, x: float, y: float, u: float, v: float, i: float, j: float) -> float:
-    """How far along the gap a ray gets before it meets the honeycomb; see `clacad.tracing.reference.launch`."""
+    """How far along the gap a ray gets before it meets the honeycomb; see
+    `clacad.tracing.reference.launch`.
+    """
     u, v = less_steps(lat, u, v, -i, -j)
     first = inf
     for n in range(int(lat[slot.BORDERS])):

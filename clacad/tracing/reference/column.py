@@ -71,7 +71,9 @@ class RaysInArray(NamedTuple):
 
 
 class RaysInColumn(NamedTuple):
-    """Rays inside one column: for each array the present cell, the start seen from it, and whether it is kept."""
+    """Rays inside one column: for each array the present cell, the start seen from it, and whether it is
+    kept.
+    """
 
     starts: dict[int, Floats]
     kept: dict[int, Bools]
@@ -205,9 +207,13 @@ def _scan(
 
 
 def first_stretch(
-    tiny: float, divisions: tuple[Floats, Kinds], span: tuple[Floats, Floats], known: tuple[Floats, Kinds],
-    inside: bool, solid: Callable[[Rows, Floats], Bools],
-) -> tuple[Floats, Kinds, Bools]:  # fmt: skip
+    tiny: float,
+    divisions: tuple[Floats, Kinds],
+    span: tuple[Floats, Floats],
+    known: tuple[Floats, Kinds],
+    inside: bool,
+    solid: Callable[[Rows, Floats], Bools],
+) -> tuple[Floats, Kinds, Bools]:
     """Go through stretches of k rays; return the last division passed, its cause, and who changed state.
 
     Stretches shorter than `tiny` are joined to the next one, because rounding alone would decide there. Where

@@ -62,9 +62,15 @@ def cross(
 
 
 def cross_at(
-    face: FacePlan, local: Floats, z: Floats, direction: Floats, distance: Floats, n1: float, n2: float,
+    face: FacePlan,
+    local: Floats,
+    z: Floats,
+    direction: Floats,
+    distance: Floats,
+    n1: float,
+    n2: float,
     places: LensPlaces,
-) -> Hit:  # fmt: skip
+) -> Hit:
     """Refract at crossings (m,) that were already found, and polish them.
 
     `meet` returns the other crossing where a ray falls in the lens's frame while it rises in the sheet's.
@@ -100,7 +106,9 @@ def _hit(places: LensPlaces, point: Floats, distance: Floats, direction: Floats,
 
 
 def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
-    """Normal G towards +z at points near a lens (lens frame), and their heights over it, in units of 1/|G|."""
+    """Normal G towards +z at points near a lens (lens frame), and their heights over it, in units of
+    1/|G|.
+    """
     surface = face.surface
     x, y, z = point.T
     if not isinstance(surface, Quadric):
@@ -118,12 +126,16 @@ def cross_land(direction: Floats, n1: float, n2: float) -> Floats:
 
 
 def height(face: FacePlan, local: Floats, places: LensPlaces) -> Floats:
-    """Height (m,) of the lens over the body's level above points (m, 2) of the cell frame; NaN where there is none."""
+    """Height (m,) of the lens over the body's level above points (m, 2) of the cell frame; NaN where there
+    is none.
+    """
     if face.array is None:
         return np.full(len(local), face.vertex[2])
-    lens = Face(face.surface, face.vertex) if face.rotation is None else Face(
-        face.surface, face.vertex, face.rotation
-    )  # fmt: skip
+    lens = (
+        Face(face.surface, face.vertex)
+        if face.rotation is None
+        else Face(face.surface, face.vertex, face.rotation)
+    )
     return places.raised(lens_height(lens, *places.seen(local[:, 0], local[:, 1])))
 
 

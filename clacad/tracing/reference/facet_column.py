@@ -90,12 +90,22 @@ class _FacetSearch:
         m, xy = len(beam), sheet_xy(layout, beam)
         above = np.full(m, np.inf) if inside else (body.high - beam.z) / beam.direction[:, 2]
         return cls(
-            layout, body, faces, beam, inside, xy, [grid_of(layout, beam, array) for array in body.arrays], above,
+            layout,
+            body,
+            faces,
+            beam,
+            inside,
+            xy,
+            [grid_of(layout, beam, array) for array in body.arrays],
+            above,
             np.maximum(box_span(layout, body, xy, beam.direction)[1], 0.0),
-            {array: np.full(m, NOT_LOOKED_UP) for array in body.arrays}, np.zeros(m), np.zeros(m),
-            np.full(m, WALL, dtype=np.int8), np.where(above <= 0.0, ABOVE, ASIDE).astype(np.int8),
+            {array: np.full(m, NOT_LOOKED_UP) for array in body.arrays},
+            np.zeros(m),
+            np.zeros(m),
+            np.full(m, WALL, dtype=np.int8),
+            np.where(above <= 0.0, ABOVE, ASIDE).astype(np.int8),
             np.tile([0.0, 0.0, 1.0], (m, 1)),
-        )  # fmt: skip
+        )
 
     def found(self) -> Event:
         """Continue until every ray has met something, or is past the body."""
@@ -216,9 +226,13 @@ class _FacetSearch:
             return np.asarray(over & above & (level <= high[pick] + t * high_rise[pick]))
 
         return first_stretch(
-            self.layout.tiny, (times, np.array([front, back, *walls])), (earliest, end),
-            (self.since[active], self.cause[active]), self.inside, solid,
-        )  # fmt: skip
+            self.layout.tiny,
+            (times, np.array([front, back, *walls])),
+            (earliest, end),
+            (self.since[active], self.cause[active]),
+            self.inside,
+            solid,
+        )
 
     def _note_met(self, piece: RaysInColumn, active: Rows, changed: Bools) -> None:
         """Record what changed the state of rays, and the normals of the facets involved."""

@@ -57,7 +57,9 @@ def meet_face(
 
 
 def facets_over(tiles: Tiles, tile: int, xy: Floats) -> Ints:
-    """Facets (m,) over points (m, 2) of the cell frame: those they lie deepest in; −1 far outside the tile."""
+    """Facets (m,) over points (m, 2) of the cell frame: those they lie deepest in; −1 far outside the
+    tile.
+    """
     row = tiles.table[tile]
     i, j = _bins(row, xy)
     bins = (row[BIN] + j * row[BINS_X] + i).astype(np.int64)
@@ -79,7 +81,9 @@ def shares(tiles: Tiles, facet: Ints, xy: Floats) -> Floats:
 
 
 def normals_at(face: TiledFace, facet: Ints, xy: Floats) -> Floats:
-    """Normals (m, 3) towards +z, of any length: the facets' own, or those of their corners interpolated at points (m, 2)."""
+    """Normals (m, 3) towards +z, of any length: the facets' own, or those of their corners interpolated at
+    points (m, 2).
+    """
     tiles, side = face.tiles, face.side
     a, b, _ = tiles.plane[facet, side].T
     own = np.column_stack([-a, -b, np.ones(len(facet))])

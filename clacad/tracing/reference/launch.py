@@ -72,9 +72,13 @@ class Beam:
     def take(self, chosen: NDArray[np.intp] | Bools) -> Beam:
         """The chosen rays: row numbers, or which (m,)."""
         return Beam(
-            self.rows[chosen], self.array, self.cell[chosen], self.local[chosen], self.z[chosen],
+            self.rows[chosen],
+            self.array,
+            self.cell[chosen],
+            self.local[chosen],
+            self.z[chosen],
             self.direction[chosen],
-        )  # fmt: skip
+        )
 
 
 def launch(
@@ -120,7 +124,8 @@ def _plane_step(start: Floats, scaled: Floats, plane: Floats) -> tuple[Floats, F
     rise = two_sum(plane, -start[:, 2])
     quotient = rise[0] / scaled[:, 2]
     # remainder of the rounded quotient, divided once more
-    rest = pair_sum(rise, tuple(-part for part in two_product(quotient, scaled[:, 2])))  # type: ignore[arg-type]
+    high, low = two_product(quotient, scaled[:, 2])
+    rest = pair_sum(rise, (-high, -low))
     return quotient, rest[0] / scaled[:, 2]
 
 
@@ -188,7 +193,9 @@ def to_array(layout: Layout, beam: Beam, array: int) -> Beam:
 
 
 def cell_in(layout: Layout, of: int, array: int, cell: Ints, local: Floats) -> tuple[Ints, Floats, Ints]:
-    """Steps, local coordinates and cell, (m, 2) each, in `array` of points given relative to cells of array `of`."""
+    """Steps, local coordinates and cell, (m, 2) each, in `array` of points given relative to cells of array
+    `of`.
+    """
     if layout.lattices[of] != layout.lattices[array]:
         return _in_other_pitch(layout, of, array, cell, local)
     away = np.zeros(2, dtype=np.int64)

@@ -110,7 +110,19 @@ def _step_sums(law: Law, ray: Floats, out: Floats, known: Bools) -> Floats:
     gx, gy = more[:2] - (more * [x, y, z]).sum(axis=0) * [x, y]
     xx, yy, xy = 1.0 - x * x, 1.0 - y * y, -x * y
     terms = (
-        xx * a * a, xx * a * c, xx * c * c, yy * b * b, yy * b * c, yy * c * c,
-        xy * a * b, xy * a * c, xy * b * c, xy * c * c, a * gx, b * gy, c * gx, c * gy,
-    )  # fmt: skip
+        xx * a * a,
+        xx * a * c,
+        xx * c * c,
+        yy * b * b,
+        yy * b * c,
+        yy * c * c,
+        xy * a * b,
+        xy * a * c,
+        xy * b * c,
+        xy * c * c,
+        a * gx,
+        b * gy,
+        c * gx,
+        c * gy,
+    )
     return np.array([term.sum() for term in terms])

@@ -1,4 +1,5 @@
-"""Rung "surfaces" in numpy: exact Snell at the exact surfaces, a block of rays at a time; rung "mesh" by a mesh's tiles.
+"""Rung "surfaces" in numpy: exact Snell at the exact surfaces, a block of rays at a time; rung "mesh" by a
+mesh's tiles.
 
 Almost every ray stays in one cell from the plane below an array to the plane above it. `in_cell` traces these
 rays straight through and checks the conditions that make this right: steeper than any lens, in the cell at

@@ -140,7 +140,8 @@ def thin_layout(layout: Layout) -> Layout:
 def thin_patches(layout: Layout) -> tuple[ThinPatch, ...]:
     """The arrays of patches of a `thin_layout` in the order of the light.
 
-    Lens 1's centre lies in its cell's centre at z = 0, lens 2's at the pair's offset, a field lens's in its cell's centre.
+    Lens 1's centre lies in its cell's centre at z = 0, lens 2's at the pair's offset, a field lens's in its
+    cell's centre.
     """
     pair = layout.window.thin
     second = (pair.offset[0] - pair.shift[0], pair.offset[1] - pair.shift[1], pair.offset[2])
@@ -229,8 +230,12 @@ class Passed:
     def take(self, chosen: Bools) -> Passed:
         """The chosen rays, (m,) bool."""
         return Passed(
-            _take(self.one, chosen), self.beam.take(chosen), self.path[chosen], self.land[chosen], self.odd[chosen]
-        )  # fmt: skip
+            _take(self.one, chosen),
+            self.beam.take(chosen),
+            self.path[chosen],
+            self.land[chosen],
+            self.odd[chosen],
+        )
 
 
 def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger, rows: Rows) -> None:
@@ -302,9 +307,12 @@ def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch
         cell[:, blind - 1] = own[:, blind - 1]
     fresh = (gone.odd == own).all(axis=1, keepdims=True)
     return Passed(
-        gone.one, replace(met.beam, direction=out[here]), path[here], gone.land | met.land,
+        gone.one,
+        replace(met.beam, direction=out[here]),
+        path[here],
+        gone.land | met.land,
         np.where(fresh, cell, gone.odd),
-    )  # fmt: skip
+    )
 
 
 def _pass_beside(layout: Layout, ledger: Ledger, one: Met, met: Met) -> None:
@@ -443,6 +451,10 @@ def _position(layout: Layout, patch: ThinPatch, beam: Beam) -> Floats:
 
 def _take(met: Met, chosen: Bools) -> Met:
     return Met(
-        met.beam.take(chosen), met.distance[chosen], met.lens[chosen], met.land[chosen],
-        met.beside[chosen], met.solid[chosen],
-    )  # fmt: skip
+        met.beam.take(chosen),
+        met.distance[chosen],
+        met.lens[chosen],
+        met.land[chosen],
+        met.beside[chosen],
+        met.solid[chosen],
+    )

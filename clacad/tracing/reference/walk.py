@@ -35,7 +35,8 @@ BEHIND = 8 * ULP
 """Share of a ray's travel by which the first face may seem to lie behind its start: rounding error."""
 
 SAME = 1e-6
-"""Share of a cell by which two roots of one crossing may differ: far above rounding, far below two crossings."""
+"""Share of a cell by which two roots of one crossing may differ: far above rounding, far below two
+crossings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +111,17 @@ def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, c
     m = len(beam)
     none, no = np.full((m, 2), NO_CELL, dtype=np.int64), np.zeros(m, dtype=bool)
     walkers = Walkers(
-        beam, np.zeros(m), ledger.position[beam.rows], none, none, none, no, no, no,
+        beam,
+        np.zeros(m),
+        ledger.position[beam.rows],
+        none,
+        none,
+        none,
+        no,
+        no,
+        no,
         np.full(m, NO_CELL, dtype=np.int64),
-    )  # fmt: skip
+    )
     with np.errstate(all="ignore"):
         for b, index in enumerate(indices):
             here = BodyWalk(layout, ledger, b, index)
@@ -390,7 +399,9 @@ def _record_end(here: BodyWalk, walkers: Walkers) -> None:
 
 
 def order_of(walkers: Walkers) -> Ints:
-    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that face."""
+    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that
+    face.
+    """
     both = walkers.second & (walkers.first != NO_CELL).all(axis=1) & (walkers.last != NO_CELL).all(axis=1)
     order = walkers.last - walkers.first
     same = (order == 0).all(axis=1) & (walkers.odd != NO_CELL).all(axis=1)
@@ -412,9 +423,12 @@ def _joined(a: Walkers, b: Walkers) -> Walkers:
     if not len(b):
         return a
     beam = Beam(
-        np.concatenate([a.beam.rows, b.beam.rows]), a.beam.array,
-        np.concatenate([a.beam.cell, b.beam.cell]), np.concatenate([a.beam.local, b.beam.local]),
-        np.concatenate([a.beam.z, b.beam.z]), np.concatenate([a.beam.direction, b.beam.direction]),
-    )  # fmt: skip
+        np.concatenate([a.beam.rows, b.beam.rows]),
+        a.beam.array,
+        np.concatenate([a.beam.cell, b.beam.cell]),
+        np.concatenate([a.beam.local, b.beam.local]),
+        np.concatenate([a.beam.z, b.beam.z]),
+        np.concatenate([a.beam.direction, b.beam.direction]),
+    )
     rest = (np.concatenate([getattr(a, f.name), getattr(b, f.name)]) for f in fields(a)[1:])
     return Walkers(beam, *rest)

@@ -1,6 +1,7 @@
 """Compiled search of triangles from any source: the first one a ray meets, in a tree of boxes.
 
-The search knows nothing of sheets: the walk of `compiled_hierarchy`, the judge of a file's facets and pictures
+The search knows nothing of sheets: the walk of `compiled_hierarchy`, the judge of a file's facets and
+pictures
 of scenes call it.
 """
 
@@ -88,7 +89,8 @@ def hit(corner: Floats, origin: Vector, ray: Ray) -> tuple[float, float, float, 
 def next_leaf(
     trees: Hierarchy, b: int, ray: Ray, inverse: Vector, near: float, far: float, stack: Ints, waiting: int
 ) -> tuple[int, int, int]:
-    """Range of triangles (first, end) of the next leaf that a ray enters between two distances; 0, 0 at the end.
+    """Range of triangles (first, end) of the next leaf that a ray enters between two distances; 0, 0 at the
+    end.
 
     Of two boxes the one whose middle lies nearer along the ray comes first.
 
@@ -215,9 +217,14 @@ def normal_of(trees: Hierarchy, k: int) -> tuple[float, float, float]:
 
 @owning
 def first_facet(
-    trees: Hierarchy, normals: Floats, position: Floats, direction: Floats, facing: float, distance: Floats,
+    trees: Hierarchy,
+    normals: Floats,
+    position: Floats,
+    direction: Floats,
+    facing: float,
+    distance: Floats,
     facet: Ints,
-) -> None:  # fmt: skip
+) -> None:
     """Fill `distance` (n,) and `facet` (n,) for rays with d_z > 0; NaN and −1 where none is met.
 
     The nearest facet ahead, of body 0 of `trees`, with facing × normal · direction > 0.

@@ -66,7 +66,8 @@ INSIDE_CELL = 1e-9
 """Least distance of a hit from the borders of its cell, as a share of a cell."""
 
 # Rows of a block's scratch array after those of `straight_path_slots`: cell of the launch and its centre,
-# whether cells changed, the rectangle that a ray stays in, and the distance of a plane, later that of the hit.
+# whether cells changed, the rectangle that a ray stays in, and the distance of a plane, later that of the
+# hit.
 HOME_I, HOME_J, CENTRE_X, CENTRE_Y, ODD, LEAST_X, MOST_X, LEAST_Y, MOST_Y, FAR, ROWS = range(
     SCRATCH, SCRATCH + 11
 )

@@ -48,8 +48,15 @@ TRIES = 8
 
 @exact
 def cross_facets(
-    tiles: Tiles, faces: Floats, f: int, s: Floats, m: int, media: tuple[float, float], climb: float, origin: Vector
-) -> None:  # fmt: skip
+    tiles: Tiles,
+    faces: Floats,
+    f: int,
+    s: Floats,
+    m: int,
+    media: tuple[float, float],
+    climb: float,
+    origin: Vector,
+) -> None:
     """Cross one face of facets; positions plus the origin are relative to cell and level, afterwards without
     the origin.
     """

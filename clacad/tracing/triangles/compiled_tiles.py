@@ -87,7 +87,7 @@ def facet_normal(tiles: Tiles, facet: int, side: int, x: float, y: float) -> tup
 @exact
 def _levels(
     tiles: Tiles, faces: Floats, row: int, at: int, causes: Ints, work: Floats, dx: float, dy: float
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """Height of a face at the start and its rise along the ray, in the ray's present column; NaN for none."""
     if faces[row, slot.ARRAY] < 0.0:
         return faces[row, slot.LOW], 0.0
@@ -223,9 +223,15 @@ def _array_of(sheet: Packed, b: int, side: int) -> int:
 
 @inlined
 def _first_stretch(
-    tiles: Tiles, sheet: Packed, b: int, ray: Ray, inside: bool, span: tuple[float, float, float, int],
-    work: Floats, causes: Ints,
-) -> tuple[bool, float, int]:  # fmt: skip
+    tiles: Tiles,
+    sheet: Packed,
+    b: int,
+    ray: Ray,
+    inside: bool,
+    span: tuple[float, float, float, int],
+    work: Floats,
+    causes: Ints,
+) -> tuple[bool, float, int]:
     """Find the first stretch of a piece whose state differs from the ray's; see `column`.
 
     span : start and end of the piece, since when the state is known, and its cause

@@ -1,4 +1,5 @@
-"""Triangles from any source in trees of boxes, one tree a mesh, and the first triangle of each ray of a bundle.
+"""Triangles from any source in trees of boxes, one tree a mesh, and the first triangle of each ray of a
+bundle.
 
 A tree is complete and binary. Every box is halved at the median of its longest side, level by level and by
 stable sorting, so that the tree is the same on all machines. `compiled_search` is the compiled search; the
@@ -19,7 +20,8 @@ from clacad.base.types import Bools, Floats, Ints
 LEAF = 4
 """Largest number of triangles in a leaf of a tree of boxes."""
 
-# Columns of a tree's row: its first box, its first triangle, the number of triangles, levels above the leaves.
+# Columns of a tree's row: its first box, its first triangle, the number of triangles, levels above the
+# leaves.
 ROOT, FIRST, COUNT, LEVELS = range(4)
 
 

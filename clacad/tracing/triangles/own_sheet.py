@@ -46,8 +46,8 @@ def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
     count = sum(body.facets_about for body in mesh.bodies)
     if count > MOST_FACETS:
         raise LimitRefused(
-            f'rung "mesh": about {count:,} triangles of cells that differ are more than the {MOST_FACETS:,} that are held; '
-            "use fewer quads or fewer cells"
+            f'rung "mesh": about {count:,} triangles of cells that differ are more than the {MOST_FACETS:,}'
+            " that are held; use fewer quads or fewer cells"
         )
     corners = np.concatenate([rows for body in mesh.bodies for rows in body.rows()])
     if normals != "vertex":

@@ -25,7 +25,8 @@ class FacetFace:
     """The facets of one side of one body over one cell, in a tree of boxes.
 
     trees : Hierarchy or None
-        One body: the facets `trees.corner` (t, 3, 3), lengths relative to `origin`, wound counter-clockwise seen from
+        One body: the facets `trees.corner` (t, 3, 3), lengths relative to `origin`, wound counter-clockwise
+        seen from
         outside.
     normals : (t, 3)
         Outward, length twice the facet's area.
@@ -72,7 +73,9 @@ class FacetBody:
 
 
 def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> FacetFace:
-    """Prepare facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
+    """Prepare facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat
+    land.
+    """
     flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
     if not len(local):
@@ -86,7 +89,9 @@ def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> Fa
 
 
 def on_land(window: Window, face: Face, corners: Floats) -> Bools:
-    """Which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
+    """Which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding
+    allowed.
+    """
     if face.land is None:
         return np.zeros(len(corners), dtype=bool)
     reach = max(abs(v) for v in window.z_range)
@@ -172,9 +177,15 @@ def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
     passing.fate[live[passing.aside[live]]] = Fate.LAND
     unknown = np.full((len(rays), 2), NO_CELL, dtype=np.int32)
     return TraceResult(
-        passing.position, passing.direction, passing.fate, passing.path, unknown, unknown, passing.surface,
+        passing.position,
+        passing.direction,
+        passing.fate,
+        passing.path,
+        unknown,
+        unknown,
+        passing.surface,
         np.ones(len(rays)),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,5 @@
-"""A mesh in the numbers the tracer needs: one cell's facets as planes over its footprint, and where to find them.
+"""A mesh in the numbers the tracer needs: one cell's facets as planes over its footprint, and where to find
+them.
 
 A sheet's mesh is a height field of one cell's triangles, repeated. In a cell the ray's facet is looked up in
 a regular grid of bins, and the neighbour across each edge is known. The walk handles the cell's border,
@@ -27,7 +28,8 @@ LENS, LAND, VOID = 0, 1, 2
 BEYOND = 2**59
 """Levels beyond this represent a missing face."""
 
-# Columns of a tile's row: first facet, first bin, bins in x and y, corner of the grid, bins per length, diagonal.
+# Columns of a tile's row: first facet, first bin, bins in x and y, corner of the grid, bins per length,
+# diagonal.
 FIRST, BIN, BINS_X, BINS_Y, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, TILE_NUMBERS = range(10)
 
 
@@ -199,10 +201,16 @@ def _plan_face(face: FacePlan, tile: _Tile, side: int) -> FacePlan:
     land = tile.land[side] if face.array is not None else face.land
     low, high = float(np.fmin(np.nanmin(heights), land)), float(np.fmax(np.nanmax(heights), land))
     return replace(
-        face, surface=PLANE, vertex=(0.0, 0.0, 0.0), rotation=None, low=low, high=high,
-        slope=steepest * (1.0 + 1e-12), whole=bool(lens.all()),
+        face,
+        surface=PLANE,
+        vertex=(0.0, 0.0, 0.0),
+        rotation=None,
+        low=low,
+        high=high,
+        slope=steepest * (1.0 + 1e-12),
+        whole=bool(lens.all()),
         land=land,
-    )  # fmt: skip
+    )
 
 
 def _planes(corners: Floats, heights: Floats) -> Floats:

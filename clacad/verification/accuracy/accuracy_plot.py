@@ -14,7 +14,8 @@ from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable
 
 SIZE = (10.4, 6.2)
 AXES = (0.07, 0.3, 0.985, 0.9)
-"""Left, bottom, right and top of both panels, in parts of the figure; legends and the conclusion lie below them."""
+"""Left, bottom, right and top of both panels, in parts of the figure; legends and the conclusion lie below
+them."""
 
 LETTERS = 150
 """Letters in a line of the conclusion."""
@@ -34,9 +35,19 @@ DOT, THIN, LETTER, TALL = 4.0, 1.5, 4.4, 8.0
 """Half a marker, half the room of a line, width of a letter and height of a label of 7 points, in points."""
 
 OFFSETS = tuple(
-    (dx, dy) for far in (6.0, 12.0) for dx, dy in ((far, -3.0), (-far, -3.0), (far, far - 2.0), (far, -far - 4.0), (-far, far - 2.0), (-far, -far - 4.0))
-)  # fmt: skip
-"""Offsets of a label's start (dx > 0) or end (dx < 0) from its point, in points; the first free one is used."""
+    (dx, dy)
+    for far in (6.0, 12.0)
+    for dx, dy in (
+        (far, -3.0),
+        (-far, -3.0),
+        (far, far - 2.0),
+        (far, -far - 4.0),
+        (-far, far - 2.0),
+        (-far, -far - 4.0),
+    )
+)
+"""Offsets of a label's start (dx > 0) or end (dx < 0) from its point, in points; the first free one is
+used."""
 
 Box = tuple[float, float, float, float]
 
@@ -86,9 +97,14 @@ def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
     for row in shown:
         colour, marker = STYLE[row.rung]
         axes.plot(
-            count * row.seconds_per_ray, 1e3 * row.model_rms, marker, color=colour, markersize=10 if marker == "*" else 5.5,
-            markerfacecolor="white" if row.normals == "vertex" else colour, alpha=0.5 if row.float == "f32" else 1.0,
-        )  # fmt: skip
+            count * row.seconds_per_ray,
+            1e3 * row.model_rms,
+            marker,
+            color=colour,
+            markersize=10 if marker == "*" else 5.5,
+            markerfacecolor="white" if row.normals == "vertex" else colour,
+            alpha=0.5 if row.float == "f32" else 1.0,
+        )
     fronts = (
         (shown, "#444444", "-", "best of all settings"),
         ([r for r in shown if r.rung == "mesh"], "#e07b39", ":", "best of meshes"),
@@ -96,9 +112,14 @@ def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
     for rows, colour, line, name in fronts:
         best = pareto(rows)
         axes.plot(
-            [count * r.seconds_per_ray for r in best], [1e3 * r.model_rms for r in best], line, color=colour, lw=1.1, zorder=0,
+            [count * r.seconds_per_ray for r in best],
+            [1e3 * r.model_rms for r in best],
+            line,
+            color=colour,
+            lw=1.1,
+            zorder=0,
             label=f"{name} ({len(best)})",
-        )  # fmt: skip
+        )
     axes.margins(0.08, 0.06)
     axes.set_xlabel(f"processor seconds for {count:,} rays (s)")
     axes.set_title(
@@ -110,7 +131,9 @@ def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
 
 
 def label_points(axes: Any, labels: Sequence[tuple[str, tuple[float, float]]]) -> None:
-    """Write labels next to their points where they cover no point, line or label; omit labels without room."""
+    """Write labels next to their points where they cover no point, line or label; omit labels without
+    room.
+    """
     axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # fix the view before positions are read from it
     scale = 72.0 / axes.figure.dpi
     taken = _drawn_boxes(axes, scale)
@@ -159,8 +182,14 @@ def _draw_floors(axes: Any, table: AccuracyTable) -> None:
     colours = ("#1f4e79", "#b07aa1", "#3a7d44", "#e07b39", "#7a7a7a", "#b00020", "#8c6d31", "#17becf")
     grids = [2.0 ** (k / 4.0) for k in range(8, 57)]
     for one, colour in zip(found, colours, strict=False):
-        axes.plot(grids, [1e3 * one.error(q) for q in grids], "--" if one.normals == "vertex" else "-", color=colour,
-                  lw=1.0, label=f"{one.formats}: {one.normals} normals")  # fmt: skip
+        axes.plot(
+            grids,
+            [1e3 * one.error(q) for q in grids],
+            "--" if one.normals == "vertex" else "-",
+            color=colour,
+            lw=1.0,
+            label=f"{one.formats}: {one.normals} normals",
+        )
         axes.plot(
             [q for q, _, _ in one.confirmed], [1e3 * t for _, _, t in one.confirmed], "x", color=colour, ms=6
         )

@@ -1,6 +1,8 @@
-"""One row of the accuracy table, a rung at a setting with its error and its seconds, and the front of the rows.
+"""One row of the accuracy table, a rung at a setting with its error and its seconds, and the front of the
+rows.
 
-Conclusion of an accuracy table in up to three sentences: cost of exact faces, value of a mesh, the exact file.
+Conclusion of an accuracy table in up to three sentences: cost of exact faces, value of a mesh, the exact
+file.
 
 The accuracy table: rows of error and time, the cheapest sufficient row, and the conclusion.
 """
@@ -28,7 +30,8 @@ class AccuracyRow:
     setting : str
         Text for a person: "16 quads, facet normals, float32 vertices".
     model_rms, model_p95, model_max : float, radians
-        Angle to the truth, caused by what the rung leaves out. The truth is rung surfaces in float64; the row of that
+        Angle to the truth, caused by what the rung leaves out. The truth is rung surfaces in float64; the
+        row of that
         rung holds its angle to a 50-digit trace of `checked` rays.
     law_rms, law_max : float, radians
         Angle to the requested law.
@@ -145,10 +148,16 @@ def _mesh(rows: Sequence[AccuracyRow]) -> str:
     worth = [row for row in pareto(rows) if row.rung == "mesh"]
     best = min(worth or known, key=lambda row: row.model_rms)
     what = f"{best.quads} quads a cell side with {best.normals} normals"
-    cost = f"{best.seconds_per_ray / exact.seconds_per_ray:.2g} × the time of exact faces and leaves {_mrad(best.model_rms)} mrad"
+    cost = (
+        f"{best.seconds_per_ray / exact.seconds_per_ray:.2g} × the time of exact faces and leaves"
+        f" {_mrad(best.model_rms)} mrad"
+    )
     if worth:
         return f"A mesh is worth tracing for speed alone: {what} takes {cost}."
-    return f"No mesh is worth tracing, for each is beaten in both error and time: the most exact, {what}, takes {cost}."
+    return (
+        f"No mesh is worth tracing, for each is beaten in both error and time: the most exact, {what}, takes"
+        f" {cost}."
+    )
 
 
 def _files(rows: Sequence[AccuracyRow], floors: Sequence[Floor]) -> str:
@@ -216,7 +225,8 @@ class AccuracyTable:
     def cheapest(
         self, target: float, rays: int | None = None, rungs: Sequence[str] | None = None
     ) -> AccuracyRow:
-        """Row with the least predicted seconds and `model_rms` within `target`; of the sheet itself if non-uniform.
+        """Row with the least predicted seconds and `model_rms` within `target`; of the sheet itself if
+        non-uniform.
 
         Parameters
         ----------
@@ -239,8 +249,8 @@ class AccuracyTable:
             return min(good, key=lambda row: (row.predicted_seconds(count), row.model_rms))
         closest = min(open_to, key=lambda row: (row.disagree > MOST_DISAGREEMENT, row.model_rms))
         raise TargetOutOfReach(
-            f"no setting is within {1e3 * target:.4g} mrad; the closest is {closest.rung} {closest.setting} with "
-            f"{1e3 * closest.model_rms:.4g} mrad and {closest.disagree:.2%} of the rays in another fate"
+            f"no setting is within {1e3 * target:.4g} mrad; the closest is {closest.rung} {closest.setting}"
+            f" with {1e3 * closest.model_rms:.4g} mrad and {closest.disagree:.2%} of the rays in another fate"
         )
 
     def pareto(self) -> tuple[AccuracyRow, ...]:

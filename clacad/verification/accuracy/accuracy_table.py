@@ -1,6 +1,7 @@
 """The accuracy table: the same rays on every rung, each with its error and its seconds.
 
-The truth is rung surfaces in float64, which is itself checked against a trace in 50 digits. Every number in the
+The truth is rung surfaces in float64, which is itself checked against a trace in 50 digits. Every number in
+the
 table therefore has a reference, and the error of the reference is known.
 """
 
@@ -27,14 +28,16 @@ def accuracy(
 ) -> AccuracyTable:
     """Measure error against seconds over the rungs and their settings.
 
-    For a non-uniform sheet, the rungs that trace it are measured on its worst cell. All rungs are also measured on the
+    For a non-uniform sheet, the rungs that trace it are measured on its worst cell. All rungs are also
+    measured on the
     uniform equivalent of that cell.
 
     Parameters
     ----------
     design : Design
     rays : int
-        Rays of the bundle of the checks (Sobol, over one cell and the cone of the field), traced on every rung.
+        Rays of the bundle of the checks (Sobol, over one cell and the cone of the field), traced on every
+        rung.
     quads : sequence of int or None
         Tessellations, quads per cell side; default 4, 8, 16, 32, 64, 128.
     progress : callable or None
@@ -74,8 +77,9 @@ def accuracy(
     rows, coarse = _of_differing_cells(own, grids, report)
     found = _measured(design.name, traced, rays, grids, report)
     said = (
-        f'every cell of this sheet differs: rows "cells that differ" are of the sheet itself, its light through cell ({i}, {j}), '
-        f"the worst of {seen.tried} tried{coarse}; the others, and the floors, of a sheet of equal cells like that one"
+        'every cell of this sheet differs: rows "cells that differ" are of the sheet itself, its light'
+        f" through cell ({i}, {j}), the worst of {seen.tried} tried{coarse}; the others, and the floors, of a"
+        " sheet of equal cells like that one"
     )
     return replace(found, rows=(*rows, *found.rows), notes=(said, *found.notes))
 
@@ -119,7 +123,8 @@ def _measured(
 
 
 OWN_SECONDS, OWN_SECONDS_A_CELL, OWN_SECONDS_A_RAY = 2.3, 2.0e-5, 1.5e-5
-"""Seconds of the rows of a non-uniform sheet: 50 digits, each built cell, and each ray on the rungs without facets."""
+"""Seconds of the rows of a non-uniform sheet: 50 digits, each built cell, and each ray on the rungs without
+facets."""
 
 OWN_SECONDS_A_FACET = 1.2e-3
 """Seconds to sort its facets, per square of the quads."""
@@ -127,12 +132,14 @@ OWN_SECONDS_A_FACET = 1.2e-3
 THROUGH_FACETS, A_QUAD_OF_ONE_LATTICE, A_QUAD_OF_TWO = 2.5e-6, 0.36e-6, 1.2e-6
 """Seconds of a ray through such facets, and the additional seconds per quad of a cell side.
 
-The first additional time is for two arrays on one lattice. The second is for an array 2 with its own lattice: cells
+The first additional time is for two arrays on one lattice. The second is for an array 2 with its own
+lattice: cells
 then meet in steps everywhere, and a ray is followed from facet to facet.
 """
 
 RIM_OF_TWO_SIDES, RIM_OF_ONE_SIDE = 4.2e-9, 1.4e-9
-"""Seconds of the land about a body whose arrays are displaced along both axes or one, per square of its points."""
+"""Seconds of the land about a body whose arrays are displaced along both axes or one, per square of its
+points."""
 
 RIMS_OF_FLOORS = 21_000
 """Sum of the squared grids that are built for the floors of formats."""
@@ -144,9 +151,12 @@ TASK = "accuracy"
 def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = None) -> float:
     """Processor seconds of the table, by a model of one reference machine (see `clacad.base.machine_rates`).
 
-    The 50-digit trace and the STEP spot count once. To them add the rays of every row, the layout of facets, and the
-    floors of each pattern of cells that is meshed. Hexagons have more facets per quad than squares, cells with land are
-    cut along their rims, and turned lenses have no plane of symmetry. A non-uniform sheet is measured itself in addition.
+    The 50-digit trace and the STEP spot count once. To them add the rays of every row, the layout of facets,
+    and the
+    floors of each pattern of cells that is meshed. Hexagons have more facets per quad than squares, cells
+    with land are
+    cut along their rims, and turned lenses have no plane of symmetry. A non-uniform sheet is measured itself
+    in addition.
     """
     from clacad.verification.accuracy.measure_rungs import QUADS
 
@@ -190,7 +200,9 @@ def _own_seconds(rays: int, window: Window, grids: Sequence[int]) -> float:
 def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
     surfaces = next(row for row in rows if row.rung == "surfaces")
     notes = [
-        "rung law's model error equals rung surfaces' error to the law by definition: "
-        f"{1e3 * surfaces.law_rms:.3g} mrad rms; it also leaves out the ray offset and the ghosts",
+        (
+            "rung law's model error equals rung surfaces' error to the law by definition: "
+            f"{1e3 * surfaces.law_rms:.3g} mrad rms; it also leaves out the ray offset and the ghosts"
+        ),
     ]
     return (*notes, *([step_note] if step_note else []))

@@ -1,6 +1,7 @@
 """The smallest file that carries a design's light within a requested error.
 
-Facet sizes follow from the measured floors of the formats (`clacad.verification.accuracy.file_floors`), bytes from
+Facet sizes follow from the measured floors of the formats (`clacad.verification.accuracy.file_floors`),
+bytes from
 the forecast of an export; STEP holds the faces themselves. Readers are assumed to refract at the facets.
 """
 
@@ -67,10 +68,18 @@ class FileWithin:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form."""
-        return dict(plain({
-            "format": self.format, "quads": self.quads, "error": self.error, "bytes": self.bytes,
-            "seconds": [self.seconds.low, self.seconds.high], "options": self.options,
-        }))  # fmt: skip
+        return dict(
+            plain(
+                {
+                    "format": self.format,
+                    "quads": self.quads,
+                    "error": self.error,
+                    "bytes": self.bytes,
+                    "seconds": [self.seconds.low, self.seconds.high],
+                    "options": self.options,
+                }
+            )
+        )
 
 
 def files_within(design: Design, window: Window, floors: Sequence[Floor], target: float) -> list[FileWithin]:

@@ -1,6 +1,7 @@
 """The cheapest setting within a requested error: the facets of a file, or a message that none exists.
 
-The error of facets and the rounding of a file's numbers are measured on the design itself, by a few traces. The grid
+The error of facets and the rounding of a file's numbers are measured on the design itself, by a few traces.
+The grid
 follows from them; see `clacad.verification.accuracy.file_floors`.
 """
 
@@ -64,8 +65,8 @@ class ChosenFacets:
     def __str__(self) -> str:
         """Text of the chosen facets and their error."""
         return (
-            f"{', '.join(self.formats)}: {self.quads} quads a cell side, {1e3 * self.error:.3g} mrad rms through "
-            f"{self.normals} normals"
+            f"{', '.join(self.formats)}: {self.quads} quads a cell side, {1e3 * self.error:.3g} mrad rms"
+            f" through {self.normals} normals"
         )
 
 
@@ -88,7 +89,8 @@ def facets_for(
     Raises
     ------
     TargetOutOfReach
-        The target is below a format's floor, or needs too fine a mesh; the message names the floor and an alternative.
+        The target is below a format's floor, or needs too fine a mesh; the message names the floor and an
+        alternative.
     """
     asked = tuple(name for name in formats if format_of(name).chosen_by_error)
     if not asked:
@@ -158,7 +160,8 @@ def _traced(
 ) -> tuple[int, Floor]:
     """Grid within the target, and the floor's constants corrected by a trace of that grid.
 
-    The constant of facets depends slightly on their size. The errors of two successive faces are correlated where the
+    The constant of facets depends slightly on their size. The errors of two successive faces are correlated
+    where the
     ray shifts by less than a facet between them.
     """
     power = 2 if floor.normals == "vertex" else 1

@@ -1,7 +1,9 @@
 """A trace in 50 decimal digits, with which the double-precision kernels are compared.
 
-It is written from the textbook equations in the standard library's `decimal` and shares no formula and no code with
-the tracer. It follows rays whose faces are already known (the cell and order from the kernel), because the choice of
+It is written from the textbook equations in the standard library's `decimal` and shares no formula and no
+code with
+the tracer. It follows rays whose faces are already known (the cell and order from the kernel), because the
+choice of
 the face is a question of geometry, not of rounding.
 """
 
@@ -68,7 +70,8 @@ def direction_errors(
 def direction_differences(
     window: Window, position: Floats, direction: Floats, found: Floats, cell: Ints, order: Ints
 ) -> Floats:
-    """Exit directions (n, 3) of a kernel minus those of the same rays in 50 digits; parameters as in `direction_errors`.
+    """Exit directions (n, 3) of a kernel minus those of the same rays in 50 digits; parameters as in
+    `direction_errors`.
 
     The difference is computed in 50 digits and then rounded, so it has 16 significant digits. NaN as in
     `direction_errors`.
@@ -88,7 +91,9 @@ def _compared(
     cell: Ints,
     order: Ints,
 ) -> list[tuple[int, Compared]]:
-    """Rows that hit every face, each with `compare(direction found, exact direction)` computed in DIGITS digits."""
+    """Rows that hit every face, each with `compare(direction found, exact direction)` computed in DIGITS
+    digits.
+    """
     rows = []
     with localcontext() as context:
         context.prec = DIGITS

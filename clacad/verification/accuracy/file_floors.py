@@ -1,15 +1,20 @@
 """Floors of file formats: the facet size below which rounding of a file's numbers dominates.
 
-Facets with 1/m of the cell side have an error of a/m radians. Rounding their corners to a file's numbers turns each by
-about b·m. The quadrature sum is least at m* = sqrt(a/b), where it is sqrt(2 a b): the floor of the format. Interpolated
+Facets with 1/m of the cell side have an error of a/m radians. Rounding their corners to a file's numbers
+turns each by
+about b·m. The quadrature sum is least at m* = sqrt(a/b), where it is sqrt(2 a b): the floor of the format.
+Interpolated
 exact normals at the corners have an error of a/m² and are almost unaffected by rounding of the corners. Every
 constant is measured by traces, and the optimum (or the finest grid worth tracing) is traced itself.
 
 Effect of a file's number format on a mesh: rounding of its vertices.
 
-The mesher computes heights as whole steps of the float32 spacing at the sheet's greatest height, so that all formats
-hold one mesh; a file in double precision keeps exactly these. Float32 files round again, in the file's unit: in the
-coordinates of the whole sheet, or of one repeated cell. Height maps have an exact grid and store a height above the
+The mesher computes heights as whole steps of the float32 spacing at the sheet's greatest height, so that all
+formats
+hold one mesh; a file in double precision keeps exactly these. Float32 files round again, in the file's unit:
+in the
+coordinates of the whole sheet, or of one repeated cell. Height maps have an exact grid and store a height
+above the
 face's own plane, as float32 or in 16 bits.
 """
 
@@ -131,7 +136,8 @@ def _single(values: NDArray[np.floating]) -> Floats:
 
 RAYS = 4096
 SMALL = 64
-"""Grid on which rounding is measured: fine enough for a measurable effect, and few rays change facets by it."""
+"""Grid on which rounding is measured: fine enough for a measurable effect, and few rays change facets by
+it."""
 CONFIRM = 128
 """Finest grid, in quads per cell side, traced to confirm a forecast; finer ones would take minutes."""
 RAYLEIGH = 1.2011
@@ -178,7 +184,8 @@ class Floor:
     formats, normals, note : str
     float : str
     a, b : float, radians
-        Error of facets a/m (vertex normals: a/m²), and of rounding b·m (vertex normals: b), at m quads per cell side.
+        Error of facets a/m (vertex normals: a/m²), and of rounding b·m (vertex normals: b), at m quads per
+        cell side.
     best_quads : float or None
         Grid of the least error; None: finer is always better.
     best_size : float or None, design lengths
@@ -263,7 +270,9 @@ class Probe:
         return rms_between(found.direction, self.truth.direction, self._shared(found, self.truth))
 
     def moved(self, found: TraceResult, exact: TraceResult) -> float:
-        """Rms angle (radians) between two traces, by the median, which rays that change facets do not affect."""
+        """Rms angle (radians) between two traces, by the median, which rays that change facets do not
+        affect.
+        """
         both = self._shared(found, exact)
         if not both.any():
             return float("nan")
@@ -314,9 +323,17 @@ def family_floor(seen: Probe, family: Family, smooth: dict[str, float], confirm:
     best = sqrt(a / plain.b)
     size = min(seen.window.lattice.pitch) / best
     found = Floor(
-        family.formats, family.normals, holding.kind, family.note, a, plain.b, best, size, sqrt(2.0 * a * plain.b),
+        family.formats,
+        family.normals,
+        holding.kind,
+        family.note,
+        a,
+        plain.b,
+        best,
+        size,
+        sqrt(2.0 * a * plain.b),
         _facets(seen.window, best),
-    )  # fmt: skip
+    )
     return _with_confirmation(seen, family, found, confirm)
 
 

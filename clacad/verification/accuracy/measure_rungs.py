@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 QUADS = (4, 8, 16, 32, 64, 128)
 """Tessellations of the ladder, quads per cell side."""
 OWN_FINEST = 32
-"""Finest of them for a non-uniform sheet, whose triangles are not copies of one another and must all be sorted."""
+"""Finest of them for a non-uniform sheet, whose triangles are not copies of one another and must all be
+sorted."""
 ORACLE_RAYS = 1000
 """Rays traced in 50 digits."""
 REPEATS = 3
@@ -52,7 +53,9 @@ class TracedRays:
 
     @classmethod
     def raised(cls, window: Window, rays: Rays, cell: tuple[int, int] | None = None) -> TracedRays:
-        """Trace the truth with the compiled kernel that the table measures; `cell`: the cell whose law applies."""
+        """Trace the truth with the compiled kernel that the table measures; `cell`: the cell whose law
+        applies.
+        """
         from clacad.tracing.trace import trace
 
         law = window.law if cell is None else window.law_at(cell)
@@ -60,7 +63,9 @@ class TracedRays:
 
 
 def timed(run: Callable[[], TraceResult], repeats: int = REPEATS) -> tuple[TraceResult, float, float]:
-    """Result, processor seconds (best of `repeats` warm runs), and additional seconds of the first call (compiling)."""
+    """Result, processor seconds (best of `repeats` warm runs), and additional seconds of the first call
+    (compiling).
+    """
     began = time.process_time()
     result = run()
     first = time.process_time() - began
@@ -83,10 +88,16 @@ def peak_memory(run: Callable[[], Any]) -> int:
 
 
 def row(
-    ladder: TracedRays, rung: str, setting: str, run: Callable[[], TraceResult], prepare: float = 0.0,
+    ladder: TracedRays,
+    rung: str,
+    setting: str,
+    run: Callable[[], TraceResult],
+    prepare: float = 0.0,
     repeats: int = REPEATS,
-) -> AccuracyRow:  # fmt: skip
-    """Measure one rung: time, memory, errors against truth and law; without repeats one run, and no memory."""
+) -> AccuracyRow:
+    """Measure one rung: time, memory, errors against truth and law; without repeats one run, and no
+    memory.
+    """
     result, seconds, compiling = timed(run, repeats)
     memory = peak_memory(run) if repeats else 0
     disagree = result.fate != ladder.truth.fate
@@ -97,8 +108,16 @@ def row(
     both &= ~disagree | (rung == "law")
     numbers = statistics(result.direction[both], ladder.truth.direction[both], ladder.asked[both])
     return AccuracyRow(
-        rung, setting, *numbers, float(disagree.mean()), seconds, prepare + compiling, len(ladder.rays), int(both.sum()), memory=memory,
-    )  # fmt: skip
+        rung,
+        setting,
+        *numbers,
+        float(disagree.mean()),
+        seconds,
+        prepare + compiling,
+        len(ladder.rays),
+        int(both.sum()),
+        memory=memory,
+    )
 
 
 def statistics(found: Floats, truth: Floats, asked: Floats) -> tuple[float, float, float, float, float]:
@@ -112,9 +131,13 @@ def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
     alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)[:count]
     truth = ladder.truth
     error = direction_errors(
-        ladder.window, ladder.rays.position[alive], ladder.rays.direction[alive], truth.direction[alive],
-        truth.cell[alive], truth.order[alive],
-    )  # fmt: skip
+        ladder.window,
+        ladder.rays.position[alive],
+        ladder.rays.direction[alive],
+        truth.direction[alive],
+        truth.cell[alive],
+        truth.order[alive],
+    )
     decided = error[np.isfinite(error)]
     summary = AngleSummary.of(decided)
     return {
@@ -138,15 +161,21 @@ def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRo
         row(ladder, "law", "", lambda: trace(window, rays, rung="law", path="numba")),
         row(ladder, "thin", "", lambda: trace(window, rays, rung="thin", path="numba")),
         replace(
-            surfaces, model_rms=checked["rms"], model_p95=checked["p95"], model_max=checked["max"],
-            checked=int(checked["rays"]), bytes=_surface_bytes(window),
+            surfaces,
+            model_rms=checked["rms"],
+            model_p95=checked["p95"],
+            model_max=checked["max"],
+            checked=int(checked["rays"]),
+            bytes=_surface_bytes(window),
         ),
         replace(single, bytes=_surface_bytes(window) // 2, float="f32"),
-    ]  # fmt: skip
+    ]
 
 
 def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
-    """Rungs law, thin and surfaces of a non-uniform sheet, by the code that traces it: law and thin in numpy."""
+    """Rungs law, thin and surfaces of a non-uniform sheet, by the code that traces it: law and thin in
+    numpy.
+    """
     from clacad.tracing.trace import trace
 
     window, rays, checked = ladder.window, ladder.rays, reference(ladder)
@@ -158,11 +187,15 @@ def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
             row(ladder, "law", setting, lambda: trace(window, rays, rung="law", path="numpy")),
             row(ladder, "thin", setting, lambda: trace(window, rays, rung="thin", path="numpy")),
             replace(
-                surfaces, model_rms=checked["rms"], model_p95=checked["p95"], model_max=checked["max"],
-                checked=int(checked["rays"]), bytes=_own_bytes(window),
+                surfaces,
+                model_rms=checked["rms"],
+                model_p95=checked["p95"],
+                model_max=checked["max"],
+                checked=int(checked["rays"]),
+                bytes=_own_bytes(window),
             ),
         )
-    ]  # fmt: skip
+    ]
 
 
 def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
@@ -187,10 +220,16 @@ def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
         measured = row(ladder, "mesh", f"cells that differ, {quads} quads, {normal} normals", run, prepare)
         rows.append(
             replace(
-                measured, quads=quads, normals=normal, float="f64", triangles=len(soup.corners), own_cells=True,
-                bytes=soup.corners.nbytes, file_bytes=file_bytes if normal == "facet" else None,
+                measured,
+                quads=quads,
+                normals=normal,
+                float="f64",
+                triangles=len(soup.corners),
+                own_cells=True,
+                bytes=soup.corners.nbytes,
+                file_bytes=file_bytes if normal == "facet" else None,
             )
-        )  # fmt: skip
+        )
     return rows
 
 
@@ -239,10 +278,15 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
             file_bytes = stl_bytes(mesh.facet_count) if kind == "f32" and normals == "facet" else None
             rows.append(
                 replace(
-                    measured, quads=quads, normals=normals, float=kind, triangles=mesh.facet_count,
-                    bytes=_mesh_bytes(mesh) // (1 if kind == "f64" else 2), file_bytes=file_bytes,
+                    measured,
+                    quads=quads,
+                    normals=normals,
+                    float=kind,
+                    triangles=mesh.facet_count,
+                    bytes=_mesh_bytes(mesh) // (1 if kind == "f64" else 2),
+                    file_bytes=file_bytes,
                 )
-            )  # fmt: skip
+            )
     return rows
 
 

@@ -1,7 +1,9 @@
 """A small accuracy ladder for the report: the same rays on every rung, each with its error and its cost.
 
-Seconds change from run to run and a report must not. The page therefore shows a forecast of the time from the rates
-below. Times measured in one run go to the run facts, and into the report only on request. Every rung traces these few
+Seconds change from run to run and a report must not. The page therefore shows a forecast of the time from
+the rates
+below. Times measured in one run go to the run facts, and into the report only on request. Every rung traces
+these few
 rays in numpy: compiling its kernels would take longer than the rest of a report.
 """
 
@@ -25,7 +27,8 @@ MICROSECONDS = {"law": 0.05, "thin": 0.25, "surfaces": 0.07, "mesh": 0.16, "mesh
 """Forecast of the processor time of one ray in compiled kernels, by rung, µs.
 
 The values are geometric means over traces of 20 000 rays through four shipped designs (plano, window-100mm,
-tilted-biconvex, hexagonal) on one core of an ordinary server. A design may differ from it by a factor of 8, because
+tilted-biconvex, hexagonal) on one core of an ordinary server. A design may differ from it by a factor of 8,
+because
 tilted lenses and hexagons cost more; another machine scales all points alike.
 """
 
@@ -58,20 +61,35 @@ class Ladder:
     def measured(self) -> list[dict[str, Any]]:
         """Run facts: seconds of this run, rung by rung."""
         return [
-            {"rung": r.rung, "setting": r.setting, "seconds": r.seconds, "prepare_s": r.prepare_s, "rays": r.rays}
+            {
+                "rung": r.rung,
+                "setting": r.setting,
+                "seconds": r.seconds,
+                "prepare_s": r.prepare_s,
+                "rays": r.rays,
+            }
             for r in self.rows
-        ]  # fmt: skip
+        ]
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Numbers for the report, without measured times."""
         return [
             {
-                "rung": r.rung, "setting": r.setting, "model_rms": r.model_rms, "model_max": r.model_max,
-                "law_rms": r.law_rms, "law_max": r.law_max, "disagree": r.disagree, "rays": r.rays, "quads": r.quads,
-                "normals": r.normals, "triangles": r.triangles, "forecast_us": us,
+                "rung": r.rung,
+                "setting": r.setting,
+                "model_rms": r.model_rms,
+                "model_max": r.model_max,
+                "law_rms": r.law_rms,
+                "law_max": r.law_max,
+                "disagree": r.disagree,
+                "rays": r.rays,
+                "quads": r.quads,
+                "normals": r.normals,
+                "triangles": r.triangles,
+                "forecast_us": us,
             }
             for r, us in zip(self.rows, self.forecast, strict=True)
-        ]  # fmt: skip
+        ]
 
 
 def climb(design: Design, window: Window, progress: Progress) -> Ladder:

@@ -75,9 +75,17 @@ def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow 
     rays = f"{number} rays" if number == sent else f"{number} of {sent} rays"
     numbers = statistics(spot.found[met], spot.truth[met], spot.asked[met])
     row = AccuracyRow(
-        "step", f"{rays} through the re-read faces of {size} x {size} cells", *numbers,
-        float(1.0 - met.mean()), spot.seconds, prepare + spot.reading, sent, number, bytes=nbytes, file_bytes=nbytes,
-    )  # fmt: skip
+        "step",
+        f"{rays} through the re-read faces of {size} x {size} cells",
+        *numbers,
+        float(1.0 - met.mean()),
+        spot.seconds,
+        prepare + spot.reading,
+        sent,
+        number,
+        bytes=nbytes,
+        file_bytes=nbytes,
+    )
     return row, ""
 
 
@@ -139,7 +147,8 @@ def _cast(
 ) -> tuple[list[Any], float, float]:
     """Directions, seconds of loading OCC and the file, and seconds of the rays alone.
 
-    Every call reads the file. A call with a single ray measures the reading time; the first call measures the loading.
+    Every call reads the file. A call with a single ray measures the reading time; the first call measures
+    the loading.
     """
     taken, found = [], list[Any]()
     worker.start()

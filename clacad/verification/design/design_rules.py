@@ -55,7 +55,8 @@ def design_checks(
     facts : Feasibility
         Derived numbers of this window.
     solved : bool
-        Whether to compute a thickness, index or pitch that covers the cell of a lens that does not: about a second.
+        Whether to compute a thickness, index or pitch that covers the cell of a lens that does not: about a
+        second.
     """
     built = Built(design, window, facts, solved)
     found = [*_cell_checks(built), *(check for judge in found_by("part") for check in judge(built))]
@@ -91,21 +92,31 @@ def _in_outer_cells(built: Built) -> tuple[Check, ...]:
     inside = reach <= half
     found.append(
         FIELD.check(
-            "pass" if inside else "warn", f"{sentence} lies {'in' if inside else 'out'}side its field of view", reach,
-            half, required=False,
+            "pass" if inside else "warn",
+            f"{sentence} lies {'in' if inside else 'out'}side its field of view",
+            reach,
+            half,
+            required=False,
         )
-    )  # fmt: skip
+    )
     return tuple(found)
 
 
 def _priced(check: Check) -> Check:
-    """Fail the check of steps between neighbours of a non-uniform sheet where the process cannot make them."""
+    """Fail the check of steps between neighbours of a non-uniform sheet where the process cannot make
+    them.
+    """
     if check.kind is not WALL or check.state != "warn":
         return check
     sentence, _, _ = check.sentence.rpartition("; ")
     return replace(
-        check, state="fail", sentence=f"{sentence}: the price of cells that differ; a viewer or image farther away, a smaller p/s or another process",
-    )  # fmt: skip
+        check,
+        state="fail",
+        sentence=(
+            f"{sentence}: the price of cells that differ; a viewer or image farther away, a smaller p/s or"
+            " another process"
+        ),
+    )
 
 
 def _worse(one: Check, other: Check) -> bool:
@@ -130,20 +141,23 @@ def _one_piece(body: BodyFacts) -> Check:
     elif body.pieces > 1:
         widest = max(body.borders, key=lambda b: -b.joint)
         sentence = (
-            f"{body.name} falls into {body.pieces} pieces with {count_text(body.holes, 'hole')}: neighbours do not touch across "
-            f"step {widest.step}, they miss each other by {-widest.joint:.4g}; a thicker lens, a web or a smaller "
-            "pitch joins them"
+            f"{body.name} falls into {body.pieces} pieces with {count_text(body.holes, 'hole')}: neighbours"
+            f" do not touch across step {widest.step}, they miss each other by {-widest.joint:.4g}; a thicker"
+            " lens, a web or a smaller pitch joins them"
         )
     else:
         sentence = (
-            f"{body.name} is one piece with {count_text(body.holes, 'pinhole')} where the corners of the lenses do not meet; they "
-            f"lack {-body.edge:.4g} of thickness there"
+            f"{body.name} is one piece with {count_text(body.holes, 'pinhole')} where the corners of the"
+            f" lenses do not meet; they lack {-body.edge:.4g} of thickness there"
         )
     return ONE_PIECE.check(
-        "pass" if whole else "fail", sentence, f"{count_text(body.pieces, 'piece')}, {count_text(body.holes, 'hole')}",
-        "1 piece, 0 holes", subject=body.name,
+        "pass" if whole else "fail",
+        sentence,
+        f"{count_text(body.pieces, 'piece')}, {count_text(body.holes, 'hole')}",
+        "1 piece, 0 holes",
+        subject=body.name,
         detail={"pieces": body.pieces, "holes": body.holes},
-    )  # fmt: skip
+    )
 
 
 def cover(built: Built) -> Iterator[Check]:
@@ -158,19 +172,24 @@ def _cover(built: Built, lens: LensFacts) -> Check:
     else:
         x, y = lens.rim_at
         sentence = (
-            f"{name} fills {lens.cover:.3f} of its cell: its rim ends at {lens.rim[0]:.4g}, {lens.rim[1]:.4g} along "
-            f"its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness"
+            f"{name} fills {lens.cover:.3f} of its cell: its rim ends at {lens.rim[0]:.4g}, {lens.rim[1]:.4g}"
+            f" along its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness"
         )
         if built.solved:
             sentence += f". {_way_to_cover(built.design, built.window, lens)}"
     return COVER.judge(
-        lens.cover, limit, sentence, subject=name,
+        lens.cover,
+        limit,
+        sentence,
+        subject=name,
         detail={"rim": lens.rim, "least_thickness": lens.least_thickness, "corner": lens.corner},
-    )  # fmt: skip
+    )
 
 
 def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
-    """Text of the values that cover the cell, found by building windows, since the radii follow the thickness."""
+    """Text of the values that cover the cell, found by building windows, since the radii follow the
+    thickness.
+    """
     if not (isfinite(lens.least_thickness) and lens.least_thickness > 0.0):
         return "No thickness covers it at these radii: a smaller pitch or a larger separation would"
     ways = [f"thickness >= {_round_up(lens.least_thickness)}"]
@@ -242,7 +261,8 @@ def _covering_thickness(design: Design, lens: LensFacts) -> float | None:
 
 
 def _covering_index(design: Design, lens: LensFacts) -> float | None:
-    """Refractive index at which the given thickness covers the cell, rounded up; None if there is none below 4.
+    """Refractive index at which the given thickness covers the cell, rounded up; None if there is none below
+    4.
 
     Radii grow as n − 1 and sags fall as its inverse, so the iteration n − 1 ← (n − 1) T_min/T converges fast.
     """
@@ -340,15 +360,18 @@ def field(built: Built) -> Iterator[Check]:
         sentence = "the sheet's normal and the cone of test rays about it lie inside the field of view"
     else:
         sentence = (
-            f"light along the sheet's normal is {hypot(*off):.4g} in slope off the middle of the field of view, whose "
-            f"half width is {half:.4g}; lattice.aperture steers the field"
+            f"light along the sheet's normal is {hypot(*off):.4g} in slope off the middle of the field of"
+            f" view, whose half width is {half:.4g}; lattice.aperture steers the field"
         )
     state: State = "pass" if value <= half else "warn"
     yield FIELD.check(
-        state, sentence, value, half, required=False,
-
+        state,
+        sentence,
+        value,
+        half,
+        required=False,
         detail={"aperture": facts.aperture, "half_field": facts.half_field, "ghost_onset": facts.ghost_onset},
-    )  # fmt: skip
+    )
 
 
 def fresnel_number(built: Built) -> Iterator[Check]:
@@ -370,7 +393,9 @@ def fresnel_number(built: Built) -> Iterator[Check]:
 
 
 def orders(built: Built) -> Iterator[Check]:
-    """Judge the deviation of coherent light from the law: half a step of the grating that identical cells form."""
+    """Judge the deviation of coherent light from the law: half a step of the grating that identical cells
+    form.
+    """
     design, window = built.design, built.window
     if not design.light.coherent:
         return

@@ -1,4 +1,6 @@
-"""Design rules of the whole part: whether the process can work its material, and whether the part fits the machine."""
+"""Design rules of the whole part: whether the process can work its material, and whether the part fits the
+machine.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,9 @@ def _other_processes(design: Design, window: Window) -> list[ProcessProfile]:
 
 
 def workable(built: Built) -> Iterator[Check]:
-    """Judge each material of the parts once, by the design's process; a bare index does not identify a material."""
+    """Judge each material of the parts once, by the design's process; a bare index does not identify a
+    material.
+    """
     design, window, rules = built.design, built.window, built.rules
     own = design.check.materials
     if not rules.materials and own is None:
@@ -82,9 +86,13 @@ def workable(built: Built) -> Iterator[Check]:
         if not good:
             sentence += f" ({material.kind}); {_way_out(material, design, rules)}"
         yield WORKABLE.check(
-            "pass" if good else "fail", sentence, material.name, " or ".join(worked or rules.materials),
-            subject=material.name, limit_source=source,
-        )  # fmt: skip
+            "pass" if good else "fail",
+            sentence,
+            material.name,
+            " or ".join(worked or rules.materials),
+            subject=material.name,
+            limit_source=source,
+        )
 
 
 def _way_out(material: Material, design: Design, rules: ProcessProfile) -> str:

@@ -60,7 +60,8 @@ class Built:
     facts : Feasibility
         Derived numbers of this window.
     solved : bool
-        Whether to compute a thickness, index or pitch that covers the cell of a lens that does not: about a second.
+        Whether to compute a thickness, index or pitch that covers the cell of a lens that does not: about a
+        second.
     """
 
     design: Design
@@ -101,7 +102,10 @@ def _rules_of_shape(built: Built) -> Iterator[Check]:
     tool, source = built.limit(TOOL)
     if tool > 0.0:
         seen = groove(window, tool)
-        text = f"a nose radius of {tool:.4g} {unit} leaves {100 * seen.value:.3g} % of a cell's width rounded at {seen.what}"
+        text = (
+            f"a nose radius of {tool:.4g} {unit} leaves {100 * seen.value:.3g} % of a cell's width rounded at"
+            f" {seen.what}"
+        )
         way_out = "a smaller tool, larger radii, or a seam where the rounding may lie"
         yield _rule(TOOL, seen, (LOST, source), text, way_out)
     highest, source = built.limit(WALL)
@@ -112,7 +116,10 @@ def _rules_of_shape(built: Built) -> Iterator[Check]:
     least, source = built.limit(DRAFT)
     if least > 0.0:
         seen = draft(window, facts, NEGLIGIBLE / built.design.unit_m)
-        text = f"{seen.what} stands at {degrees(seen.value):.3g} deg to the sheet's normal, {degrees(least):.3g} are needed"
+        text = (
+            f"{seen.what} stands at {degrees(seen.value):.3g} deg to the sheet's normal, {degrees(least):.3g}"
+            " are needed"
+        )
         yield _rule(DRAFT, seen, (least, source), text, "a seam with room for sloping walls, or less tilt")
     most, source = built.limit(SLOPE)
     if most < 0.5 * pi:
@@ -133,8 +140,8 @@ def _rules_of_fineness(built: Built) -> Iterator[Check]:
     if layer > 0.0:
         seen = shallowest(facts)
         text = (
-            f"{seen.what} is {seen.value:.4g} {unit}, a layer {layer:.4g}: it takes {FINE * seen.value / layer:.3g} "
-            f"layers, {FINE} are the least"
+            f"{seen.what} is {seen.value:.4g} {unit}, a layer {layer:.4g}: it takes"
+            f" {FINE * seen.value / layer:.3g} layers, {FINE} are the least"
         )
         way_out = "smaller radii or a larger pitch: steeper lenses have more layers"
         yield _rule(LAYER, seen, (layer, source), text, way_out, unit)

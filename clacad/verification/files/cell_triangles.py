@@ -28,10 +28,12 @@ from clacad.tracing.triangles.telescopelet_facets import (
 )
 
 CHORD = 0.75
-"""Mean height of a chord over a second-order surface across a facet, over the height at the facet's middle."""
+"""Mean height of a chord over a second-order surface across a facet, over the height at the facet's
+middle."""
 
 SLIVER = 1e-4
-"""Twice a facet's area over the square of its longest edge, below which the facet's own normal is unreliable."""
+"""Twice a facet's area over the square of its longest edge, below which the facet's own normal is
+unreliable."""
 
 UNIT_ROOM = 1e-3
 """Largest deviation from 1 of the length of a stored normal."""
@@ -57,16 +59,21 @@ class CellFacets:
     farthest_cell : (i, j) or None
         Cell of that facet.
     engraved : float
-        Volume of engraved letters where the design has room for them (length³): area of their floors times depth.
+        Volume of engraved letters where the design has room for them (length³): area of their floors times
+        depth.
     normals : mapping
-        Key → list of (k, 3, 3) arrays: normals stored for the corners of `facets`; no key where the file has none.
+        Key → list of (k, 3, 3) arrays: normals stored for the corners of `facets`; no key where the file has
+        none.
     stored, odd, inward : int
-        Facets with stored normals; those with a normal that is no unit vector; those with one that points inward.
+        Facets with stored normals; those with a normal that is no unit vector; those with one that points
+        inward.
     repeats : mapping
-        Key → list of (number of a chosen cell, (3,) shift). The facets of this cell are its own and those of the
+        Key → list of (number of a chosen cell, (3,) shift). The facets of this cell are its own and those of
+        the
         other cell, shifted; so an instanced file needs the facets of one cell.
     chord : float
-        Volume (length³) that all facets of the file add to the exact body of a non-uniform sheet; see `chord_volume`.
+        Volume (length³) that all facets of the file add to the exact body of a non-uniform sheet; see
+        `chord_volume`.
     """
 
     cells: tuple[Cell, ...]
@@ -93,13 +100,17 @@ class CellFacets:
         return np.concatenate(found) if found else np.empty((0, 3, 3))
 
     def corner_normals(self, body: int, side: int, cell: int) -> Floats | None:
-        """Normals (k, 3, 3) stored for the corners of `corners`, in the same order; None where the file has none."""
+        """Normals (k, 3, 3) stored for the corners of `corners`, in the same order; None where the file has
+        none.
+        """
         cells = [cell, *(source for source, _ in self.repeats.get((body, side, cell), []))]
         found = [normals for c in cells for normals in self.normals.get((body, side, c), [])]
         return np.concatenate(found) if found else None
 
     def source(self, cell: int) -> int:
-        """The chosen cell of which `cell` is a pure copy, displaced by whole pitches; `cell` itself if it is no copy."""
+        """The chosen cell of which `cell` is a pure copy, displaced by whole pitches; `cell` itself if it is
+        no copy.
+        """
         keys = [key for key in (*self.facets, *self.repeats) if key[2] == cell]
         sources = {source for key in keys for source, _ in self.repeats.get(key, [])}
         alone = all(key not in self.facets and len(self.repeats[key]) == 1 for key in keys)
@@ -127,9 +138,12 @@ class SideFacets:
 class Gatherer:
     """Collects the facets of the chosen cells from the chunks of a file.
 
-    A facet belongs to the body whose height range contains its centroid. It belongs to the front if its outward
-    normal points to −z and to the back if to +z. Its cell is the one its centroid lies over, in the grid of that
-    face's own array. Facets on bevels at saddles that a file states belong to no face; nor do the floors of letters
+    A facet belongs to the body whose height range contains its centroid. It belongs to the front if its
+    outward
+    normal points to −z and to the back if to +z. Its cell is the one its centroid lies over, in the grid of
+    that
+    face's own array. Facets on bevels at saddles that a file states belong to no face; nor do the floors of
+    letters
     engraved in the border, at the depth and in the room that the design has for them.
     """
 
@@ -231,8 +245,13 @@ class Gatherer:
         return number
 
 
-def telescopelet(window: Window, found: CellFacets, cell: int, present: Sequence[str] | None = None,
-                 onto_design: bool = False) -> tuple[FacetBody, ...]:  # fmt: skip
+def telescopelet(
+    window: Window,
+    found: CellFacets,
+    cell: int,
+    present: Sequence[str] | None = None,
+    onto_design: bool = False,
+) -> tuple[FacetBody, ...]:
     """Facets over one chosen telescopelet: cell i, j of each array, ready to be traced.
 
     Parameters
@@ -258,7 +277,9 @@ def telescopelet(window: Window, found: CellFacets, cell: int, present: Sequence
 
 
 def _faceted(window: Window, found: CellFacets, key: Key, place: Floats, onto_design: bool) -> FacetFace:
-    """Facets of one side of a body over the chosen cell at `place` (2,), including shifted facets of its copies."""
+    """Facets of one side of a body over the chosen cell at `place` (2,), including shifted facets of its
+    copies.
+    """
     number, side, cell = key
     source = found.source(cell)
     if source != cell:
@@ -281,7 +302,8 @@ def _faceted(window: Window, found: CellFacets, key: Key, place: Floats, onto_de
 
 
 def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Floats:
-    """Height (n,) of facet points (n, 3) above the design's lens or land in their cells (n, 2), whichever is nearer.
+    """Height (n,) of facet points (n, 3) above the design's lens or land in their cells (n, 2), whichever is
+    nearer.
 
     NaN where the design has neither.
     """
@@ -298,7 +320,8 @@ def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Flo
 def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:
     """Height (k, m) of the design under facet points (k, m, ≥ 2), cell frame.
 
-    Land facets get the height of the land, others that of the lens, extended beyond its border; NaN where it has none.
+    Land facets get the height of the land, others that of the lens, extended beyond its border; NaN where it
+    has none.
     """
     if face.array is None:
         return np.full(points.shape[:2], face.vertex[2])
@@ -307,7 +330,9 @@ def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:
 
 
 def onto_face(window: Window, face: Face, corners: Floats, place: Floats) -> Floats:
-    """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`; unchanged where it has none."""
+    """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`; unchanged where it
+    has none.
+    """
     moved = corners.copy()
     z = exact_height(face, on_land(window, face, corners), corners - [*place, 0.0])
     moved[..., 2] = np.where(np.isfinite(z), z, corners[..., 2])

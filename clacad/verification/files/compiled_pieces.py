@@ -10,7 +10,8 @@ from clacad.base.types import Cells, Words
 
 @entry
 def join(keys: Words, table: Words, number: Cells, parent: Cells, count: int) -> tuple[int, int]:
-    """Join the three corners of each facet (k, 3), given by their hashes; returns the vertex count and the join count.
+    """Join the three corners of each facet (k, 3), given by their hashes; returns the vertex count and the
+    join count.
 
     table, number : (2^b,) hash table of the known vertices, open addressing; 0 is an empty slot
     parent : union-find forest over the vertices, with room for new ones

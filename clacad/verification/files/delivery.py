@@ -1,6 +1,7 @@
 """Checks of a delivery as a whole: files without optics, files withheld from judgement, and missing bodies.
 
-A manifest is an unverified claim. It may call a file a frame or a coupon, but a file withheld from judgement by
+A manifest is an unverified claim. It may call a file a frame or a coupon, but a file withheld from judgement
+by
 light cannot make a delivery pass, and a file with the measurements of the design is not a frame.
 """
 
@@ -58,7 +59,8 @@ def no_optics(window: Window, subject: Subject) -> Reason | None:
     if not (subject.is_mesh or subject.is_solid or kind_of_map(subject) is not None):
         return Reason(
             "not judged",
-            f"the manifest calls it {subject.format!r}, which is no format of an export: nothing of it was judged",
+            f"the manifest calls it {subject.format!r}, which is no format of an export: nothing of it was"
+            " judged",
         )
     if subject.role is not Role.OTHER and (not named or named & names):
         return None
@@ -66,12 +68,14 @@ def no_optics(window: Window, subject: Subject) -> Reason | None:
         listed = ", ".join(sorted(named))
         return Reason(
             "not judged",
-            f"the manifest lists {listed} in it, and keeps it from being judged by light; the design has {', '.join(sorted(names))}",
+            f"the manifest lists {listed} in it, and keeps it from being judged by light; the design has"
+            f" {', '.join(sorted(names))}",
         )
     if _measures_as(window, subject):
         return Reason(
             "not judged",
-            f"the manifest says it is {', '.join(sorted(named))}, but it measures as the design does: it was not judged by light",
+            f"the manifest says it is {', '.join(sorted(named))}, but it measures as the design does: it was"
+            " not judged by light",
         )
     return Reason("no part of the optics: judged by its bytes and shape")
 
@@ -150,14 +154,29 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
     found = measure(read_mesh(subject.path).chunks())
     checks = [
         READABLE.check("pass", f"{found.facets} facets", **common),
-        CLOSED.check("pass" if found.closed else "fail", "every edge is met once in each direction"
-              if found.closed else "the surface is not closed or not consistently wound", **common),
-    ]  # fmt: skip
+        CLOSED.check(
+            "pass" if found.closed else "fail",
+            (
+                "every edge is met once in each direction"
+                if found.closed
+                else "the surface is not closed or not consistently wound"
+            ),
+            **common,
+        ),
+    ]
     stated = subject.entry.get("volume")
     if isinstance(stated, (int, float)) and stated > 0.0:
         text = f"it encloses {found.volume:.9g}, {stated:.9g} stated"
-        checks.append(VOLUME.judge(abs(found.volume / stated - 1.0), SAME_VOLUME, text, unit="relative",
-                            limit_source=derived("stated volume of the file"), **common))  # fmt: skip
+        checks.append(
+            VOLUME.judge(
+                abs(found.volume / stated - 1.0),
+                SAME_VOLUME,
+                text,
+                unit="relative",
+                limit_source=derived("stated volume of the file"),
+                **common,
+            )
+        )
     return checks
 
 
@@ -177,11 +196,16 @@ def whole_delivery(
         optical += 1
         held |= set(present if present is not None else subject.bodies or names)
     if not optical:
-        text = "no file of this delivery was judged by light: nothing says that a part made from it obeys the law"
+        text = (
+            "no file of this delivery was judged by light: nothing says that a part made from it obeys"
+            " the law"
+        )
         return [DELIVERY.not_run(text, where="file")]
     lacking = [name for name in names if name not in held]
     if not lacking:
         return []
-    text = f"no file holds {' or '.join(lacking)}: the light was traced with {'it' if len(lacking) == 1 else 'them'} taken from the design"
-    return [BODIES.check("warn", text, ", ".join(sorted(held)), ", ".join(names),
-                  required=False)]  # fmt: skip
+    text = (
+        f"no file holds {' or '.join(lacking)}: the light was traced with"
+        f" {'it' if len(lacking) == 1 else 'them'} taken from the design"
+    )
+    return [BODIES.check("warn", text, ", ".join(sorted(held)), ", ".join(names), required=False)]

@@ -16,7 +16,8 @@ STEEP = 0.3
 """Facets whose |n_z| is below this belong to walls and edges, not to faces."""
 
 INWARD = 1e-6
-"""Least displacement of a corner towards its facet's middle, over that distance, to determine the corner's cell."""
+"""Least displacement of a corner towards its facet's middle, over that distance, to determine the corner's
+cell."""
 
 MOST_INWARD = 0.2
 """Largest such displacement, over the distance to the facet's middle."""
@@ -24,7 +25,8 @@ MOST_INWARD = 0.2
 ROOM = 2e-4
 """Displacement in pitches where the facet is large enough.
 
-Fitted poses and coordinates rounded to float32 leave corners on the wrong side of a border; where the border has a
+Fitted poses and coordinates rounded to float32 leave corners on the wrong side of a border; where the border
+has a
 step, the wrong cell is far off.
 """
 
@@ -44,7 +46,8 @@ def drawn_in(window: Window, inward: Floats, noise: float = 0.0) -> Floats:
 
 
 WIDE = 8.0
-"""Least height of a facet over its longest edge, in multiples of the noise, for its direction to be reliable."""
+"""Least height of a facet over its longest edge, in multiples of the noise, for its direction to be
+reliable."""
 
 
 def believed(corners: Floats, noise: float) -> NDArray[np.bool_]:
@@ -82,9 +85,13 @@ class FaceDistance:
 
 
 def distance_to_faces(
-    window: Window, points: Floats, facing: Floats, present: Sequence[str] | None = None, between: Floats | None = None,
+    window: Window,
+    points: Floats,
+    facing: Floats,
+    present: Sequence[str] | None = None,
+    between: Floats | None = None,
     aside: Floats | None = None,
-) -> FaceDistance:  # fmt: skip
+) -> FaceDistance:
     """Compare points (n, 3), sheet frame, with the faces that they belong to.
 
     Parameters
@@ -102,8 +109,12 @@ def distance_to_faces(
     """
     n = len(points)
     found = FaceDistance(
-        np.full(n, np.nan), np.full((n, 3), np.nan), np.full(n, -1), np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2))
-    )  # fmt: skip
+        np.full(n, np.nan),
+        np.full((n, 3), np.nan),
+        np.full(n, -1),
+        np.zeros((n, 2), dtype=np.int64),
+        np.zeros((n, 2)),
+    )
     held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
     body_of = (
         np.full(n, held[0])
@@ -123,8 +134,15 @@ def distance_to_faces(
 
 
 def _compare(
-    window: Window, face: Face, array: int, points: Floats, aside: Floats | None, rows: Ints, number: int, found: FaceDistance
-) -> None:  # fmt: skip
+    window: Window,
+    face: Face,
+    array: int,
+    points: Floats,
+    aside: Floats | None,
+    rows: Ints,
+    number: int,
+    found: FaceDistance,
+) -> None:
     """Compare points (k, 3) with one face, and write the result into its rows."""
     told = points if aside is None else points + aside
     cell, x, y = window.locate(array, told[:, 0], told[:, 1])

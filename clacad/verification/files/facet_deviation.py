@@ -31,7 +31,8 @@ class Deviation:
     """Deviation of the facets of one telescopelet from the design's faces, in the order of the light.
 
     slope : (faces, n, 2) slopes along lens x, y
-        Facet slope minus exact slope at the same n points of the cell; NaN where a facet or a lens is missing, 0
+        Facet slope minus exact slope at the same n points of the cell; NaN where a facet or a lens is
+        missing, 0
         for a plane or a face that is not in the file.
     distance : (faces,) lengths
         Largest distance along the normal.
@@ -59,7 +60,9 @@ class Deviation:
 
 
 def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINTS) -> Deviation:
-    """Compare the facets of a telescopelet with the exact faces at `places` points spread evenly over the cell."""
+    """Compare the facets of a telescopelet with the exact faces at `places` points spread evenly over the
+    cell.
+    """
     points = window.lattice.over_cell((sobol(places, 2) + _ASIDE) % 1.0)
     slope, distance, met = [], [], []
     for piece, body in zip(bodies, window.bodies, strict=True):
@@ -119,8 +122,10 @@ def _compare(
 def forecast_rms(window: Window, found: Deviation) -> float:
     """Direction error (radians) that the facets' slope errors cause.
 
-    A lens deflects light by (n − 1) times the slope of its thickness. The errors of its two faces at one place are
-    therefore added before they are squared (they agree where both faces have the same facets). The error of lens 1
+    A lens deflects light by (n − 1) times the slope of its thickness. The errors of its two faces at one
+    place are
+    therefore added before they are squared (they agree where both faces have the same facets). The error of
+    lens 1
     leaves the pair as 1/m per meridian.
     """
     ratio = np.array(focal_ratio(window.thin))
@@ -144,7 +149,9 @@ def forecast_rms(window: Window, found: Deviation) -> float:
 
 
 def corner_distance(window: Window, face: Face, corners: Floats, place: Floats) -> float:
-    """Largest distance of facet corners (k, 3, 3) from the design's face over the cell at `place` (length)."""
+    """Largest distance of facet corners (k, 3, 3) from the design's face over the cell at `place`
+    (length).
+    """
     local = corners - [*place, 0.0]
     flat = on_land(window, face, corners)
     off = np.abs(local[..., 2] - exact_height(face, flat, local))

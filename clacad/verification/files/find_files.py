@@ -83,7 +83,9 @@ class Subject:
         return self.name.endswith(AGAIN) or not is_there(self.path)
 
     def hashed(self, heard: Overheard | None = None) -> Subject:
-        """Copy with its hash, if the file exists and has none yet; `heard` is the hash computed while reading."""
+        """Copy with its hash, if the file exists and has none yet; `heard` is the hash computed while
+        reading.
+        """
         if self.sha256 or self.missing:
             return self
         return replace(self, sha256=file_hash(self.path) if heard is None else heard.hexdigest())
@@ -124,7 +126,9 @@ def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
 
 
 def find_files(place: Path, roles: Roles | None = None) -> Delivery:
-    """Find the files to judge, with hashes: a folder with a manifest, one file of it, or any file; see `list_files`."""
+    """Find the files to judge, with hashes: a folder with a manifest, one file of it, or any file; see
+    `list_files`.
+    """
     return list_files(place, roles).hashed()
 
 
@@ -149,8 +153,8 @@ def list_files(place: Path, roles: Roles | None = None) -> Delivery:
     delivery = _found(place)
     if delivery.manifest is not None and "stack" in delivery.manifest:
         raise BadRequest(
-            f"{place}: what was written there is a stack of several sheets; `clacad stack A.toml B.toml --gap L --files {place}` "
-            "judges it"
+            f"{place}: what was written there is a stack of several sheets; `clacad stack A.toml B.toml --gap"
+            f" L --files {place}` judges it"
         )
     if not roles:
         return delivery
@@ -248,10 +252,15 @@ def _listed(folder: Path, told: Any) -> Subject:
     if role is None or role is Role.SCAN:  # no export writes scans; files of old versions have no role
         role = Role.OTHER if without_optics(format) else Role.MASTER
     return Subject(
-        path, shown_name(path.name if known else name) or "(no name)", format, entry,
-        path.stat().st_size if known else 0, "", role,
+        path,
+        shown_name(path.name if known else name) or "(no name)",
+        format,
+        entry,
+        path.stat().st_size if known else 0,
+        "",
+        role,
         role is not Role.PREVIEW or entry.get("role_declared") is True,
-    )  # fmt: skip
+    )
 
 
 def _bare(path: Path) -> Subject:
@@ -278,12 +287,19 @@ def integrity(subject: Subject) -> Check:
     sentence = (
         "its bytes are those that were written"
         if same
-        else f"its bytes are not those that were written ({subject.bytes} bytes, {subject.entry.get('bytes')} in the manifest)"
+        else (
+            f"its bytes are not those that were written ({subject.bytes} bytes, {subject.entry.get('bytes')}"
+            " in the manifest)"
+        )
     )
     return INTEGRITY.check(
-        "pass" if same else "fail", sentence, subject.sha256[:16], stated[:16], detail={"sha256": subject.sha256},
+        "pass" if same else "fail",
+        sentence,
+        subject.sha256[:16],
+        stated[:16],
+        detail={"sha256": subject.sha256},
         subject=name,
-    )  # fmt: skip
+    )
 
 
 def written_meanwhile(delivery: Delivery) -> list[Check]:

@@ -1,7 +1,9 @@
 """Light through a file, compared with the law: the checks by which a file is called an optical master.
 
-The same rays are traced through the file's own triangles or faces and through the exact surfaces. The file must meet
-the requirements on the design (section E of the contract: rms, bias, η, δ, confocality, throughput) within the
+The same rays are traced through the file's own triangles or faces and through the exact surfaces. The file
+must meet
+the requirements on the design (section E of the contract: rms, bias, η, δ, confocality, throughput) within
+the
 design's limits. `clacad.light` describes each measurement.
 """
 
@@ -51,11 +53,13 @@ class FileLight:
     Attributes
     ----------
     compared : Comparison
-        Light of the main bundle through the file and through the exact surfaces, in the most densely lit cell.
+        Light of the main bundle through the file and through the exact surfaces, in the most densely lit
+        cell.
     points : tuple of Light
         Parallel light through the file, of nine directions of the field.
     shift : (2,)
-        Shift of array 2 along the sheet's normal that minimizes the rms error to the law, file minus exact, per
+        Shift of array 2 along the sheet's normal that minimizes the rms error to the law, file minus exact,
+        per
         lens axis, over the distance between the lenses; NaN in an axis without power.
     middle, field : (float, float)
         ALIVE share in the middle of the field, and over the field, each as (through the file, closed form).
@@ -77,7 +81,9 @@ class FileLight:
 
     @cached_property
     def bias(self) -> Floats:
-        """Angle (9,) of the mean exit direction to the law, radians, for nine directions; NaN where too dark."""
+        """Angle (9,) of the mean exit direction to the law, radians, for nine directions; NaN where too
+        dark.
+        """
         return np.array([point.bias for point in self.points])
 
     @property
@@ -101,16 +107,22 @@ class FileLight:
 
 
 def measure_light(
-    design: Design, window: Window, send: Send, rays: int, point_rays: int = POINT_RAYS,
-    cell: tuple[int, int] | None = None, exact: Send | None = None,
-) -> FileLight:  # fmt: skip
+    design: Design,
+    window: Window,
+    send: Send,
+    rays: int,
+    point_rays: int = POINT_RAYS,
+    cell: tuple[int, int] | None = None,
+    exact: Send | None = None,
+) -> FileLight:
     """Send the bundles of the checks through a file.
 
     Parameters
     ----------
     design, window
     send : callable
-        Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every body of one
+        Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every
+        body of one
         telescopelet.
     rays, point_rays : int
         Of the main bundle, and of each of the nine field points.
@@ -135,7 +147,9 @@ def measure_light(
 
 
 def half_order(window: Window) -> float:
-    """Half the angle p/f2 (radians) between light through lens 2 of a cell and of its neighbour; inf without power."""
+    """Half the angle p/f2 (radians) between light through lens 2 of a cell and of its neighbour; inf without
+    power.
+    """
     focal = [abs(f) for f in window.thin.focal_length[1] if np.isfinite(f)]
     return 0.5 * min(window.lattice.pitch) / max(focal) if focal else np.inf
 
@@ -144,15 +158,21 @@ def half_order(window: Window) -> float:
 
 
 def light_checks(
-    asked: Inspection, found: FileLight, what: str = "triangles", *,
-    rms: Sequence[float] = (), cells: Sequence[tuple[int, int]] = (), noise: float = 0.0,
-) -> list[Check]:  # fmt: skip
+    asked: Inspection,
+    found: FileLight,
+    what: str = "triangles",
+    *,
+    rms: Sequence[float] = (),
+    cells: Sequence[tuple[int, int]] = (),
+    noise: float = 0.0,
+) -> list[Check]:
     """Judge light through a file by the limits of the design.
 
     Parameters
     ----------
     `asked` : Inspection
-        A master fails beyond a limit; a preview gets a warning. A scan fails by the part of its rms that its facets
+        A master fails beyond a limit; a preview gets a warning. A scan fails by the part of its rms that its
+        facets
         and their noise do not explain; for the rest it gets a warning.
     found : FileLight
         Of the most densely lit cell.
@@ -164,9 +184,12 @@ def light_checks(
         For scans: direction error that the facets' own slopes, noise included, cause.
     """
     checks = [
-        _law_rms(asked, found, what, rms, cells, noise), _law_bias(asked, found, what), *_law_fitted(asked, found, what),
-        _confocality(asked, found), _throughput(asked, found, what),
-    ]  # fmt: skip
+        _law_rms(asked, found, what, rms, cells, noise),
+        _law_bias(asked, found, what),
+        *_law_fitted(asked, found, what),
+        _confocality(asked, found),
+        _throughput(asked, found, what),
+    ]
     if asked.role is Role.SCAN:
         # a coarse measurement is not a fault of the part: faithful_* allow for its facets
         return [checks[0], *(softened(check) for check in checks[1:])]
@@ -179,9 +202,16 @@ def softened(check: Check) -> Check:
 
 
 def _law_rms(
-    asked: Inspection, found: FileLight, what: str, rms: Sequence[float], cells: Sequence[tuple[int, int]], noise: float
-) -> Check:  # fmt: skip
-    """Rms direction error to the law of the worst measured cell; for a scan, without the part its facets cause."""
+    asked: Inspection,
+    found: FileLight,
+    what: str,
+    rms: Sequence[float],
+    cells: Sequence[tuple[int, int]],
+    noise: float,
+) -> Check:
+    """Rms direction error to the law of the worst measured cell; for a scan, without the part its facets
+    cause.
+    """
     spec = asked.design.check
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
     source = FILE_LAW_RMS.limit_source if spec.mesh_law_rms is None else DESIGN_FILE
@@ -214,8 +244,8 @@ def _law_rms(
         )
     rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
     sentence += (
-        f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same noise "
-        f"are worse), {1e3 * rest:.4g} is left"
+        f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same"
+        f" noise are worse), {1e3 * rest:.4g} is left"
     )
     detail = {"with_noise": value, "noise": noise, **told}
     check = FILE_LAW_RMS.judge(rest, limit, sentence, detail=detail, **common)
@@ -228,14 +258,17 @@ def _together(every: Floats) -> float:
 
 
 def _other_rms(found: FileLight, every: Floats) -> str:
-    """Text of the rms over all cells and of that over partner light, where they differ from the worst cell's."""
+    """Text of the rms over all cells and of that over partner light, where they differ from the worst
+    cell's.
+    """
     words = ""
     if len(every) > 1 and np.isfinite(_together(every)):
         words += f"; over all {len(every)} cells {1e3 * _together(every):.4g} mrad"
     if found.strayed > 0.0 and found.partner == found.partner:
         words += (
-            f"; {100.0 * found.strayed:.2g} % of the light of the cell lit most leaves nearer to the direction of a neighbouring lens than to the law, "
-            f"the rest {1e3 * found.partner:.4g} mrad rms from the law"
+            f"; {100.0 * found.strayed:.2g} % of the light of the cell lit most leaves nearer to the"
+            f" direction of a neighbouring lens than to the law, the rest {1e3 * found.partner:.4g} mrad rms"
+            " from the law"
         )
     return words
 
@@ -249,11 +282,14 @@ def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:
     value = float(found.bias[worst])
     place = "in the middle" if worst == 0 else f"at the rim, {45 * (worst - 1)} deg from +x,"
     return FILE_LAW_BIAS.judge(
-        value, limit,
-        f"{place} of the field the mean direction through the file's {what} is {1e3 * value:.4g} mrad from the law",
+        value,
+        limit,
+        f"{place} of the field the mean direction through the file's {what} is {1e3 * value:.4g} mrad from"
+        " the law",
         bundle="9 directions over the whole cell",
-        detail={"by_field_point": found.bias}, **asked.common,
-    )  # fmt: skip
+        detail={"by_field_point": found.bias},
+        **asked.common,
+    )
 
 
 def _law_fitted(asked: Inspection, found: FileLight, what: str) -> list[Check]:
@@ -311,19 +347,22 @@ def _confocality(asked: Inspection, found: FileLight) -> Check:
         )
     value = float(np.nanmax(np.abs(found.shift)))
     sentence = (
-        f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the file to "
-        f"keep to the law as well as through the exact surfaces (x {found.shift[0]:+.4g}, y {found.shift[1]:+.4g})"
+        f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the"
+        f" file to keep to the law as well as through the exact surfaces (x {found.shift[0]:+.4g}, y"
+        f" {found.shift[1]:+.4g})"
     )
-    return FILE_CONFOCALITY.judge(value, limit, sentence,
-                 bundle=str(found.light.lit), detail={"shift": found.shift}, **asked.common)  # fmt: skip
+    return FILE_CONFOCALITY.judge(
+        value, limit, sentence, bundle=str(found.light.lit), detail={"shift": found.shift}, **asked.common
+    )
 
 
 def _throughput(asked: Inspection, found: FileLight, what: str) -> Check:
     ratios = [a / b if b > 0.0 else np.nan for a, b in (found.middle, found.field)]
     value = float(np.nanmin(ratios)) if not np.isnan(ratios).all() else np.nan
     sentence = (
-        f"{found.middle[0]:.3f} of the light passes the file's {what} in the middle of the field (closed form "
-        f"{found.middle[1]:.3f}), {found.field[0]:.3f} over the field ({found.field[1]:.3f})"
+        f"{found.middle[0]:.3f} of the light passes the file's {what} in the middle of the field (closed form"
+        f" {found.middle[1]:.3f}), {found.field[0]:.3f} over the field ({found.field[1]:.3f})"
     )
-    return FILE_THROUGHPUT.judge(value, asked.design.check.throughput, sentence,
-                 bundle=str(found.light.lit), **asked.common)  # fmt: skip
+    return FILE_THROUGHPUT.judge(
+        value, asked.design.check.throughput, sentence, bundle=str(found.light.lit), **asked.common
+    )

@@ -1,6 +1,8 @@
-"""Judge maps, point clouds, grids, tables and masks: every number in them is compared with the design's own faces.
+"""Judge maps, point clouds, grids, tables and masks: every number in them is compared with the design's own
+faces.
 
-The format of a file is that of its manifest, else that of its suffix. A file without a manifest may hold any of the
+The format of a file is that of its manifest, else that of its suffix. A file without a manifest may hold any
+of the
 design's structured faces: the best-fitting one is named.
 
 Light through a map: the heights of one cell of a face as a bicubic surface, the other faces as designed.

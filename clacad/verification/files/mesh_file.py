@@ -1,8 +1,10 @@
 """Judge one mesh file: its wholeness, its agreement with the design, and the light through its triangles.
 
-Stored vertex normals of a file, compared with the normals of the design's own faces; renderers shade with them.
+Stored vertex normals of a file, compared with the normals of the design's own faces; renderers shade with
+them.
 
-Parts that are repeated in a file: their places compared with the lattice, and their facets over the chosen cells.
+Parts that are repeated in a file: their places compared with the lattice, and their facets over the chosen
+cells.
 """
 
 from __future__ import annotations
@@ -48,7 +50,8 @@ if TYPE_CHECKING:
 
 
 STEEPER = 2.0
-"""Rms error of the stored normals over the slope error of their facets, beyond which the normals are wrong."""
+"""Rms error of the stored normals over the slope error of their facets, beyond which the normals are
+wrong."""
 
 ROOM = 1e-6
 """Radians by which rounding to float32, or to six digits, may turn a normal."""
@@ -69,8 +72,12 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
     """
     if not gathered.stored:
         return None
-    common: dict[str, Any] = {"where": "file", "subject": name, "unit": "rad",
-                              "limit_source": other(f"{STEEPER:g} × slope error of its facets")}  # fmt: skip
+    common: dict[str, Any] = {
+        "where": "file",
+        "subject": name,
+        "unit": "rad",
+        "limit_source": other(f"{STEEPER:g} × slope error of its facets"),
+    }
     if gathered.odd:
         text = f"{gathered.odd} of {gathered.stored} facets have a stored normal that is no unit vector"
         return FILE_NORMALS.check("fail", text, None, **common)
@@ -87,7 +94,10 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
             if rms is not None and rms / room > worst / (limit or 1.0):
                 label = f"{window.bodies[body].name} {('front', 'back')[side]}"
                 worst, limit = rms, room
-                text = f"stored normals are up to {1e3 * rms:.4g} mrad rms off the exact faces ({label}, cell {index})"
+                text = (
+                    f"stored normals are up to {1e3 * rms:.4g} mrad rms off the exact faces ({label}, cell"
+                    f" {index})"
+                )
     if worst < 0.0:
         return FILE_NORMALS.check("not run", text, **{**common, "required": False})
     return FILE_NORMALS.check("pass" if worst <= limit else "fail", text, worst, limit, **common)
@@ -109,7 +119,9 @@ def _rms(window: Window, gathered: CellFacets, body: int, side: int, cell: int) 
 
 
 def exact_normals(window: Window, face: Face, local: Floats) -> Floats:
-    """Outward unit normals (k, 3, 3) of the design at the corners of facets, cell frame; NaN where it has no lens."""
+    """Outward unit normals (k, 3, 3) of the design at the corners of facets, cell frame; NaN where it has no
+    lens.
+    """
     out = np.zeros_like(local)
     out[..., 2] = -face.side
     if face.array is None:
@@ -120,27 +132,40 @@ def exact_normals(window: Window, face: Face, local: Floats) -> Floats:
 
 
 TOUCHING = 1e-6
-"""Overlap, over the pitch, by which a box must enter a cell to have facets there; identical cells touch at borders."""
+"""Overlap, over the pitch, by which a box must enter a cell to have facets there; identical cells touch at
+borders."""
 
 MOST_LOOKS = 64
-"""Places of one part that are examined one by one; where more lie over the chosen cells the places are wrong."""
+"""Places of one part that are examined one by one; where more lie over the chosen cells the places are
+wrong."""
 
 
 def placement_check(design: Design, found: Standing, name: str) -> Check:
     """Judge whether every instance of a repeated cell lies on a cell of its array, each cell once."""
     missing, doubled, outside = found.faults
     return PLACEMENT.check(
-        "pass" if found.sound else "fail", found.words, found.worst, found.limit, unit=design.unit,
-        subject=name, limit_source=other("rounding of the places to float32"),
+        "pass" if found.sound else "fail",
+        found.words,
+        found.worst,
+        found.limit,
+        unit=design.unit,
+        subject=name,
+        limit_source=other("rounding of the places to float32"),
         detail={
-            "instances": found.count, "worst_cell": found.worst_cell, "missing": missing, "doubled": doubled,
-            "outside": outside, "cells_missing": found.missing, "cells_doubled": found.doubled,
+            "instances": found.count,
+            "worst_cell": found.worst_cell,
+            "missing": missing,
+            "doubled": doubled,
+            "outside": outside,
+            "cells_missing": found.missing,
+            "cells_doubled": found.doubled,
         },
-    )  # fmt: skip
+    )
 
 
 def look_at_places(gatherer: Gatherer, places: PartPlaces | RowPlaces, factor: float, limit: float) -> None:
-    """Gather the facets of a repeated object over the chosen cells, and compare it with the design where it is worst.
+    """Gather the facets of a repeated object over the chosen cells, and compare it with the design where it
+    is worst.
 
     Parameters
     ----------

@@ -81,9 +81,14 @@ class MeshEvidence:
 
 
 def checks_of_light(
-    asked: Inspection, window: Window, gathered: CellFacets, off: Sequence[Deviation], found: Measure,
-    present: Sequence[str] | None, clean: float = np.inf,
-) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
+    asked: Inspection,
+    window: Window,
+    gathered: CellFacets,
+    off: Sequence[Deviation],
+    found: Measure,
+    present: Sequence[str] | None,
+    clean: float = np.inf,
+) -> tuple[list[Check], MeshEvidence]:
     """Trace the same rays through the file's triangles and through the exact surfaces.
 
     Parameters
@@ -96,7 +101,8 @@ def checks_of_light(
         Of the whole file.
     present : names of its bodies, or None for all
     clean : float, radians
-        Direction error of facets of this size with corners on the design. It caps the limit of faithfulness, which
+        Direction error of facets of this size with corners on the design. It caps the limit of faithfulness,
+        which
         noise in the file's own corners would otherwise widen.
 
     Returns
@@ -107,16 +113,30 @@ def checks_of_light(
     asked.progress("tracing the triangles", 0.0)
     held, one = telescopelet(window, gathered, 0, present), seen_cell(window, gathered.cells[0])
     light = measure_light(
-        asked.design, one.like, lambda lit: trace_facets(held, one.placed(lit).rays), max(asked.rays, _enough(gathered)),
-        min(asked.rays, POINT_RAYS), gathered.cells[0] if window.uniform else None, one.send,
-    )  # fmt: skip
+        asked.design,
+        one.like,
+        lambda lit: trace_facets(held, one.placed(lit).rays),
+        max(asked.rays, _enough(gathered)),
+        min(asked.rays, POINT_RAYS),
+        gathered.cells[0] if window.uniform else None,
+        one.send,
+    )
     rms, to_law, lost = np.array(list(_by_cell(asked, window, gathered, light, present))).T
     law, exact, passed = _fits(asked, window, gathered, held, present)
     likes = (like_cell(window, np.array(cell, dtype=np.int64), widest=False) for cell in gathered.cells)
     forecasts = np.array([forecast_rms(like, d) for like, d in zip(likes, off, strict=True)])
     evidence = MeshEvidence(
-        found, gathered.cells, rms, light.light.rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost.tolist()}, gathered
-    )  # fmt: skip
+        found,
+        gathered.cells,
+        rms,
+        light.light.rms,
+        forecasts,
+        off[0].slope_rms,
+        law,
+        exact,
+        {"lost": lost.tolist()},
+        gathered,
+    )
     noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
     checks = light_checks(asked, light, rms=to_law.tolist(), cells=gathered.cells, noise=noise)
     checks.append(_faithful_rms(asked, evidence, str(light.light.lit), clean))
@@ -133,7 +153,9 @@ def rays_for(passed: int, share: float) -> int:
 def _by_cell(
     asked: Inspection, window: Window, gathered: CellFacets, light: FileLight, present: Sequence[str] | None
 ) -> Iterator[tuple[float, float, float]]:
-    """For each cell: rms direction error (radians) to the exact surfaces and to the law, and the share of lost light."""
+    """For each cell: rms direction error (radians) to the exact surfaces and to the law, and the share of
+    lost light.
+    """
     main, spec = light.light.lit, asked.design.check
     for number, cell in enumerate(gathered.cells):
         asked.progress("tracing the triangles", number / len(gathered.cells))
@@ -180,7 +202,9 @@ def seen_cell(window: Window, cell: tuple[int, int]) -> SeenCell:
 
 
 def _enough(gathered: CellFacets) -> int:
-    """Rays that sample every facet of a lens many times, so that the errors of the facets' slopes cancel in fits."""
+    """Rays that sample every facet of a lens many times, so that the errors of the facets' slopes cancel in
+    fits.
+    """
     finest = max(
         (sum(map(len, parts)) for (_, _, cell), parts in gathered.facets.items() if cell == 0), default=0
     )
@@ -191,7 +215,8 @@ def _lost(good: Bools, ideal: Bools, alive: Bools, *, field: bool = False) -> fl
     """Share of rays that a file loses for other reasons than coarse facets.
 
     Coarse facets of a strongly magnifying pair send some rays past their partner and others into it, in equal
-    numbers. The loss is therefore the larger of two: the loss in number, and the loss among the rays that pass both
+    numbers. The loss is therefore the larger of two: the loss in number, and the loss among the rays that
+    pass both
     the exact surfaces and the design with the file's facets.
 
     Parameters
@@ -213,7 +238,9 @@ def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> B
 
 
 def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, clean: float) -> Check:
-    """Direction error to the exact surfaces of the worst cell, compared with the forecast from its facets' slopes."""
+    """Direction error to the exact surfaces of the worst cell, compared with the forecast from its facets'
+    slopes.
+    """
     rms, lost, times = evidence.rms, evidence.facts["lost"], asked.design.check.file_rms
     common: dict[str, Any] = {"unit": "rad", **asked.common}
     if np.isnan(rms).any() or not np.isfinite(evidence.forecast).all():
@@ -225,27 +252,48 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
     worst = int(np.argmax(rms / evidence.forecast))
     limit = times * min(float(evidence.forecast[worst]), clean) + 1e-9
     sentence = (
-        f"through the triangles light leaves {1e3 * rms[worst]:.4g} mrad rms from where the exact surfaces send it "
-        f"(cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast {1e3 * evidence.forecast[worst]:.4g}"
+        f"through the triangles light leaves {1e3 * rms[worst]:.4g} mrad rms from where the exact surfaces"
+        f" send it (cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast"
+        f" {1e3 * evidence.forecast[worst]:.4g}"
     )
     check = FAITHFUL_RMS.judge(
-        float(rms[worst]), limit, sentence, bundle=bundle_text,
+        float(rms[worst]),
+        limit,
+        sentence,
+        bundle=bundle_text,
         limit_source=derived(f"{times:g} × forecast of its slope errors"),
-        detail={"by_cell": rms, "cells": evidence.cells, "lost": lost, "law_rms": evidence.law_rms}, **common,
-    )  # fmt: skip
+        detail={"by_cell": rms, "cells": evidence.cells, "lost": lost, "law_rms": evidence.law_rms},
+        **common,
+    )
     if max(lost) > LOST:
-        text = f"{100 * max(lost):.3g} % of the rays that the design lets through do not get through the triangles"
-        return replace(check, state="fail", sentence=text, value=max(lost), limit=LOST, unit="of the rays, lost",
-                       limit_source=other(f"fixed: {LOST:g} lost at most"))  # fmt: skip
+        text = (
+            f"{100 * max(lost):.3g} % of the rays that the design lets through do not get through the"
+            " triangles"
+        )
+        return replace(
+            check,
+            state="fail",
+            sentence=text,
+            value=max(lost),
+            limit=LOST,
+            unit="of the rays, lost",
+            limit_source=other(f"fixed: {LOST:g} lost at most"),
+        )
     return check
 
 
 def _fits(
-    asked: Inspection, window: Window, gathered: CellFacets, held: tuple[FacetBody, ...], present: Sequence[str] | None
-) -> tuple[Law | None, Law | None, int]:  # fmt: skip
-    """Laws fitted through the file's triangles and through the design with the same triangles, and the common ray count.
+    asked: Inspection,
+    window: Window,
+    gathered: CellFacets,
+    held: tuple[FacetBody, ...],
+    present: Sequence[str] | None,
+) -> tuple[Law | None, Law | None, int]:
+    """Laws fitted through the file's triangles and through the design with the same triangles, and the
+    common ray count.
 
-    Both fits use the same rays. Facets alone bias a fit by about the inverse square of their number per side; both
+    Both fits use the same rays. Facets alone bias a fit by about the inverse square of their number per
+    side; both
     fits share that bias.
     """
     spec = asked.design.check
@@ -260,19 +308,24 @@ def _fits(
 
 
 def _faithful_fit(asked: Inspection, evidence: MeshEvidence, passed: int) -> list[Check]:
-    """η and δ fitted through the file's triangles, compared with the design's own cut, by `passed` common rays."""
+    """η and δ fitted through the file's triangles, compared with the design's own cut, by `passed` common
+    rays.
+    """
     law, exact, spec = evidence.law, evidence.law_design, asked.design.check
     kinds = (FAITHFUL_ETA, FAITHFUL_DELTA)
     if 0 < passed < LEAST_FITTED:
         needed = rays_for(LEAST_FITTED, passed / asked.rays)
         why = (
-            f"not enough rays: of {asked.rays} {passed} get through the file's triangles, and a fit of the law takes "
-            f"{LEAST_FITTED}; --rays {needed} would do"
+            f"not enough rays: of {asked.rays} {passed} get through the file's triangles, and a fit of the"
+            f" law takes {LEAST_FITTED}; --rays {needed} would do"
         )
         return [kind.not_run(why, detail={RAYS_NEEDED: needed}, **asked.common) for kind in kinds]
     if law is None or exact is None:
         why = "no law can be fitted to the light that gets through the file's triangles"
         return [kind.not_run(why, **asked.common) for kind in kinds]
-    text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
+    text = (
+        "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles"
+        " {3:.6g}, {4:.6g}"
+    )
     checks = fit_checks(kinds, (law, exact), (spec.eta, spec.delta), text, **asked.common)
     return [replace(check, detail={"measured": check.detail["measured"]}) for check in checks]

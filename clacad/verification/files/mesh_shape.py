@@ -1,4 +1,6 @@
-"""Agreement of a mesh file with the design: its volume, and the distance of its facets from the exact faces."""
+"""Agreement of a mesh file with the design: its volume, and the distance of its facets from the exact
+faces.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +35,17 @@ from clacad.verification.limit_sources import LimitSource, derived, other
 if TYPE_CHECKING:
     from clacad.design import Design
 
-_NODES = np.array([
-    [1 / 3, 1 / 3, 1 / 3],
-    [0.797426985353087, 0.101286507323456, 0.101286507323456], [0.101286507323456, 0.797426985353087, 0.101286507323456],
-    [0.101286507323456, 0.101286507323456, 0.797426985353087], [0.059715871789770, 0.470142064105115, 0.470142064105115],
-    [0.470142064105115, 0.059715871789770, 0.470142064105115], [0.470142064105115, 0.470142064105115, 0.059715871789770],
-])  # fmt: skip
+_NODES = np.array(
+    [
+        [1 / 3, 1 / 3, 1 / 3],
+        [0.797426985353087, 0.101286507323456, 0.101286507323456],
+        [0.101286507323456, 0.797426985353087, 0.101286507323456],
+        [0.101286507323456, 0.101286507323456, 0.797426985353087],
+        [0.059715871789770, 0.470142064105115, 0.470142064105115],
+        [0.470142064105115, 0.059715871789770, 0.470142064105115],
+        [0.470142064105115, 0.470142064105115, 0.059715871789770],
+    ]
+)
 _WEIGHTS = np.array([0.225] + [0.125939180544827] * 3 + [0.132394152788506] * 3)
 """Seven-point rule of degree 5 on a triangle (Radon 1948)."""
 
@@ -71,7 +78,9 @@ def chord_volume(window: Window, gathered: CellFacets, cell: int) -> float:
 
 @lru_cache(maxsize=8)
 def volume_of(window: Window, body: Body) -> Integral | None:
-    """Volume of a body by quadrature, cached for all files of a window; None where an outline cuts lenslets."""
+    """Volume of a body by quadrature, cached for all files of a window; None where an outline cuts
+    lenslets.
+    """
     return body_volume(window, body, depth=11)
 
 
@@ -81,17 +90,28 @@ def volume_check(
     """Judge the enclosed volume against quadrature of the design plus the chord volume of the facets.
 
     window : reduced to the bodies of the file
-    reach : largest |z| (length) of the whole window, whose float32 spacing the heights of all its bodies share
+    reach : largest |z| (length) of the whole window, whose float32 spacing the heights of all its bodies
+    share
     chord : from `chord_volume` (length³)
     """
     common: dict[str, Any] = {"unit": "design unit³", **asked.common}
     integrals = [volume_of(window, body) for body in window.bodies]
     known = [i for i in integrals if i is not None]
     if len(known) < len(integrals):
-        return VOLUME.not_run("the outline cuts through lenslets; no integral of the design is at hand", required=False, **common)  # fmt: skip
+        return VOLUME.not_run(
+            "the outline cuts through lenslets; no integral of the design is at hand",
+            required=False,
+            **common,
+        )
     if found.facets and found.volume <= 0.0:
-        return VOLUME.check("fail", f"it encloses {found.volume:.4g}: its facets face inwards", found.volume, 0.0,
-                     relation=">=", **common)  # fmt: skip
+        return VOLUME.check(
+            "fail",
+            f"it encloses {found.volume:.4g}: its facets face inwards",
+            found.volume,
+            0.0,
+            relation=">=",
+            **common,
+        )
     if not any(gathered.facets):
         return VOLUME.not_run("no triangles lie where the design has its cells", **common)
     exact, error = sum(i.value for i in known), sum(i.error for i in known)
@@ -105,15 +125,20 @@ def volume_check(
         sentence += f"; letters engraved in the border take {gathered.engraved:.4g}"
         detail["engraved"] = gathered.engraved
     return VOLUME.judge(
-        abs(difference + gathered.engraved - chord), _volume_room(window, reach, chord, exact) + error, sentence,
-        limit_source=derived("forecast ± 2 % of the chord error"), detail=detail, **common,
-    )  # fmt: skip
+        abs(difference + gathered.engraved - chord),
+        _volume_room(window, reach, chord, exact) + error,
+        sentence,
+        limit_source=derived("forecast ± 2 % of the chord error"),
+        detail=detail,
+        **common,
+    )
 
 
 def _volume_room(window: Window, reach: float, chord: float, exact: float) -> float:
     """Allowed error of a volume (length³): 2 % of the chord volume, and rounding of corners to float32.
 
-    Rounding moves each side of the box by half a spacing. It moves a plane far from the origin as a whole by half a
+    Rounding moves each side of the box by half a spacing. It moves a plane far from the origin as a whole by
+    half a
     spacing, which is a large part of a thin body, also where that body is alone in its file.
     """
     x0, x1, y0, y1 = whole_extent(window)
@@ -128,7 +153,9 @@ def shape_check(
     off: Sequence[Deviation],
     present: Sequence[str] | None,
 ) -> Check:
-    """Judge the distance of facets from the exact faces: densely over the chosen cells, at facet middles over all."""
+    """Judge the distance of facets from the exact faces: densely over the chosen cells, at facet middles
+    over all.
+    """
     design, stated = asked.design, asked.stated
     common: dict[str, Any] = {"unit": design.unit, **asked.common}
     if not all(d.complete for d in off):
@@ -162,12 +189,15 @@ def _shape_words(
     worst = float(max(d.distance.max() for d in off))
     rms = float(np.max([d.slope_rms.max() for d in off]))
     detail: dict[str, Any] = {
-        "distance": worst, "corners": at_corners, "everywhere": gathered.farthest, "slope_error": off[0].slope_rms,
+        "distance": worst,
+        "corners": at_corners,
+        "everywhere": gathered.farthest,
+        "slope_error": off[0].slope_rms,
         "slope_error_clean": clean.slope_rms,
-    }  # fmt: skip
+    }
     sentence = (
-        f"facets lie up to {worst:.4g} {asked.design.unit} off the exact faces, their corners up to {at_corners:.4g}; their "
-        f"slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
+        f"facets lie up to {worst:.4g} {asked.design.unit} off the exact faces, their corners up to"
+        f" {at_corners:.4g}; their slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
     )
     if gathered.farthest > max(worst, at_corners):
         where = gathered.farthest_cell
@@ -219,7 +249,8 @@ def clean_cut(
 ) -> Deviation:
     """Unavoidable deviation of a file's facets: that of the design with the same facets.
 
-    Every corner over a chosen cell is moved along z onto the design's face; the points are those of `deviation`.
+    Every corner over a chosen cell is moved along z onto the design's face; the points are those of
+    `deviation`.
     """
     bodies = telescopelet(window, gathered, cell, present, onto_design=True)
     like = like_cell(window, np.array(gathered.cells[cell], dtype=np.int64), widest=False)
@@ -237,11 +268,16 @@ def clean_forecast(
 
 
 def _roughness(
-    design: Design, window: Window, gathered: CellFacets, off: Sequence[Deviation], clean: Mapping[int, Deviation]
-) -> tuple[float, float]:  # fmt: skip
+    design: Design,
+    window: Window,
+    gathered: CellFacets,
+    off: Sequence[Deviation],
+    clean: Mapping[int, Deviation],
+) -> tuple[float, float]:
     """Rms (radians) of the slope differences between a file's facets and the clean cut, and its limit.
 
-    Both are of the face and cell that come nearest to their limit. The slope error of the clean cut is e. The limit
+    Both are of the face and cell that come nearest to their limit. The slope error of the clean cut is e.
+    The limit
     is e (check.file_rms − 1) plus rounding to float32, so that in the worst case the sum is check.file_rms e.
     """
     found = (0.0, np.inf)
@@ -294,7 +330,8 @@ def _corners(window: Window, gathered: CellFacets, cell: int, present: Sequence[
 def own_sag_error(gathered: CellFacets) -> float:
     """Sag error (length) that facets of this size and bend cause, computed from the facets alone.
 
-    It is the height over the chord at the middle of an edge, L² × bend/8, or over a facet's middle. The latter is
+    It is the height over the chord at the middle of an edge, L² × bend/8, or over a facet's middle. The
+    latter is
     higher where the facet has no blunt corner. The bend is computed from the slopes of neighbouring facets.
     """
     worst = 0.0
@@ -316,7 +353,8 @@ def own_sag_error(gathered: CellFacets) -> float:
 
 
 CUBIC = 48
-"""Facets of a cell from which the bend is computed point by point: steep lenses bend more towards their rim."""
+"""Facets of a cell from which the bend is computed point by point: steep lenses bend more towards their
+rim."""
 
 
 def _bend(middle: Floats, slopes: Floats) -> Floats:

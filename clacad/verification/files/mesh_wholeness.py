@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 COUNTED_FACETS = 1_000_000
-"""Facets up to which vertices are welded and edges and holes counted (0.4 GB per million); larger files are streamed."""
+"""Facets up to which vertices are welded and edges and holes counted (0.4 GB per million); larger files are
+streamed."""
 
 COUNTED_PIECES = 30_000_000
 """Facets in a file up to which connected pieces are counted: 0.2 s and 20 MB per million."""
@@ -54,9 +55,13 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
     if mesh.stored_count != mesh.facet_count:
         words += f" ({mesh.stored_count:,} in the file)"
     return {
-        "words": words, "objects": objects, "placements": places, "shells": shells, "facets": mesh.facet_count,
+        "words": words,
+        "objects": objects,
+        "placements": places,
+        "shells": shells,
+        "facets": mesh.facet_count,
         "facets_stored": mesh.stored_count,
-    }  # fmt: skip
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +98,13 @@ def part_counts(mesh: FileMesh) -> list[PartCount] | None:
 
 
 def closed_check(
-    found: Measure, gathered: CellFacets, mesh: FileMesh, name: str, holds: Mapping[str, Any],
+    found: Measure,
+    gathered: CellFacets,
+    mesh: FileMesh,
+    name: str,
+    holds: Mapping[str, Any],
     counts: Sequence[PartCount] | None,
-) -> Check:  # fmt: skip
+) -> Check:
     """Judge whether the surface is closed and consistently wound, and locate a fault.
 
     holds : from `holding`, goes into the check's detail
@@ -155,17 +164,24 @@ def _open_edges(corners: Floats) -> tuple[int, Floats]:
 
 
 def pieces_check(
-    window: Window, found: Measure, mesh: FileMesh, name: str, stated: Mapping[str, Any],
-    counts: Sequence[PartCount] | None, counted: PieceCount | None = None,
-) -> list[Check]:  # fmt: skip
-    """Judge the number of connected pieces and holes of the file; `counted` was counted while measuring facets."""
+    window: Window,
+    found: Measure,
+    mesh: FileMesh,
+    name: str,
+    stated: Mapping[str, Any],
+    counts: Sequence[PartCount] | None,
+    counted: PieceCount | None = None,
+) -> list[Check]:
+    """Judge the number of connected pieces and holes of the file; `counted` was counted while measuring
+    facets.
+    """
     common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
     if found.facets == 0:
         return [PIECES.not_run("the file holds no triangles", **common)]
     if mesh.stored_count > COUNTED_PIECES:
         why = (
-            f"not counted and not required: {mesh.stored_count} facets in the file, and pieces are counted up to "
-            f"{COUNTED_PIECES}; one_piece says what the design gives"
+            f"not counted and not required: {mesh.stored_count} facets in the file, and pieces are counted up"
+            f" to {COUNTED_PIECES}; one_piece says what the design gives"
         )
         return [PIECES.not_run(why, **common)]
     bodies = [body_facts(window, body) for body in window.bodies]
@@ -197,7 +213,8 @@ def connected(part: Part) -> int:
 class PieceCount:
     """Connected pieces of a stream of triangles; corners are one vertex where their hashes agree.
 
-    The hash table is sized for a closed surface of `facets` facets, which has half as many vertices; it grows for more.
+    The hash table is sized for a closed surface of `facets` facets, which has half as many vertices; it
+    grows for more.
     """
 
     def __init__(self, facets: int) -> None:
@@ -231,7 +248,9 @@ class PieceCount:
 
 
 def counted_on_the_way(mesh: FileMesh) -> PieceCount | None:
-    """Counter of the pieces of a file for use while its facets are measured; None where that is not needed."""
+    """Counter of the pieces of a file for use while its facets are measured; None where that is not
+    needed.
+    """
     one = len(mesh.parts) == 1 and not mesh.parts[0].repeated
     return (
         PieceCount(mesh.stored_count)
@@ -256,6 +275,9 @@ def scale_check(design: Design, window: Window, found: Measure, name: str) -> Ch
         f"{axis} {r:.6g}" for axis, r in zip("xyz", ratio, strict=True)
     )
     return SCALE.judge(
-        value, design.check.scale, sentence, subject=name,
+        value,
+        design.check.scale,
+        sentence,
+        subject=name,
         detail={"ratio": ratio},
-    )  # fmt: skip
+    )

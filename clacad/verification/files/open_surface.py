@@ -80,11 +80,16 @@ def is_open_surface(found: Rims, turn: Floats | None = None) -> bool:
 
     Notes
     -----
-    Facets connected by edges are a piece (union-find over vertices). A piece whose every edge is used once in each
-    direction is a closed shell. It has a volume, however small, so the file is meant as a solid; any open edge next
-    to it is a fault. Where no piece is closed, the boundary decides. A measured surface ends at the rim of the part:
-    seen along the sheet's normal, boundary edges lie at the rim all around it (in four fifths of 36 sectors, in the
-    outer fifth of the way). A solid without a facet, a patch or a whole side wall has its boundary around the gap
+    Facets connected by edges are a piece (union-find over vertices). A piece whose every edge is used once
+    in each
+    direction is a closed shell. It has a volume, however small, so the file is meant as a solid; any open
+    edge next
+    to it is a fault. Where no piece is closed, the boundary decides. A measured surface ends at the rim of
+    the part:
+    seen along the sheet's normal, boundary edges lie at the rim all around it (in four fifths of 36 sectors,
+    in the
+    outer fifth of the way). A solid without a facet, a patch or a whole side wall has its boundary around
+    the gap
     only. A soup whose facets share no corner is open at every edge and also counts as a surface.
     """
     if found.count == 0 or found.closed_pieces:

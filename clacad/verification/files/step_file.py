@@ -55,7 +55,8 @@ FITTED = 1e-8
 """Relative difference of parameter curves that another CAD program fitted itself."""
 
 MERGED = 1e-10
-"""Mean height change over all faces, mm, that closed steps cause in the kernel's results (measured: 3.5e-11)."""
+"""Mean height change over all faces, mm, that closed steps cause in the kernel's results (measured:
+3.5e-11)."""
 
 PART = 0.1
 """Part of the limit of the law's rms error that faces of a file without a manifest may use."""
@@ -81,7 +82,8 @@ class Room:
 
 
 def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
-    """Allowed deviations of a file: those of exact faces where a manifest states them, else those that light allows.
+    """Allowed deviations of a file: those of exact faces where a manifest states them, else those that light
+    allows.
 
     Light allows a tenth of `law_rms`. A face with a slope error below that lies, over a pitch, within
     slope × pitch / 2π of the exact one.
@@ -99,7 +101,9 @@ def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
 
 
 def gain(window: Window) -> float:
-    """Direction error (rad) per slope error (rad) of the lens faces, all with equal errors, added in quadrature."""
+    """Direction error (rad) per slope error (rad) of the lens faces, all with equal errors, added in
+    quadrature.
+    """
     total = 0.0
     smallest = min(abs(m) for m in focal_ratio(window.thin))
     laws = window.cell_laws
@@ -133,7 +137,8 @@ def judge_solid(
     -------
     checks : list of Check
     found : mapping
-        Result of the reader; empty if reading failed. `holds`: solids, shells, faces, prototypes, parts (name, solid,
+        Result of the reader; empty if reading failed. `holds`: solids, shells, faces, prototypes, parts
+        (name, solid,
         faces, instances); `holds_words`: the same as text.
     """
     asked.progress(f"reading {path.name}", 0.0)
@@ -144,9 +149,13 @@ def judge_solid(
     with worker:
         try:
             found = worker.run(
-                "clacad.exporting.step_record:read", str(path), window, place, timeout=longest_wait(path),
+                "clacad.exporting.step_record:read",
+                str(path),
+                window,
+                place,
+                timeout=longest_wait(path),
                 progress=asked.progress,
-            )  # fmt: skip
+            )
         except (ExportError, OSError) as error:
             return _refused(asked, error), {}
         found["holds_words"] = holds_words(found["holds"])
@@ -168,16 +177,20 @@ def _checks_of_shape(asked: Inspection, window: Window, found: Mapping[str, Any]
     common, stated, room = asked.common, asked.stated, room_for(asked.design, window, asked.stated)
     return [
         READABLE.check("pass", found["holds_words"] + _unit_words(found), **common),
-        _closed(found, common), _solids(found, stated, common), _placement(found, room, common),
-        _shape(found, stated, room, common), _file_rms(window, found, room, common),
+        _closed(found, common),
+        _solids(found, stated, common),
+        _placement(found, room, common),
+        _shape(found, stated, room, common),
+        _file_rms(window, found, room, common),
         _volume(window, found, stated, room, common),
-    ]  # fmt: skip
+    ]
 
 
 def lies_elsewhere(checks: Sequence[Check]) -> bool:
     """Whether a readable file has its faces elsewhere than the design.
 
-    True if it holds fewer than half of the lenses, or if its shape fails and fewer than half of them lie on their cells.
+    True if it holds fewer than half of the lenses, or if its shape fails and fewer than half of them lie on
+    their cells.
     """
     one = {check.kind: check for check in checks}
     if READABLE not in one or one[READABLE].state != "pass":
@@ -193,7 +206,8 @@ def hole_words(
 ) -> str:
     """Text of the round holes of a part, with the cells of array 1 they pass through; "" for none.
 
-    onto : from the file's mm to the design's sheet frame and units; None where the file lies as the design does.
+    onto : from the file's mm to the design's sheet frame and units; None where the file lies as the design
+    does.
     """
     words = []
     for hole in holes[:4]:
@@ -221,8 +235,9 @@ def holds_words(holds: Mapping[str, Any]) -> str:
         return words
     many = int(holds["prototypes"])
     listed = ", ".join(
-        f"{int(part['instances']):,} of {part['name'] or 'a part of ' + str(part['faces']) + ' faces'}" for part in repeated[:4]
-    )  # fmt: skip
+        f"{int(part['instances']):,} of {part['name'] or 'a part of ' + str(part['faces']) + ' faces'}"
+        for part in repeated[:4]
+    )
     return words + f", placed from {many:,} prototype{'s' * (many != 1)} ({listed})"
 
 
@@ -243,7 +258,10 @@ def _light(
 ) -> list[Check]:
     """Checks of light through the faces against the law; `z` is the height of the sheet in the file (mm)."""
     if not found["kernel"] and (found.get("uneven") or not found.get("patches")):
-        why = "too large for the kernel, and its lens faces are of several spans; the slope error of the text is all there is"
+        why = (
+            "too large for the kernel, and its lens faces are of several spans; the slope error of the text"
+            " is all there is"
+        )
         return [kind.not_run(why, required=False, **asked.common) for kind in THROUGH_FILE]
     held = [body.name for body in _held(window, found)]
     send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]), z)
@@ -259,9 +277,10 @@ def _closed(found: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
     loose = int(found["open_edges"]) + int(found["dangling"])
     bad = found.get("valid") is False
     sentence = (
-        "every edge belongs to two faces" if not loose else f"{found['open_edges']} edges have one face, "
-        f"{found['dangling']} references lead nowhere"
-    )  # fmt: skip
+        "every edge belongs to two faces"
+        if not loose
+        else f"{found['open_edges']} edges have one face, {found['dangling']} references lead nowhere"
+    )
     if found["kernel"]:
         sentence += (
             "; the kernel finds every solid valid" if not bad else "; the kernel finds an invalid solid"
@@ -275,17 +294,26 @@ def _solids(found: Mapping[str, Any], stated: Mapping[str, Any], common: Mapping
     count = found.get("kernel_solids", found["solids"])
     want = stated.get("solids")
     if want is None:
-        return SOLIDS.not_run(f"{count} solids; nothing says how many there should be", value=float(count),
-                     required=False, **common)  # fmt: skip
+        return SOLIDS.not_run(
+            f"{count} solids; nothing says how many there should be",
+            value=float(count),
+            required=False,
+            **common,
+        )
     same = int(count) == int(want)
     return SOLIDS.check(
-        "pass" if same else "fail", f"{count} solids, {want} stated", float(count), float(want),
+        "pass" if same else "fail",
+        f"{count} solids, {want} stated",
+        float(count),
+        float(want),
         **common,
-    )  # fmt: skip
+    )
 
 
 def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
-    """Judge whether every lens of a repeated part lies on a cell of its own array and every cell holds each lens once."""
+    """Judge whether every lens of a repeated part lies on a cell of its own array and every cell holds each
+    lens once.
+    """
     at = found.get("placement")
     if at is None:
         why = "no lens face was found whose cell could be told"
@@ -295,7 +323,8 @@ def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) 
     wrong = []
     if not worst <= room.shape:
         wrong.append(
-            f"{at['moved']} of {repeated} instances stand off the lattice, {body} in cell {cell} by {worst:.3g} mm"
+            f"{at['moved']} of {repeated} instances stand off the lattice, {body} in cell {cell} by"
+            f" {worst:.3g} mm"
         )
     for name, word in (("missing", "is missing"), ("doubled", "stands there more than once")):
         if at[name]:
@@ -304,12 +333,20 @@ def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) 
                 f"in {at[name]} of {at['lenses']} places a lens {word}, such as {body} in cell {tuple(cells)}"
             )
     sentence = (
-        f"{repeated} instances of repeated parts stand on their cells to {worst:.3g} mm, every cell holds its lenses once"
+        f"{repeated} instances of repeated parts stand on their cells to {worst:.3g} mm, every cell holds its"
+        " lenses once"
         if repeated
         else f"no part is repeated; each of {at['lenses']} lenses stands over its own cell"
     )
-    check = PLACEMENT.judge(worst, room.shape, "; ".join(wrong) or sentence, unit="mm", limit_source=room.source,
-                  detail=dict(at), **common)  # fmt: skip
+    check = PLACEMENT.judge(
+        worst,
+        room.shape,
+        "; ".join(wrong) or sentence,
+        unit="mm",
+        limit_source=room.source,
+        detail=dict(at),
+        **common,
+    )
     return replace(check, state="fail") if wrong else check
 
 
@@ -321,13 +358,20 @@ def _shape(
         return SHAPE.not_run("no lens face was found to measure", unit="mm", **common)
     worst = max(errors)
     sentence = (
-        f"lens faces lie up to {worst:.3g} mm off the closed form"
-        f" ({found.get('patches', 0)} patches from the text, {found.get('lens_points', 0)} points by the kernel)"
+        f"lens faces lie up to {worst:.3g} mm off the closed form ({found.get('patches', 0)} patches from the"
+        f" text, {found.get('lens_points', 0)} points by the kernel)"
     )
     if room.fitted:
         sentence += "; what light allows is the limit, for no manifest says that they are exact"
-    return SHAPE.judge(worst, room.shape, sentence, unit="mm", limit_source=room.source,
-                 detail={"stated_merge": stated.get("merged_steps")}, **common)  # fmt: skip
+    return SHAPE.judge(
+        worst,
+        room.shape,
+        sentence,
+        unit="mm",
+        limit_source=room.source,
+        detail={"stated_merge": stated.get("merged_steps")},
+        **common,
+    )
 
 
 def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
@@ -336,7 +380,10 @@ def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapp
     if not slopes:
         return FAITHFUL_RMS.not_run("no lens face was found to measure", unit="rad", **common)
     value = max(slopes) * gain(window)
-    sentence = f"the largest slope error of a lens face, {max(slopes):.3g} rad, turns light by at most {value:.3g} rad"
+    sentence = (
+        f"the largest slope error of a lens face, {max(slopes):.3g} rad, turns light by at most"
+        f" {value:.3g} rad"
+    )
     if room.fitted:
         sentence += (
             "; its faces are exact, as far as light can tell"
@@ -356,8 +403,12 @@ def _volume(
     bodies = _held(window, found)
     parts = [volume_of(window, body) for body in bodies]
     if any(p is None for p in parts):
-        return VOLUME.not_run("the outline cuts through lenslets; no integral of the design is at hand",
-                       required=False, unit="mm³", **common)  # fmt: skip
+        return VOLUME.not_run(
+            "the outline cuts through lenslets; no integral of the design is at hand",
+            required=False,
+            unit="mm³",
+            **common,
+        )
     cube = millimetres(window.unit) ** 3
     want = sum(p.value for p in parts if p is not None) * cube
     error = sum(p.error for p in parts if p is not None) * cube
@@ -383,12 +434,20 @@ def _volume(
     if drilled := hole_words(window, found.get("holes", ())):
         sentence += f"; {drilled}"
     return VOLUME.judge(
-        abs(got + engraved - want), allowed, sentence, unit="mm³", limit_source=source, detail=detail, **common,
-    )  # fmt: skip
+        abs(got + engraved - want),
+        allowed,
+        sentence,
+        unit="mm³",
+        limit_source=source,
+        detail=detail,
+        **common,
+    )
 
 
 def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
-    """Bodies whose lenses the file holds, or whose heights it spans; all where it spans none (it lies elsewhere)."""
+    """Bodies whose lenses the file holds, or whose heights it spans; all where it spans none (it lies
+    elsewhere).
+    """
     at = found.get("placement")
     if at is not None and at["standing_held"] >= 0.5:
         return tuple(body for body in window.bodies if body.name in at["bodies"])

@@ -1,6 +1,7 @@
 """Light through the faces of a file of solids, for the checks of a master.
 
-The faces are those OCC reads, in a worker that has read the file already. Where the file is too large for OCC, the
+The faces are those OCC reads, in a worker that has read the file already. Where the file is too large for
+OCC, the
 lens patches of its text are used. A body the file lacks is taken from the design.
 """
 
@@ -37,7 +38,8 @@ POINT_RAYS = 256
 """Rays of each of the nine field points; four times as many where little light is transmitted."""
 
 CELL_RAYS = 64
-"""Rays of each further cell of a non-uniform sheet; a cell that transmits less than a quarter of them is lost."""
+"""Rays of each further cell of a non-uniform sheet; a cell that transmits less than a quarter of them is
+lost."""
 
 MARGIN = 0.1
 """Pitches around a telescopelet within which faces are searched."""
@@ -71,7 +73,8 @@ def light_of_cells(
     Returns
     -------
     light : FileLight
-        Of the cell whose light through the exact surfaces leaves farthest from the law; of the central cell of a
+        Of the cell whose light through the exact surfaces leaves farthest from the law; of the central cell
+        of a
         uniform sheet.
     rms : list of float, radians
         Of that cell, then of the other measured cells.
@@ -120,8 +123,10 @@ class FaceTracer:
     def __call__(self, lit: Bundle) -> TraceResult:
         """Trace a bundle.
 
-        ALIVE: in and out of every body through lens faces of one telescopelet, and onwards. GHOST: through lenses of
-        several telescopelets. LAND: through a face that is no lens. WALL: at a wall, or where no face was hit.
+        ALIVE: in and out of every body through lens faces of one telescopelet, and onwards. GHOST: through
+        lenses of
+        several telescopelets. LAND: through a face that is no lens. WALL: at a wall, or where no face was
+        hit.
         """
         state = _State(lit.rays)
         for inside, bodies in groupby(self.window.bodies, lambda body: body.name in self.held):
@@ -144,9 +149,16 @@ class FaceTracer:
             (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (raised(self.window, self.z / scale), numbers))
         )
         found = self.worker.run(
-            function, self.path, state.position[live] * scale + up, state.direction[live], [body.index for body in bodies],
-            (low * scale).tolist(), (high * scale).tolist(), *more, timeout=SECONDS,
-        )  # fmt: skip
+            function,
+            self.path,
+            state.position[live] * scale + up,
+            state.direction[live],
+            [body.index for body in bodies],
+            (low * scale).tolist(),
+            (high * scale).tolist(),
+            *more,
+            timeout=SECONDS,
+        )
         hits = (np.array(found["hits"]).reshape(len(live), -1, 3) - up) / scale
         end, many = np.array(found["end"], dtype=int), np.array(found["crossings"], dtype=int)
         lens = np.array(found["curved"], dtype=bool).reshape(len(live), -1)
@@ -261,5 +273,12 @@ class _State:
         unknown = np.full((many, 2), NO_CELL, dtype=np.int32)
         surface = np.where(self.surface < 0, NO_CELL, self.surface).astype(np.int32)
         return TraceResult(
-            self.position, self.direction, self.fate, np.zeros(many), self.cell, unknown, surface, np.ones(many)
-        )  # fmt: skip
+            self.position,
+            self.direction,
+            self.fate,
+            np.zeros(many),
+            self.cell,
+            unknown,
+            surface,
+            np.ones(many),
+        )

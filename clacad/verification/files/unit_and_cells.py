@@ -47,7 +47,8 @@ class CannotRegister(ValueError):
 def written_window(
     design: Design, manifest: Mapping[str, Any] | None, cells: tuple[int, int] | None
 ) -> Window | None:
-    """Window with the cells that were written, as given by the manifest or the caller; None if neither gives them.
+    """Window with the cells that were written, as given by the manifest or the caller; None if neither gives
+    them.
 
     Raises
     ------
@@ -70,7 +71,9 @@ def written_window(
 
 
 def unit_of(subject: Subject, mesh: FileMesh) -> float | None:
-    """Metres per unit of the file: its own unit, else the unit other readers assume, else that of its manifest."""
+    """Metres per unit of the file: its own unit, else the unit other readers assume, else that of its
+    manifest.
+    """
     if mesh.unit is not None or not subject.entry:
         return mesh.unit
     return UNITS.get(str(subject.entry.get("unit", "mm")), 1e-3)
@@ -95,7 +98,8 @@ def held_bodies(window: Window, subject: Subject, height: float) -> tuple[tuple[
 def fitting_window(
     design: Design, whole: Window, fixed: bool, heights: Sequence[float], extent: Floats
 ) -> Window | None:
-    """The design with the cells that fit an extent (3,) in design units; None if its height or sides do not fit.
+    """The design with the cells that fit an extent (3,) in design units; None if its height or sides do not
+    fit.
 
     fixed : whether `whole` has the cells of the file, and no others are tried
     heights : of the sheet and of its bodies (lengths)
@@ -136,5 +140,7 @@ def _alike(box: Sequence[float], extent: Floats) -> bool:
 
 
 def _one_body_alike(window: Window, extent: Floats) -> bool:
-    """Whether a file of one body has its extent, which need not include the displacement between the bodies."""
+    """Whether a file of one body has its extent, which need not include the displacement between the
+    bodies.
+    """
     return any(_alike(whole_extent(replace(window, bodies=(body,))), extent) for body in window.bodies)

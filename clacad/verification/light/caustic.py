@@ -1,6 +1,8 @@
-"""The light between the lenses: parallel rays from either side, each through its own lens, and where they focus.
+"""The light between the lenses: parallel rays from either side, each through its own lens, and where they
+focus.
 
-Light along the axis is traced through lens 1 forwards and through lens 2 backwards, in each meridian. Each fan
+Light along the axis is traced through lens 1 forwards and through lens 2 backwards, in each meridian. Each
+fan
 has a real or virtual focus between the lenses; in a confocal pair both fans share one focus. The envelope of
 a fan is its caustic; the caustic of a lens without aberration is a point.
 """
@@ -69,9 +71,12 @@ class MeridianFocus:
     def to_dict(self) -> dict[str, Any]:
         """Numbers for the report, lengths in design units."""
         return {
-            "distance": self.distance, "gap": self.gap, "relative_gap": self.gap / self.distance,
-            "focus": [self.lens1.focus, self.lens2.focus], "caustic_length": self.length,
-        }  # fmt: skip
+            "distance": self.distance,
+            "gap": self.gap,
+            "relative_gap": self.gap / self.distance,
+            "focus": [self.lens1.focus, self.lens2.focus],
+            "caustic_length": self.length,
+        }
 
 
 def _spread(caustic: Floats) -> float:
@@ -106,15 +111,17 @@ def _apex(window: Window, array: int) -> Floats:
 def _either_side(window: Window, axis: int) -> tuple[list[Interface], list[Interface]]:
     """Interfaces that light of a meridian crosses from either side up to the common focus.
 
-    They are those of the lens and, with a field lens, those between the lens and the field lens's powered face.
+    They are those of the lens and, with a field lens, those between the lens and the field lens's powered
+    face.
     """
     if not window.thin.field:
         return _of_lens(window, 0), _of_lens(window, 1)
     every = interfaces(window)
     powered = [
-        k for k, face in enumerate(window.faces)
+        k
+        for k, face in enumerate(window.faces)
         if face.array == 2 and (face.surface.curvature_x, face.surface.curvature_y)[axis] != 0.0
-    ]  # fmt: skip
+    ]
     if len(powered) == 2:  # half of the power before the focus, half behind it
         return every[: powered[1]], every[powered[1] :]
     return every[: powered[0]], every[powered[0] + 1 :]
@@ -129,7 +136,9 @@ def _of_lens(window: Window, number: int) -> list[Interface]:
 
 
 def _fan(window: Window, faces: Sequence[Interface], middle: Floats, axis: int, way: float) -> Fan:
-    """Trace rays along the lens axis in one meridian through one lens; forwards (way +1) or backwards (−1)."""
+    """Trace rays along the lens axis in one meridian through one lens; forwards (way +1) or backwards
+    (−1).
+    """
     turn = window.thin.rotation
     across, along = turn[:, axis], turn[:, 2]
     half = PART * min(window.lattice.half_widths)
@@ -146,8 +155,10 @@ def _fan(window: Window, faces: Sequence[Interface], middle: Floats, axis: int, 
         place = out.position @ across - slope * (out.position @ along)
     focus = _crossing(place[-2:], slope[-2:])
     rows = np.arange(HEIGHTS)
-    caustic = _crossing(np.stack([place[rows[:-1]], place[rows[1:]]], axis=1),
-                        np.stack([slope[rows[:-1]], slope[rows[1:]]], axis=1))  # fmt: skip
+    caustic = _crossing(
+        np.stack([place[rows[:-1]], place[rows[1:]]], axis=1),
+        np.stack([slope[rows[:-1]], slope[rows[1:]]], axis=1),
+    )
     caustic = caustic[np.isfinite(caustic).all(axis=1)] if np.isfinite(focus).all() else caustic[:0]
     return Fan(height[:-2], place[:-2], slope[:-2], focus, caustic)
 

@@ -1,7 +1,9 @@
 """Confocality measured with light: parabasal rays next to the axis ray, through the faces as built.
 
-The measurement does not use how the radii were computed. The window's faces are traced as explicit surfaces and
-the exit direction is differentiated by the entrance height. Lens 2 is then slid along its axis until the pair is
+The measurement does not use how the radii were computed. The window's faces are traced as explicit surfaces
+and
+the exit direction is differentiated by the entrance height. Lens 2 is then slid along its axis until the
+pair is
 afocal, or has the requested focus. The defect is that slide over the distance between the lenses.
 """
 
@@ -93,7 +95,8 @@ def confocality(window: Window) -> Confocality:
 
 
 def field_onto_axis(window: Window, start: Floats) -> Floats | None:
-    """Slide (3,) of the field lens that puts its first apex on the axis ray from `start` (3,), lengths, or None.
+    """Slide (3,) of the field lens that puts its first apex on the axis ray from `start` (3,), lengths, or
+    None.
 
     Raises
     ------
@@ -121,7 +124,8 @@ def axis_start(window: Window, axis: Floats) -> Floats:
 def _onto_axis(
     window: Window, array: int, axis: Floats, start: Floats, along: Floats, field: Floats | None
 ) -> Floats:
-    """Slide (3,), across its axis `along`, that puts the first apex of lens 2 or the field lens on the axis ray.
+    """Slide (3,), across its axis `along`, that puts the first apex of lens 2 or the field lens on the axis
+    ray.
 
     field : slide (3,) of the field lens where the slide of lens 2 is requested
     """

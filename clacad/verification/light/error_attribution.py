@@ -13,7 +13,8 @@ The same rays are traced through a chain of models. Each model includes one more
 5     the triangles as the file holds them                                                   file precision
 ====  ====================================================================================  =================
 
-A part is the vector difference of two neighbouring models; the five vectors of a ray add up to its whole error.
+A part is the vector difference of two neighbouring models; the five vectors of a ray add up to its whole
+error.
 The lengths of the vectors do not add up. Each part therefore also carries its share of the rms error,
 mean(part · whole)/rms(whole); these shares add up to the rms error.
 
@@ -58,7 +59,10 @@ ASIDE = (0.618e-3, 0.414e-3)
 
 NAMES = ("design", "aberration", "kernel rounding", "tessellation", "file precision")
 MEANING: Mapping[str, str] = {
-    "design": "what the ray through the middle of lens 1 misses the law by: thick lenses of this form at a finite angle",
+    "design": (
+        "what the ray through the middle of lens 1 misses the law by: thick lenses of this form at a finite"
+        " angle"
+    ),
     "aberration": "what the place within the lens adds, on exact surfaces in 50 digits",
     "kernel rounding": "double precision instead of 50 digits",
     "tessellation": "flat triangles instead of curved surfaces, their corners exact",
@@ -130,18 +134,31 @@ class Attribution:
     def to_dict(self) -> dict[str, Any]:
         """Numbers for the report, radians."""
         return {
-            "about": self.about, "rms": self.rms, "cell": list(self.cell), "rays": self.rays, "used": self.used,
+            "about": self.about,
+            "rms": self.rms,
+            "cell": list(self.cell),
+            "rays": self.rays,
+            "used": self.used,
             "bundle": self.bundle,
             "parts": [
-                {"name": p.name, "rms": p.rms, "half": p.half, "worst": p.worst, "share": p.share, "meaning": p.meaning}
+                {
+                    "name": p.name,
+                    "rms": p.rms,
+                    "half": p.half,
+                    "worst": p.worst,
+                    "share": p.share,
+                    "meaning": p.meaning,
+                }
                 for p in self.parts
             ],
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class FacetTraces:
-    """Two ways to trace a bundle through triangles: with exact corners, and with the corners a file stores."""
+    """Two ways to trace a bundle through triangles: with exact corners, and with the corners a file
+    stores.
+    """
 
     about: str
     cell: Cell
@@ -150,8 +167,13 @@ class FacetTraces:
 
 
 def attribute(
-    design: Design, window: Window, facets: FacetTraces, rays: int = RAYS, aperture: float = 1.0, angle: float | None = None
-) -> Attribution | None:  # fmt: skip
+    design: Design,
+    window: Window,
+    facets: FacetTraces,
+    rays: int = RAYS,
+    aperture: float = 1.0,
+    angle: float | None = None,
+) -> Attribution | None:
     """Split the error of every ray of a bundle.
 
     Parameters
@@ -183,7 +205,9 @@ def attribute(
 
 
 def _differences(window: Window, facets: FacetTraces, lit: Bundle) -> tuple[Floats, ...] | None:
-    """Direction that each model adds to a ray, (n, 3) each, then the whole; None where no ray gets through all."""
+    """Direction that each model adds to a ray, (n, 3) each, then the whole; None where no ray gets through
+    all.
+    """
     truth = trace(window, lit.rays, path="size")
     chief, chief_known = _through_middle(window, lit)
     exact, held = facets.exact(lit.rays), facets.held(lit.rays)
@@ -225,7 +249,8 @@ def _rms(vector: Floats) -> float:
 
 
 def _through_middle(window: Window, lit: Bundle) -> tuple[Floats, NDArray[np.bool_]]:
-    """Exit directions (n, 3) of the bundle's directions through the middle of lens 1, and which of them exist.
+    """Exit directions (n, 3) of the bundle's directions through the middle of lens 1, and which of them
+    exist.
 
     Traced through the faces without cell borders: a ray through the middle belongs to its telescopelet.
     """
@@ -241,9 +266,13 @@ def _rounding(window: Window, lit: Bundle, truth: TraceResult, rows: NDArray[np.
     from clacad.verification.accuracy.extended_precision import direction_differences
 
     return direction_differences(
-        window, lit.rays.position[rows], lit.rays.direction[rows], truth.direction[rows], truth.cell[rows],
+        window,
+        lit.rays.position[rows],
+        lit.rays.direction[rows],
+        truth.direction[rows],
+        truth.cell[rows],
         truth.order[rows],
-    )  # fmt: skip
+    )
 
 
 def farthest_cell(window: Window) -> Cell:
@@ -325,10 +354,13 @@ class GhostMap:
     def to_dict(self) -> dict[str, Any]:
         """Numbers for the report, shares to four digits: counts of few rays have no more."""
         return {
-            "slope": [np.round(s, 6) for s in self.slope], "rays_a_direction": PLACES, "worst_difference": self.worst,
-            "alive": np.round(self.alive, 4), "ghost": np.round(self.ghost, 4),
+            "slope": [np.round(s, 6) for s in self.slope],
+            "rays_a_direction": PLACES,
+            "worst_difference": self.worst,
+            "alive": np.round(self.alive, 4),
+            "ghost": np.round(self.ghost, 4),
             "closed_form": np.round(self.closed_form, 4),
-        }  # fmt: skip
+        }
 
 
 def ghost_map(window: Window) -> GhostMap:
@@ -344,9 +376,12 @@ def ghost_map(window: Window) -> GhostMap:
     direction[~forward] = middle_direction(window)
     places = window.lattice.over_cell(sobol(PLACES, 2))
     lit = launched(
-        window, np.tile(places, (len(direction), 1)), np.repeat(direction, PLACES, axis=0), central_cell(window),
+        window,
+        np.tile(places, (len(direction), 1)),
+        np.repeat(direction, PLACES, axis=0),
+        central_cell(window),
         middle_direction(window),
-    )  # fmt: skip
+    )
     fate = trace(window, lit.rays, path="size").fate.reshape(len(direction), PLACES)
     alive, ghost = ((fate == f).mean(axis=1) for f in (Fate.ALIVE, Fate.GHOST))
     closed = share(cells, direction)

@@ -51,7 +51,8 @@ def _mesh_formats() -> list[str]:
 
 """Mesh formats for which the size of a master file is reported."""
 ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
-"""Allowed orders: the direction error is first order in the facet size; the mean slope, and so eta, is second order."""
+"""Allowed orders: the direction error is first order in the facet size; the mean slope, and so eta, is
+second order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,8 @@ class Convergence:
     order_direction, order_fitted : float
         Fitted exponents of the facet size.
     masters : mapping
-        Format → the facets and bytes at which light through such a file meets the design's limits; empty if none.
+        Format → the facets and bytes at which light through such a file meets the design's limits; empty if
+        none.
     law_rms : float, radians
         The rms limit of that light.
     """
@@ -106,17 +108,23 @@ def converge(
     slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]
     grader = Grader.of(Meshes(window), design)
     return Convergence(
-        np.array(quads), np.array(errors), np.array(etas), slopes[0], slopes[1],
-        masters(grader, _mesh_formats()), grader.limits.rms,
-    )  # fmt: skip
+        np.array(quads),
+        np.array(errors),
+        np.array(etas),
+        slopes[0],
+        slopes[1],
+        masters(grader, _mesh_formats()),
+        grader.limits.rms,
+    )
 
 
 def convergence_check(found: Convergence | None, why: str = "") -> Check:
     """Judge the fitted order of the direction error; the order of η is reported with it."""
     common: dict[str, Any] = {
         "required": False,
-        "bundle": f"{RAYS} Sobol rays, seed 0, the same at every refinement", "limit_source": derived("facet slopes err as their size"),
-    }  # fmt: skip
+        "bundle": f"{RAYS} Sobol rays, seed 0, the same at every refinement",
+        "limit_source": derived("facet slopes err as their size"),
+    }
     if found is None:
         return CONVERGENCE.not_run(
             why, unit=CONVERGENCE.unit, relation=CONVERGENCE.relation, where=CONVERGENCE.where, **common
@@ -127,17 +135,25 @@ def convergence_check(found: Convergence | None, why: str = "") -> Check:
         for q, d, e in zip(found.quads, found.direction, found.fitted, strict=True)
     )
     sentence = (
-        f"quads a side: {row}; the direction error falls as the facet size to the power {found.order_direction:.2f}, "
-        f"that of eta to the power {found.order_fitted:.2f}"
+        f"quads a side: {row}; the direction error falls as the facet size to the power"
+        f" {found.order_direction:.2f}, that of eta to the power {found.order_fitted:.2f}"
     )
     sentence += f"; {_masters_text(found)}"
     good = low <= found.order_direction <= high and found.fitted[-1] <= found.fitted[0]
     return CONVERGENCE.check(
-        "pass" if good else "fail", sentence, found.order_direction, f"{low:g} … {high:g}",
-        detail={"quads": found.quads, "direction": found.direction, "eta": found.fitted, "order_eta": found.order_fitted,
-                "masters": {name: asdict(one) for name, one in found.masters.items()}},
+        "pass" if good else "fail",
+        sentence,
+        found.order_direction,
+        f"{low:g} … {high:g}",
+        detail={
+            "quads": found.quads,
+            "direction": found.direction,
+            "eta": found.fitted,
+            "order_eta": found.order_fitted,
+            "masters": {name: asdict(one) for name, one in found.masters.items()},
+        },
         **common,
-    )  # fmt: skip
+    )
 
 
 def _masters_text(found: Convergence) -> str:
@@ -246,8 +262,11 @@ def _map(
     slopes = np.linspace(-reach, reach, MAP)
     direction = _directions(window, axis, slopes)
     lit = launched(
-        window, np.tile(place[:, None] * along, (MAP, 1)), np.repeat(direction, MAP, axis=0), central_cell(window),
+        window,
+        np.tile(place[:, None] * along, (MAP, 1)),
+        np.repeat(direction, MAP, axis=0),
+        central_cell(window),
         direction[MAP // 2],
-    )  # fmt: skip
+    )
     error = measure(send, lit, RequestedLaw.of(window)).error
     return place, thin_cells(window).slopes(direction)[:, axis], error.reshape(MAP, MAP)

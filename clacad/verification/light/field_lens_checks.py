@@ -1,4 +1,5 @@
-"""Checks of a field lens: it lies at the foci, images lens 1 onto lens 2, fills the field and preserves the law.
+"""Checks of a field lens: it lies at the foci, images lens 1 onto lens 2, fills the field and preserves the
+law.
 
 Light along the axis and through the middle of cell 1 is traced face by face through the window as built. The
 checks do not use how the faces were computed.
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 FOCUS, MOVED, SHARE, LAW = 0.01, 0.02, 0.95, 1.2
-"""Limits: face from focus over f1; du/dt over s; share over that of thin lenses; rms error over that without a field lens."""
+"""Limits: face from focus over f1; du/dt over s; share over that of thin lenses; rms error over that without
+a field lens."""
 
 PART = 0.9
 """Part of the full field at which the share is measured."""
@@ -76,7 +78,9 @@ def _focus(window: Window) -> Check:
 
 
 def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: Floats, axis: int) -> float:
-    """Distance (length) along the axis from the crossing of parabasal light and the axis ray to a vertex (3,)."""
+    """Distance (length) along the axis from the crossing of parabasal light and the axis ray to a vertex
+    (3,).
+    """
     turn = window.thin.rotation
     aside = STEP * window.lattice.circumradius * turn[:, axis]
     rays = Rays(start + np.array([np.zeros(3), aside, -aside]), np.tile(turn[:, 2], (3, 1)))
@@ -106,8 +110,8 @@ def _pupil(window: Window) -> Check:
     at = seen.hits[second].mean(axis=0) @ turn
     moved = [abs(at[2 * k, k] - at[2 * k + 1, k]) / (2.0 * SLOPE * s) for k in (0, 1)]
     sentence = (
-        f"light through the middle of cell 1 moves over lens 2 by {moved[0]:.3g}, {moved[1]:.3g} of the separation a unit "
-        "of slope (x, y); without a field lens it would be 1"
+        f"light through the middle of cell 1 moves over lens 2 by {moved[0]:.3g}, {moved[1]:.3g} of the"
+        " separation a unit of slope (x, y); without a field lens it would be 1"
     )
     return PUPIL.judge(max(moved), MOVED, sentence)
 
@@ -132,7 +136,10 @@ def _throughput(window: Window) -> Check:
             ratio = passed / closed if closed > 0.0 else np.nan
             if ratio < worst:
                 worst, at = ratio, passed
-    sentence = f"at {PART:g} of the full field {at:.3f} of the light passes at worst, {worst:.3f} of what thin lenses pass"
+    sentence = (
+        f"at {PART:g} of the full field {at:.3f} of the light passes at worst, {worst:.3f} of what thin"
+        " lenses pass"
+    )
     value = worst if worst < np.inf else np.nan
     text = f"4 directions, {RAYS} Sobol rays each over the whole cell"
     return FIELD_THROUGHPUT.judge(value, SHARE, sentence, bundle=text)
@@ -164,7 +171,7 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
     rms = [one.rms_of(both) for one in light]
     ratio = rms[0] / rms[1] if rms[1] > 0.0 else np.nan
     sentence = (
-        f"of the light that passes with and without the field lens the rms error is {1e3 * rms[0]:.4g} mrad with it, "
-        f"{1e3 * rms[1]:.4g} mrad without"
+        f"of the light that passes with and without the field lens the rms error is {1e3 * rms[0]:.4g} mrad"
+        f" with it, {1e3 * rms[1]:.4g} mrad without"
     )
     return FIELD_LAW.judge(ratio, LAW, sentence, bundle=str(lit[0]))

@@ -69,21 +69,25 @@ def image_checks(lit: Lit) -> Iterator[Check]:
     assert width is not None  # an imaging design has no table
     limit = max(*width, NEAR * abs(distance))
     yield IMAGE_POINT.judge(
-        off, limit,
-        f"light of the asked point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g}, {place[1]:.3g}), {off:.3g} {unit} from "
-        f"where the law has it ({distance:.6g})",
-        unit=unit, bundle=text,
+        off,
+        limit,
+        f"light of the asked point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g},"
+        f" {place[1]:.3g}), {off:.3g} {unit} from where the law has it ({distance:.6g})",
+        unit=unit,
+        bundle=text,
         detail={"found": place.tolist(), "share": one.share},
-    )  # fmt: skip
+    )
     narrow = _allowed(design, window, width, distance)
     worst = max(range(2), key=lambda k: one.found.spot[k] / narrow[k])
     yield SPOT.judge(
-        one.found.spot[worst], narrow[worst],
-        f"there it is {one.found.spot[0]:.4g}, {one.found.spot[1]:.4g} {unit} wide (rms in x and y); cells alone leave "
-        f"{width[worst] / sqrt(12.0):.4g}",
-        unit=unit, bundle=text,
+        one.found.spot[worst],
+        narrow[worst],
+        f"there it is {one.found.spot[0]:.4g}, {one.found.spot[1]:.4g} {unit} wide (rms in x and y); cells"
+        f" alone leave {width[worst] / sqrt(12.0):.4g}",
+        unit=unit,
+        bundle=text,
         detail={"spot": list(one.found.spot), "width": list(width)},
-    )  # fmt: skip
+    )
 
 
 def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> Pair2:

@@ -44,7 +44,8 @@ FIT_SCALE = 0.1
 """Aperture and field of the bundle on which η and δ are fitted, over those of the main bundle."""
 
 MERIDIANS = 0.002
-"""Largest allowed difference of the two meridians' defects of confocality, over the separation, for any design."""
+"""Largest allowed difference of the two meridians' defects of confocality, over the separation, for any
+design."""
 
 WORTH_SAYING = 0.005
 """Smallest on-axis share of light lost to diffraction that is reported with the traced share."""
@@ -83,7 +84,8 @@ class Turn:
     angle : radians
         In (−π/2, π/2]; positive means φ is larger than requested.
     doubt : radians
-        Turn that the light unexplained by the fit could cause; infinite where η is the same in both meridians.
+        Turn that the light unexplained by the fit could cause; infinite where η is the same in both
+        meridians.
     """
 
     angle: float
@@ -124,8 +126,10 @@ def turn_of(light: Light) -> Turn | None:
     Notes
     -----
     In the lens frame the law is affine in slopes, t' = J t + b; lenses turned by α about their axis have
-    J = ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. A turn α is therefore visible in
-    first order. A lean of the axis is not: it shifts b alone, as δ does. Only squared slopes separate lean and δ,
+    J = ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. A turn α is therefore visible
+    in
+    first order. A lean of the axis is not: it shifts b alone, as δ does. Only squared slopes separate lean
+    and δ,
     and aberration hides those.
     """
     if light.fit is None:
@@ -214,8 +218,8 @@ def _spread(limit: float, seen: Optics) -> Check:
         return _too_dark(SPREAD, limit)
     middle, worst = float(values[0]), float(np.nanmax(values))
     sentence = (
-        f"parallel light in the middle of the field leaves within {1e3 * middle:.4g} mrad rms of its mean, whatever "
-        f"part of the lens it meets; {1e3 * worst:.4g} mrad at the rim of the field"
+        f"parallel light in the middle of the field leaves within {1e3 * middle:.4g} mrad rms of its mean,"
+        f" whatever part of the lens it meets; {1e3 * worst:.4g} mrad at the rim of the field"
     )
     return SPREAD.judge(middle, limit, sentence, **_over_points(values, seen))
 
@@ -232,22 +236,28 @@ def _fit_checks(design: Design, seen: Optics) -> Iterator[Check]:
     eta = np.array([law.eta_x / asked.eta_x - 1.0, law.eta_y / asked.eta_y - 1.0])
     delta = np.array([law.delta_x - asked.delta_x, law.delta_y - asked.delta_y])
     yield ETA.judge(
-        float(np.abs(eta).max()), spec.eta,
-        f"measured eta = {law.eta_x:.6g}, {law.eta_y:.6g}; asked {asked.eta_x:.6g}, {asked.eta_y:.6g}", bundle=text,
+        float(np.abs(eta).max()),
+        spec.eta,
+        f"measured eta = {law.eta_x:.6g}, {law.eta_y:.6g}; asked {asked.eta_x:.6g}, {asked.eta_y:.6g}",
+        bundle=text,
         detail={"measured": (law.eta_x, law.eta_y), "asked": (asked.eta_x, asked.eta_y), "sigma": fit.sigma},
-    )  # fmt: skip
+    )
     yield DELTA.judge(
-        float(np.abs(delta).max()), spec.delta,
-        f"measured delta = {digits(law.delta_x)}, {digits(law.delta_y)}; asked {asked.delta_x:.6g}, {asked.delta_y:.6g}",
-        bundle=text, detail={"measured": (law.delta_x, law.delta_y), "asked": (asked.delta_x, asked.delta_y)},
-    )  # fmt: skip
+        float(np.abs(delta).max()),
+        spec.delta,
+        f"measured delta = {digits(law.delta_x)}, {digits(law.delta_y)}; asked {asked.delta_x:.6g},"
+        f" {asked.delta_y:.6g}",
+        bundle=text,
+        detail={"measured": (law.delta_x, law.delta_y), "asked": (asked.delta_x, asked.delta_y)},
+    )
     yield _tilt(design, delta, seen.turn, text)
 
 
 def _tilt(design: Design, delta: Floats, turn: Turn | None, lit: str) -> Check:
     """Judge the orientation of the lenses: the turn about their axis by light, the lean by the error of δ.
 
-    A lean τ of the axis and δ act as one offset, δ + (1 − η)τ to first order. The limit of δ is therefore also a
+    A lean τ of the axis and δ act as one offset, δ + (1 − η)τ to first order. The limit of δ is therefore
+    also a
     limit of the lean, and of the turn. A turn is visible where the two η differ; there the check is required.
     """
     asked = design.law
@@ -258,11 +268,17 @@ def _tilt(design: Design, delta: Floats, turn: Turn | None, lit: str) -> Check:
         return TILT.not_run(why, required=False, where=TILT.where, bundle=lit)
     lean, limits = np.abs(delta[acts]) / weight[acts], design.check.delta / weight[acts]
     value, limit = float(lean[np.argmax(lean / limits)]), float(limits[np.argmax(lean / limits)])
-    text = f"theta and delta act alike: the error of delta is that of lenses which lean by {degrees(hypot(*lean)):.3g} deg"
+    text = (
+        "theta and delta act alike: the error of delta is that of lenses which lean by"
+        f" {degrees(hypot(*lean)):.3g} deg"
+    )
     allowed = float(limits.min())
     measured = turn is not None and (turn.doubt <= allowed or abs(turn.angle) > allowed + turn.doubt)
     if turn is not None and measured:
-        text = f"the lenses' meridians stand turned by {degrees(turn.angle):.3g} deg about their axis; for its lean, {text}"
+        text = (
+            f"the lenses' meridians stand turned by {degrees(turn.angle):.3g} deg about their axis; for its"
+            f" lean, {text}"
+        )
         if abs(turn.angle) / allowed >= value / limit:
             value, limit = abs(turn.angle), allowed
     else:
@@ -271,10 +287,18 @@ def _tilt(design: Design, delta: Floats, turn: Turn | None, lit: str) -> Check:
         )
         text = f"eta_x and eta_y are {alike}, so this is delta as an angle; {text}"
     return TILT.judge(
-        degrees(value), degrees(limit), text, required=measured, bundle=lit,
-        detail={"lean": lean.tolist(), "turn": None if turn is None else turn.angle,
-                "doubt": None if turn is None else turn.doubt, "measured": measured},
-    )  # fmt: skip
+        degrees(value),
+        degrees(limit),
+        text,
+        required=measured,
+        bundle=lit,
+        detail={
+            "lean": lean.tolist(),
+            "turn": None if turn is None else turn.angle,
+            "doubt": None if turn is None else turn.doubt,
+            "measured": measured,
+        },
+    )
 
 
 def accounting(light: Light) -> Check:
@@ -287,13 +311,19 @@ def accounting(light: Light) -> Check:
     good = missing == 0 and nan == 0
     listed = ", ".join(f"{name} {number}" for name, number in counts.items() if number)
     return ACCOUNTING.check(
-        "pass" if good else "fail", f"every ray has one fate: {listed}", float(missing + nan), 0.0,
-        bundle=str(light.lit), detail={"counts": counts},
-    )  # fmt: skip
+        "pass" if good else "fail",
+        f"every ray has one fate: {listed}",
+        float(missing + nan),
+        0.0,
+        bundle=str(light.lit),
+        detail={"counts": counts},
+    )
 
 
 def throughput(lit: Lit) -> Iterator[Check]:
-    """Judge the share of light through corresponding lenslets, compared with the closed form of thin lenses."""
+    """Judge the share of light through corresponding lenslets, compared with the closed form of thin
+    lenses.
+    """
     window, seen = lit.like, lit.optics
     cells = thin_cells(window)
     alive = seen.main.share
@@ -309,14 +339,24 @@ def throughput(lit: Lit) -> Iterator[Check]:
     lost = diffraction_loss(fresnel_numbers(cells, wave))
     kept = (1.0 - lost[0]) * (1.0 - lost[1])
     if max(lost) >= WORTH_SAYING:
-        sentence += f"; rays: waves may leave {kept:.3f} of that, for diffraction takes up to {100.0 * lost[0]:.2g} % along lens x and "
+        sentence += (
+            f"; rays: waves may leave {kept:.3f} of that, for diffraction takes up to {100.0 * lost[0]:.2g} %"
+            " along lens x and "
+        )
         sentence += f"{100.0 * lost[1]:.2g} % along y to neighbours (clacad wave)"
     yield THROUGHPUT.judge(
-        value, lit.design.check.throughput, sentence,
+        value,
+        lit.design.check.throughput,
+        sentence,
         bundle=str(seen.main.lit),
-        detail={"middle": middle, "middle_closed_form": closed_form, "mean": alive, "mean_closed_form": mean,
-                "diffraction_keeps": kept},
-    )  # fmt: skip
+        detail={
+            "middle": middle,
+            "middle_closed_form": closed_form,
+            "mean": alive,
+            "mean_closed_form": mean,
+            "diffraction_keeps": kept,
+        },
+    )
 
 
 def confocality_check(lit: Lit) -> Iterator[Check]:
@@ -330,22 +370,35 @@ def confocality_check(lit: Lit) -> Iterator[Check]:
     value, between = found.defect, found.astigmatism
     goal = "share a focal plane with lens 1" if design.pair.focus is None else "image as pair.focus asks"
     sentence = (
-        f"lens 2 would have to move by {digits(value, count=4)} of the distance between the lenses to {goal} "
-        f"(x {digits(found.shift[0] / found.distance, count=4)}, y {digits(found.shift[1] / found.distance, count=4)})"
+        f"lens 2 would have to move by {digits(value, count=4)} of the distance between the lenses to {goal}"
+        f" (x {digits(found.shift[0] / found.distance, count=4)}, y"
+        f" {digits(found.shift[1] / found.distance, count=4)})"
     )
     if value > limit and design.pair.confocal != "exact":
         sentence += '; pair.confocal = "exact" would make it 0'
     check = CONFOCALITY.judge(
-        value, limit, sentence,
+        value,
+        limit,
+        sentence,
         bundle="four differential rays about the axis ray",
-        detail={"shift": found.shift, "distance": found.distance, "between_meridians": between, "power": found.power},
-    )  # fmt: skip
+        detail={
+            "shift": found.shift,
+            "distance": found.distance,
+            "between_meridians": between,
+            "power": found.power,
+        },
+    )
     if between > MERIDIANS and check.state != "fail":
         text = (
             f"{sentence}; the two meridians differ by {between:.4g} of that distance, more than {MERIDIANS:g}"
         )
         check = replace(
-            check, state="fail", value=between, limit=MERIDIANS, unit="of separation, between meridians", sentence=text,
+            check,
+            state="fail",
+            value=between,
+            limit=MERIDIANS,
+            unit="of separation, between meridians",
+            sentence=text,
             limit_source=other("fixed: no design may differ more between its meridians"),
-        )  # fmt: skip
+        )
     yield check

@@ -1,7 +1,9 @@
 """Every check by light of a window as built: the law, the transmitted share, confocality.
 
-In a non-uniform sheet one cell represents all: the cell whose light leaves farthest from the law. It is chosen from
-a sample over the sheet and from the cells whose lenses lie farthest out. Light of that cell's own field is traced
+In a non-uniform sheet one cell represents all: the cell whose light leaves farthest from the law. It is
+chosen from
+a sample over the sheet and from the cells whose lenses lie farthest out. Light of that cell's own field is
+traced
 through the whole sheet, neighbours included.
 """
 
@@ -48,7 +50,9 @@ def _named(seen: SeenCell, check: Check) -> Check:
 
 
 def _fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Optics:
-    """Optics with η, δ and turn fitted to light of the field centres of all cells, each lit in its own field."""
+    """Optics with η, δ and turn fitted to light of the field centres of all cells, each lit in its own
+    field.
+    """
     rays, seen = through_all(tried, FIT_SCALE * field)
     into = Rays(rays.position, _as_in_the_middle(tried, rays.direction))
     narrow = Light(
@@ -58,7 +62,8 @@ def _fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Opt
 
 
 def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
-    """Directions (n, 3) of light of cells with their own laws, mapped to the equivalent input of the middle's law.
+    """Directions (n, 3) of light of cells with their own laws, mapped to the equivalent input of the
+    middle's law.
 
     With t' = (t − δ)/η, the effect of a cell on slope t equals that of the middle on (t − δ) η₀/η + δ₀.
     """

@@ -1,7 +1,9 @@
 """Share of the light an eye sees from the whole sheet that obeys the law, over the sheet and as a mean.
 
-The field of one cell is narrow. An eye near a wide sheet sees its border obliquely, where light enters lenslets
-other than the partner. The share is traced through the exact surfaces and computed in closed form of thin lenses.
+The field of one cell is narrow. An eye near a wide sheet sees its border obliquely, where light enters
+lenslets
+other than the partner. The share is traced through the exact surfaces and computed in closed form of thin
+lenses.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ PLACES = 48
 
 
 FARTHEST = 1000.0
-"""Pitches between a lens and the landing point of undeviated light; beyond, no lens reaches its partner: not traced."""
+"""Pitches between a lens and the landing point of undeviated light; beyond, no lens reaches its partner: not
+traced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +60,9 @@ class Viewed:
 
 
 def viewer_of(design: Design) -> tuple[float, float, float]:
-    """Position of the eye: on the axis as in [check] viewer; else the aim point of the cells; else 1 m before the sheet."""
+    """Position of the eye: on the axis as in [check] viewer; else the aim point of the cells; else 1 m
+    before the sheet.
+    """
     distance, _ = design.viewing_places
     aperture = design.lattice.aperture
     if distance is None and isinstance(aperture, AimedAt):
@@ -104,7 +109,9 @@ def _thin_share(window: Window, cells: Ints, viewer: tuple[float, float, float])
 def share_map(
     window: Window, viewer: tuple[float, float, float]
 ) -> tuple[Floats, tuple[float, float, float, float]]:
-    """Thin share (PLACES, PLACES), [y, x], NaN outside the sheet, and its (x_min, x_max, y_min, y_max), lengths."""
+    """Thin share (PLACES, PLACES), [y, x], NaN outside the sheet, and its (x_min, x_max, y_min, y_max),
+    lengths.
+    """
     x0, x1, y0, y1 = window.lattice.extent()
     y, x = np.meshgrid(
         *(np.linspace(a, b, 2 * PLACES + 1)[1::2] for a, b in ((y0, y1), (x0, x1))), indexing="ij"
@@ -121,7 +128,9 @@ def _slopes(place: Floats, viewer: tuple[float, float, float]) -> Floats:
 
 
 def _kept_cells(window: Window, unit_square: Floats) -> tuple[Ints, Ints]:
-    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the indices (k,) of their points."""
+    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the indices (k,) of their
+    points.
+    """
     lattice = window.lattice
     n1, n2 = lattice.count
     i, j = (np.floor(unit_square * (n1, n2)).astype(np.int64)).T

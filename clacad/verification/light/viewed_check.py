@@ -31,10 +31,13 @@ def viewed_check(lit: Lit) -> Iterator[Check]:
     if not found.traced >= limit:
         sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %); the rest meets other lenslets"
     check = VIEWED.judge(
-        found.traced, limit, sentence, required=stated,
+        found.traced,
+        limit,
+        sentence,
+        required=stated,
         bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0",
         detail={"viewer": found.viewer, "thin": found.thin, "stated": stated, "eye": eye},
-    )  # fmt: skip
+    )
     yield replace(check, state="warn") if check.state == "fail" and not stated else check
 
 

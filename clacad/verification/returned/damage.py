@@ -1,6 +1,7 @@
 """Damage to a part: drilled holes, engraved steps, dents, with their position and size.
 
-A hole in a closed mesh has walls. Walls of the design lie only on the borders of its cells and around its rim;
+A hole in a closed mesh has walls. Walls of the design lie only on the borders of its cells and around its
+rim;
 walls elsewhere are damage. Connected walls are one feature.
 """
 
@@ -81,7 +82,10 @@ class DamageFeature:
                 f"an opening of {number(self.size[0])} x {number(self.size[1])} at {at} through {self.body}"
             )
         else:
-            what = f"a step of {number(self.depth)} over {number(self.size[0])} x {number(self.size[1])} at {at} in {self.body}"
+            what = (
+                f"a step of {number(self.depth)} over {number(self.size[0])} x {number(self.size[1])} at {at}"
+                f" in {self.body}"
+            )
         if not self.cells:
             return f"{what}, beside the cells"
         some = ", ".join(str(c) for c in self.cells[:6]) + (" …" if len(self.cells) > 6 else "")
@@ -91,11 +95,15 @@ class DamageFeature:
         """JSON-ready numbers; lengths in mm."""
         mm = millimetres(unit_m)
         return {
-            "kind": self.kind, "body": self.body, "x_mm": self.centre[0] * mm, "y_mm": self.centre[1] * mm,
-            "size_mm": [v * mm for v in self.size], "depth_mm": self.depth * mm,
+            "kind": self.kind,
+            "body": self.body,
+            "x_mm": self.centre[0] * mm,
+            "y_mm": self.centre[1] * mm,
+            "size_mm": [v * mm for v in self.size],
+            "depth_mm": self.depth * mm,
             "diameter_mm": self.size[0] * mm if self.kind in ("hole", "blind hole") else None,
             "cells": [list(c) for c in self.cells],
-        }  # fmt: skip
+        }
 
 
 def _both(unit: str, unit_m: float) -> Any:
@@ -173,7 +181,9 @@ def _made_walls(window: Window, corners: Floats, noise: float) -> Floats:
 
 
 def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArray[np.bool_]:
-    """Which points (n, 2) are farther than `room` inside the rim of a body and from the borders of its kept cells."""
+    """Which points (n, 2) are farther than `room` inside the rim of a body and from the borders of its kept
+    cells.
+    """
     x0, x1, y0, y1 = body_extent(window, body)
     if isinstance(window.outline, Circle):
         middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
@@ -247,8 +257,14 @@ def _feature(window: Window, body: Body, corners: Floats, noise: float) -> Damag
         return DamageFeature(kind, body.name, (x, y), (2.0 * radius, 2.0 * radius), depth, cells)
     centre = 0.5 * (low[:2] + high[:2])
     cells = _cells_under(window, body, (centre[0], centre[1]), (0.5 * size[0], 0.5 * size[1]), False)
-    return DamageFeature("opening" if through else "step", body.name, (float(centre[0]), float(centre[1])),
-                   (float(size[0]), float(size[1])), depth, cells)  # fmt: skip
+    return DamageFeature(
+        "opening" if through else "step",
+        body.name,
+        (float(centre[0]), float(centre[1])),
+        (float(size[0]), float(size[1])),
+        depth,
+        cells,
+    )
 
 
 def _thickness(window: Window, body: Body, points: Floats) -> float:
@@ -329,24 +345,31 @@ class Dent:
         """JSON-ready numbers: position in mm, depth in µm."""
         mm = millimetres(unit_m)
         return {
-            "face": self.face, "cell": list(self.cell), "x_mm": self.place[0] * mm, "y_mm": self.place[1] * mm,
+            "face": self.face,
+            "cell": list(self.cell),
+            "x_mm": self.place[0] * mm,
+            "y_mm": self.place[1] * mm,
             "depth_um": self.depth * unit_m / MICRON,
-        }  # fmt: skip
+        }
 
     def words(self, unit_m: float) -> str:
         """Text of the dent."""
         told = self.to_dict(unit_m)
         kind = "too low" if self.depth > 0.0 else "too high"
         return (
-            f"{self.face} is {abs(told['depth_um']):.4g} µm {kind} at x {told['x_mm']:.4g}, y {told['y_mm']:.4g} mm, "
-            f"cell {self.cell}"
+            f"{self.face} is {abs(told['depth_um']):.4g} µm {kind} at x {told['x_mm']:.4g}, y"
+            f" {told['y_mm']:.4g} mm, cell {self.cell}"
         )
 
 
 def find_dents(
-    window: Window, mesh: FileMesh, factor: float, present: Sequence[str], damaged: Sequence[tuple[int, tuple[int, int]]],
+    window: Window,
+    mesh: FileMesh,
+    factor: float,
+    present: Sequence[str],
+    damaged: Sequence[tuple[int, tuple[int, int]]],
     noise: float = 0.0,
-) -> list[Dent]:  # fmt: skip
+) -> list[Dent]:
     """Find the deepest point of each damaged face of a cell, in one more pass.
 
     Parameters

@@ -1,7 +1,10 @@
-"""Maps of a part's deviation: folded into one cell, which shows the process, and cell by cell, which shows damage.
+"""Maps of a part's deviation: folded into one cell, which shows the process, and cell by cell, which shows
+damage.
 
-Only corners of facets are compared: they were measured or written, while a mesh has no data between them. Deviations
-are along the normals of the exact faces and averaged over bins. The noise averages out and is reported separately.
+Only corners of facets are compared: they were measured or written, while a mesh has no data between them.
+Deviations
+are along the normals of the exact faces and averaged over bins. The noise averages out and is reported
+separately.
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ class FaceMap:
     name : str
         Such as "array1 front".
     folded, count : (bins, bins)
-        Mean deviation (length, weighted by area) over the bounding box of a cell, all cells on top of each other,
+        Mean deviation (length, weighted by area) over the bounding box of a cell, all cells on top of each
+        other,
         x first, NaN in empty bins; and the effective number of equally weighted corners.
     noise : float, length
         Rms of single corners about their bin's mean.
@@ -76,7 +80,8 @@ class FaceMap:
     number: int
 
     def damaged(self, limit: float) -> list[tuple[int, int]]:
-        """Cells (counted from the first) that deviate more than the others, by their rms or by a single corner.
+        """Cells (counted from the first) that deviate more than the others, by their rms or by a single
+        corner.
 
         limit : length
             Allowed deviation of a sound face of this file.
@@ -86,7 +91,8 @@ class FaceMap:
         return [(int(i), int(j)) for i, j in np.argwhere(bad)]
 
     def worst_cell(self, limit: float) -> tuple[float, float]:
-        """Deviation of the most conspicuous cell, and its allowed deviation (lengths); NaN where too few are known.
+        """Deviation of the most conspicuous cell, and its allowed deviation (lengths); NaN where too few are
+        known.
 
         limit : length
             As in `damaged`.
@@ -97,7 +103,9 @@ class FaceMap:
         )
 
     def _against(self, limit: float) -> list[tuple[Floats, float]]:
-        """Rms and peaks of the cells (n1, n2), each with its limit for a cell; empty for fewer than four cells."""
+        """Rms and peaks of the cells (n1, n2), each with its limit for a cell; empty for fewer than four
+        cells.
+        """
         known = np.isfinite(self.cells)
         if known.sum() < 4:
             return []
@@ -171,14 +179,25 @@ class DeviationMap:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content: numbers with seven digits, null in empty bins."""
         return {
-            "unit": self.unit, "unit_mm": millimetres(self.unit_m), "low": self.low.tolist(), "high": self.high.tolist(),
+            "unit": self.unit,
+            "unit_mm": millimetres(self.unit_m),
+            "low": self.low.tolist(),
+            "high": self.high.tolist(),
             "faces": [
-                {"name": f.name, "noise": f.noise, "rms": f.rms, "systematic": f.systematic,
-                 "folded": _grid(f.folded), "count": f.count.tolist(), "cells": _grid(f.cells)}
+                {
+                    "name": f.name,
+                    "noise": f.noise,
+                    "rms": f.rms,
+                    "systematic": f.systematic,
+                    "folded": _grid(f.folded),
+                    "count": f.count.tolist(),
+                    "cells": _grid(f.cells),
+                }
                 for f in self.faces
             ],
-            "first_cell": self.first.tolist(), "dents": [dent.to_dict(self.unit_m) for dent in self.dents],
-        }  # fmt: skip
+            "first_cell": self.first.tolist(),
+            "dents": [dent.to_dict(self.unit_m) for dent in self.dents],
+        }
 
 
 def _grid(values: Floats) -> list[list[float | None]]:
@@ -217,7 +236,8 @@ class Mapper:
         inward = (corners[good].mean(axis=1, keepdims=True) - corners[good]).reshape(-1, 3)
         aside = drawn_in(self.window, inward, self._noise)
         off = distance_to_faces(self.window, points, facing, self.present, self._between, aside)
-        # a scan's facets on a step may face either way: points nearer the other side are no deviation of this one
+        # a scan's facets on a step may face either way: points nearer the other side are no deviation of
+        # this one
         with np.errstate(invalid="ignore"):
             sound = np.abs(off.distance) < self._gross
         rows = np.flatnonzero(sound & self.window.lattice.contains(off.cell))
@@ -263,11 +283,16 @@ class Mapper:
             sqrt(float(np.average(spread[filled], weights=count[filled]))) if filled.any() else float("nan")
         )
         return FaceMap(
-            name, mean.reshape(BINS, BINS), count.astype(np.int64).reshape(BINS, BINS), noise,
+            name,
+            mean.reshape(BINS, BINS),
+            count.astype(np.int64).reshape(BINS, BINS),
+            noise,
             cells.reshape(self._shape),
-            np.where(np.isfinite(cells), self._peaks.reshape(len(self._sums[0]), -1)[number], np.nan).reshape(self._shape),
+            np.where(np.isfinite(cells), self._peaks.reshape(len(self._sums[0]), -1)[number], np.nan).reshape(
+                self._shape
+            ),
             number,
-        )  # fmt: skip
+        )
 
 
 def deviation_map(
@@ -327,12 +352,21 @@ def _draw_sheet(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) 
     i0, j0 = (int(v) for v in found.first)
     n1, n2 = face.cells.shape
     image = axes.imshow(
-        (face.cells * microns).T, origin="lower", cmap="viridis", aspect="equal", vmin=0.0,
+        (face.cells * microns).T,
+        origin="lower",
+        cmap="viridis",
+        aspect="equal",
+        vmin=0.0,
         extent=(i0 - 0.5, i0 + n1 - 0.5, j0 - 0.5, j0 + n2 - 0.5),
-    )  # fmt: skip
+    )
     mine = [dent for dent in found.dents if dent.face == face.name]
-    axes.scatter(*zip(*(d.cell for d in mine), strict=True), marker="s", facecolors="none",
-                 edgecolors="red") if mine else None  # fmt: skip
+    (
+        axes.scatter(
+            *zip(*(d.cell for d in mine), strict=True), marker="s", facecolors="none", edgecolors="red"
+        )
+        if mine
+        else None
+    )
     worst = f"\n{mine[0].words(found.unit_m).split(' is ', 1)[1]}" if mine else ""
     axes.set_title(f"rms of each cell{worst}", fontsize=8)
     across, along = (step * millimetres(found.unit_m) for step in found.steps)
@@ -351,9 +385,9 @@ def write_deviation(
     """
     stem = f"deviation-{safe_name(Path(name).stem)}"
     contents = {
-        f"{stem}.json": canonical_json(
-            {"kind": "deviation", "file": name, **plain(found.to_dict())}
-        ).encode(),
+        f"{stem}.json": (
+            canonical_json({"kind": "deviation", "file": name, **plain(found.to_dict())}).encode()
+        ),
         f"{stem}.png": plot_deviation(found, name),
     }
     with Stage(folder, overwrite=overwrite or _ours(Path(folder) / f"{stem}.json")) as stage:

@@ -1,6 +1,8 @@
-"""Judge a measured part in the design's frame: a scan, a slicer's repair, a piece; noise is reported separately.
+"""Judge a measured part in the design's frame: a scan, a slicer's repair, a piece; noise is reported
+separately.
 
-Unlike a file to be made, such a mesh may be open, in pieces, cut anywhere, with facets across the borders of cells.
+Unlike a file to be made, such a mesh may be open, in pieces, cut anywhere, with facets across the borders of
+cells.
 The criteria are those of other files: the position of its faces, and the direction of light through them.
 """
 
@@ -67,7 +69,9 @@ class Cutter(Gatherer):
 
 
 def cut_to(corners: Floats, polygon: Floats) -> Floats:
-    """Parts of facets (k, 3, 3) over a convex counter-clockwise polygon (m, 2), as facets of the same orientation."""
+    """Parts of facets (k, 3, 3) over a convex counter-clockwise polygon (m, 2), as facets of the same
+    orientation.
+    """
     inside = np.ones(len(corners), dtype=bool)
     for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         edge = end - start
@@ -143,11 +147,13 @@ def _with_damage(
     if not told:
         return checks, replace(evidence, facts=facts)
     named = [
-        _with_failure(
-            replace(c, sentence=f"{c.sentence}; {told}", detail={**c.detail, **detail}), mapped, limit
+        (
+            _with_failure(
+                replace(c, sentence=f"{c.sentence}; {told}", detail={**c.detail, **detail}), mapped, limit
+            )
+            if c.kind is SHAPE
+            else c
         )
-        if c.kind is SHAPE
-        else c
         for c in checks
     ]
     return named, replace(evidence, facts=facts)
@@ -177,7 +183,11 @@ def _damage(placed: Placed, mapped: DeviationMap, limit: float) -> tuple[Deviati
     window = placed.window
     bad = mapped.damaged(limit)
     worst = sorted(bad, key=lambda one: -_peak(mapped, one))[:SHOWN]
-    dents = find_dents(window, placed.mesh, placed.factor, placed.present, worst, placed.pose.residual) if worst else []  # fmt: skip
+    dents = (
+        find_dents(window, placed.mesh, placed.factor, placed.present, worst, placed.pose.residual)
+        if worst
+        else []
+    )
     features = find_features(window, placed.mesh, placed.factor, placed.present, placed.pose.residual)
     mapped = replace(mapped, dents=tuple(dents))
     cells = sorted({cell for _, cell in bad})
@@ -185,12 +195,15 @@ def _damage(placed: Placed, mapped: DeviationMap, limit: float) -> tuple[Deviati
     if len(features) > FEATURES:
         told.append(f"{len(features) - FEATURES} more holes and steps")
     if dents:
-        told.append(f"{len(cells)} cell{'s are' if len(cells) > 1 else ' is'} off by "
-                    f"{'themselves' if len(cells) > 1 else 'itself'}; worst: {dents[0].words(window.unit)}")  # fmt: skip
+        told.append(
+            f"{len(cells)} cell{'s are' if len(cells) > 1 else ' is'} off by "
+            f"{'themselves' if len(cells) > 1 else 'itself'}; worst: {dents[0].words(window.unit)}"
+        )
     detail = {
-        "damaged": [list(cell) for cell in cells[:SHOWN]], "dents": [dent.to_dict(window.unit) for dent in dents],
+        "damaged": [list(cell) for cell in cells[:SHOWN]],
+        "dents": [dent.to_dict(window.unit) for dent in dents],
         "features": [feature.to_dict(window.unit) for feature in features],
-    }  # fmt: skip
+    }
     return mapped, "; ".join(told), detail
 
 
@@ -265,7 +278,10 @@ def _with_holes(check: Check, dark: list[str], total: int) -> Check:
         return check
     return replace(
         check,
-        sentence=f"{check.sentence}; {len(dark)} of {total} cells have holes and were left out: {', '.join(dark[:4])}",
+        sentence=(
+            f"{check.sentence}; {len(dark)} of {total} cells have holes and were left out:"
+            f" {', '.join(dark[:4])}"
+        ),
     )
 
 
@@ -286,8 +302,8 @@ def _closed(placed: Placed, found: Measure, asked: Inspection) -> tuple[Check, R
         return CLOSED.check("warn", sentence, float(rim.count), required=False, **common), Role.SCAN
     at = ", ".join(f"{v:.6g}" for v in rim.place)
     sentence = (
-        f"the surface is not closed or not consistently wound: {rim.count} edges of {found.facets} facets have no "
-        f"partner, one at ({at}) in file units; a scan would be open all along its rim"
+        f"the surface is not closed or not consistently wound: {rim.count} edges of {found.facets} facets"
+        f" have no partner, one at ({at}) in file units; a scan would be open all along its rim"
     )
     return CLOSED.check("fail", sentence, float(rim.count), **common), role
 
@@ -316,8 +332,8 @@ def _shape(
     noise = max(face.noise for face in mapped.faces)
     mapped, damage, more = _damage(placed, mapped, limit)
     sentence = (
-        f"averaged over its cells {worst.name} lies up to {worst.systematic:.3g} {design.unit} off the exact face "
-        f"(rms {worst.rms:.3g}); single corners scatter by {noise:.3g}"
+        f"averaged over its cells {worst.name} lies up to {worst.systematic:.3g} {design.unit} off the exact"
+        f" face (rms {worst.rms:.3g}); single corners scatter by {noise:.3g}"
     )
     if step:
         sentence += f"; its numbers were rounded to {step:.3g}"
@@ -339,7 +355,9 @@ def _shape(
 def _shape_limit(
     design: Design, gathered: CellFacets, placed: Placed, step: float
 ) -> tuple[float, LimitSource]:
-    """Allowed deviation of faces (length): unavoidable error of their facets, and rounding to `step` (length)."""
+    """Allowed deviation of faces (length): unavoidable error of their facets, and rounding to `step`
+    (length).
+    """
     pitch = max(placed.window.lattice.pitch)
     if placed.mesh.format == STEP:  # corners of its facets lie on its faces, to float32
         reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
@@ -349,7 +367,8 @@ def _shape_limit(
 
 
 def rounding_step(placed: Placed) -> float:
-    """Largest power of ten that divides a file's heights, in its unit; 0 where only float32 rounding is found.
+    """Largest power of ten that divides a file's heights, in its unit; 0 where only float32 rounding is
+    found.
 
     Rounding moves one place of every cell alike, so it does not average out as noise does.
     """

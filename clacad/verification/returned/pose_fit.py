@@ -1,4 +1,6 @@
-"""The search for a pose: every unit and turn that gives the design's box, fitted to its faces by least squares."""
+"""The search for a pose: every unit and turn that gives the design's box, fitted to its faces by least
+squares.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,9 @@ class PartPose:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A part in one unit, turn and position, before the fit: points, facing, inward (n, 3) in design units."""
+    """A part in one unit, turn and position, before the fit: points, facing, inward (n, 3) in design
+    units.
+    """
 
     unit: str
     factor: float
@@ -117,9 +121,13 @@ class Trial:
     def off(self, turn: Floats, scale: float, move: Floats) -> FaceDistance:
         """Distances of the part from the faces after a similarity transform."""
         return distance_to_faces(
-            self.window, self.points @ turn.T / scale + move, self.facing @ turn.T, self.present, self.between,
+            self.window,
+            self.points @ turn.T / scale + move,
+            self.facing @ turn.T,
+            self.present,
+            self.between,
             self.inward @ turn.T,
-        )  # fmt: skip
+        )
 
 
 def robust(distance: Floats) -> float:
@@ -158,7 +166,9 @@ def all_trials(
     sample: Sample,
     frame: PartFrame,
 ) -> Iterator[Trial]:
-    """Every unit and turn of a frame's axes that gives the part the design's box, with its distance before any fit."""
+    """Every unit and turn of a frame's axes that gives the part the design's box, with its distance before
+    any fit.
+    """
     spans, between = [body_range(whole, body) for body in whole.bodies], levels(whole)
     heights = [high - low for low, high in (whole.z_range, *spans)]
     few = slice(None, None, max(1, len(sample.corners) // 3000))
@@ -183,9 +193,21 @@ def all_trials(
         for present, onto, move in places:
             off = distance_to_faces(window, here[some] + move, way[some], present, between, told[some])
             yield Trial(
-                name, factor, axes, frame, window, present, not cut, here, way, told, onto, move, between,
+                name,
+                factor,
+                axes,
+                frame,
+                window,
+                present,
+                not cut,
+                here,
+                way,
+                told,
+                onto,
+                move,
+                between,
                 robust(off.distance),
-            )  # fmt: skip
+            )
 
 
 def _states_unit(mesh: FileMesh) -> bool:
@@ -202,7 +224,9 @@ def units_of(mesh: FileMesh) -> list[tuple[str, float]]:
 def _fits(
     design: Design, whole: Window, fixed: bool, heights: Sequence[float], size: Floats
 ) -> tuple[Window, bool] | None:
-    """The design with the cells of a box of this size, and whether it is cut across cells; None if nothing fits."""
+    """The design with the cells of a box of this size, and whether it is cut across cells; None if nothing
+    fits.
+    """
     window = fitting_window(design, whole, fixed, heights, size)
     if window is not None:
         return window, False
@@ -229,7 +253,9 @@ def _onto(
 
 
 def _moves(window: Window, onto: Floats, cut: bool, axes: Floats | None) -> list[Floats]:
-    """Candidate displacements: none (the file's own frame), box onto box, and for a cut piece positions in a cell."""
+    """Candidate displacements: none (the file's own frame), box onto box, and for a cut piece positions in a
+    cell.
+    """
     if not cut:
         reach = 1e-3 * min(window.lattice.pitch)
         own = axes is not None and np.array_equal(axes, np.eye(3)) and bool((np.abs(onto) <= reach).all())
@@ -247,11 +273,14 @@ def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, ex
         f"{v * millimetres(design.unit_m):.4g}" for v in (x1 - x0, y1 - y0, np.subtract(*whole.z_range[::-1]))
     )
     if mesh.unit is not None and _states_unit(mesh):
-        return f"{subject.name} measures {size} in units of {mesh.unit:g} m and the design {want} mm, whichever way it is turned"
+        return (
+            f"{subject.name} measures {size} in units of {mesh.unit:g} m and the design {want} mm, whichever"
+            " way it is turned"
+        )
     tried = ", ".join(name for name, _ in FACTORS)
     return (
-        f"{subject.name} measures {size} and the design {want} mm; in none of the units {tried}, turned any way, are "
-        "they the same part or a piece of it"
+        f"{subject.name} measures {size} and the design {want} mm; in none of the units {tried}, turned any"
+        " way, are they the same part or a piece of it"
     )
 
 
@@ -261,7 +290,9 @@ Fit = tuple[Trial, PartPose]
 
 
 def fitted(trial: Trial) -> Fit:
-    """Fit rotation, displacement and scale by least squares, point to plane, with outliers weighted down (Huber)."""
+    """Fit rotation, displacement and scale by least squares, point to plane, with outliers weighted down
+    (Huber).
+    """
     points = trial.points
     turn, scale, move = np.eye(3), 1.0, trial.move.copy()
     best = (trial.residual, turn, scale, move)
@@ -309,7 +340,8 @@ def nearest_axes(turn: Floats) -> Floats:
 def worth_fitting(trials: Sequence[Trial]) -> list[Trial]:
     """Nearest trials of each handedness; trials of equal distance are ordered by the smallest turn.
 
-    Of the positions tried for a piece in one turn only the best is kept. Otherwise a wrong turn in a good position
+    Of the positions tried for a piece in one turn only the best is kept. Otherwise a wrong turn in a good
+    position
     could displace the right turn in a bad one.
     """
     best: dict[tuple[object, ...], Trial] = {}
@@ -375,7 +407,9 @@ def _rotation(vector: Floats) -> Floats:
 
 
 def best_of(fits: Sequence[Fit]) -> Fit:
-    """Fit with the smallest residual; among equals, to rounding of the file, the one with the smallest turn."""
+    """Fit with the smallest residual; among equals, to rounding of the file, the one with the smallest
+    turn.
+    """
     least = min(pose.residual for _, pose in fits)
     level = _equal(least, fits[0][0].window)
     equal = [f for f in fits if f[1].residual <= level]
@@ -400,6 +434,6 @@ def one_unit(subject: Subject, fits: Sequence[Fit], best: Fit, pitch: float) -> 
     good = {f[1].unit for f in fits if f[1].residual <= max(2.0 * best[1].residual, 1e-6 * pitch)}
     if len(good) > 1:
         raise CannotRegister(
-            f"{subject.name} is the design in {' as well as in '.join(sorted(good))}: give the cells (--cells), or a "
-            "format that states its unit"
+            f"{subject.name} is the design in {' as well as in '.join(sorted(good))}: give the cells"
+            " (--cells), or a format that states its unit"
         )

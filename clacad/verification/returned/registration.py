@@ -1,7 +1,9 @@
 """Registration of a measured part: unit, turn, mirror, position, scale, and number of cells.
 
-A file without a manifest may be a scan, a slicer's repair, or a piece cut from the sheet. Its triangles are tried in
-every unit and in the 24 proper axis permutations (and in the 24 improper ones, to detect a mirrored part) that give it
+A file without a manifest may be a scan, a slicer's repair, or a piece cut from the sheet. Its triangles are
+tried in
+every unit and in the 24 proper axis permutations (and in the 24 improper ones, to detect a mirrored part)
+that give it
 the design's box. The best are fitted to the exact faces by robust least squares, point to plane.
 """
 
@@ -59,7 +61,8 @@ class Placed:
     window : Window
         Window with the cells that the part holds.
     mesh : FileMesh
-        In design units and the sheet frame, at the design's size; the file itself where the part lies as written.
+        In design units and the sheet frame, at the design's size; the file itself where the part lies as
+        written.
     factor : float
         Design units per unit of `mesh`.
     present : names of the bodies it holds
@@ -126,9 +129,13 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
 
 
 def _fits_in_frames(
-    design: Design, mesh: FileMesh, sample: Sample, whole: Window, trials: Sequence[Trial],
+    design: Design,
+    mesh: FileMesh,
+    sample: Sample,
+    whole: Window,
+    trials: Sequence[Trial],
     tried: Callable[[PartFrame], list[Trial]],
-) -> list[Fit]:  # fmt: skip
+) -> list[Fit]:
     """Fits of the file's own frame, and of further frames until one fit is certain.
 
     trials : of the file's own frame; tried : returns those of another frame
@@ -155,7 +162,9 @@ def _fits_in_frames(
 
 
 def _in_own_frame(whole: Window, trials: Sequence[Trial], unit: str) -> bool:
-    """Whether a file's box lies where the design's does, apart from the arrays' displacement: it was written there."""
+    """Whether a file's box lies where the design's does, apart from the arrays' displacement: it was written
+    there.
+    """
     pitch = min(whole.lattice.pitch)
     room = np.array([*(2.0 * np.abs(whole.shifts[1]) + 1e-3 * pitch), 1e-3 * pitch])
     return any(
@@ -188,8 +197,8 @@ def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: 
     wrong = twin.residual < BETTER * best.residual and best.residual > AS_WRITTEN * pitch
     if wrong:
         sentence = (
-            f"the part is the mirror image of the design: mirrored it fits to {twin.residual:.3g}, unmirrored only to "
-            f"{best.residual:.3g}"
+            f"the part is the mirror image of the design: mirrored it fits to {twin.residual:.3g}, unmirrored"
+            f" only to {best.residual:.3g}"
         )
         return HANDEDNESS.check("fail", sentence, best.residual, twin.residual, **common)
     alike = abs(twin.residual - best.residual) <= 0.2 * best.residual + 1e-7 * pitch
@@ -202,8 +211,14 @@ def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: 
 
 
 def _placed(
-    design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed: Check, own: bool, cells_of: Window | None
-) -> Placed:  # fmt: skip
+    design: Design,
+    subject: Subject,
+    mesh: FileMesh,
+    best: Fit,
+    handed: Check,
+    own: bool,
+    cells_of: Window | None,
+) -> Placed:
     """The part in the pose of the best fit, with the checks of its pose.
 
     own : whether the file's box lies where the design's does
@@ -238,7 +253,10 @@ def _pose_check(
     """
     limit = design.check.pose * min(tried.lattice.pitch)
     state: State = "pass" if pose.residual <= limit else "fail"
-    sentence = f"{_pose_words(pose, design.unit)}; the exact faces are then {pose.residual:.3g} {design.unit} off (robust rms)"
+    sentence = (
+        f"{_pose_words(pose, design.unit)}; the exact faces are then {pose.residual:.3g} {design.unit} off"
+        " (robust rms)"
+    )
     if state == "pass" and turned_by(pose.turn) > TURNED:
         state = "fail" if own else "warn"
         sentence += (
@@ -247,11 +265,21 @@ def _pose_check(
             else "; it works when it is mounted turned"
         )
     return POSE.check(
-        state, sentence, pose.residual, limit, unit=design.unit, subject=subject.name,
+        state,
+        sentence,
+        pose.residual,
+        limit,
+        unit=design.unit,
+        subject=subject.name,
         limit_source=other(f"{design.check.pose:g} of the pitch"),
-        detail={"turn": pose.turn, "move": pose.move, "scale": pose.scale, "unit": pose.unit,
-                "cells": window.lattice.count},
-    )  # fmt: skip
+        detail={
+            "turn": pose.turn,
+            "move": pose.move,
+            "scale": pose.scale,
+            "unit": pose.unit,
+            "cells": window.lattice.count,
+        },
+    )
 
 
 def _pose_words(pose: PartPose, unit: str) -> str:
@@ -289,7 +317,9 @@ def turned_by(turn: Floats) -> float:
 
 
 def _askew_words(turn: Floats) -> str:
-    """Text of the axis and the angle of a rotation; for a mirrored part, of the rotation after reversing z."""
+    """Text of the axis and the angle of a rotation; for a mirrored part, of the rotation after reversing
+    z.
+    """
     proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
     across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
     length = float(np.linalg.norm(across))
@@ -304,7 +334,10 @@ def _turned_words(turn: Floats) -> str:
     """Text of the error in making of a part that lies in the design's own frame but fits only when turned."""
     if turn[2, 2] < 0.0:
         return "it fits only upside down: the arrays are exchanged, or the file was turned over"
-    return "it fits only turned about the sheet's normal: tilt or offset have the other sign, or the file was turned"
+    return (
+        "it fits only turned about the sheet's normal: tilt or offset have the other sign, or the file was"
+        " turned"
+    )
 
 
 def moved(mesh: FileMesh, pose: PartPose) -> FileMesh:

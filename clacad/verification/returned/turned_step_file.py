@@ -1,6 +1,8 @@
-"""A STEP file in another pose than the design: meshed to find its pose, then judged by light through its faces.
+"""A STEP file in another pose than the design: meshed to find its pose, then judged by light through its
+faces.
 
-The triangles give the pose, the shape cell by cell, and the damage. They are not part of the file: light is traced
+The triangles give the pose, the shape cell by cell, and the damage. They are not part of the file: light is
+traced
 through the file's own faces, in the design's frame.
 """
 
@@ -62,7 +64,8 @@ def judge_turned(
     checks: Sequence[Check],
     facts: Mapping[str, Any],
 ) -> tuple[list[Check], MeshEvidence | None, Placed | None]:
-    """Find the pose of a STEP file without a manifest, and judge it by triangles whose corners lie on its faces.
+    """Find the pose of a STEP file without a manifest, and judge it by triangles whose corners lie on its
+    faces.
 
     Parameters
     ----------
@@ -98,14 +101,20 @@ def judge_turned(
 
 
 def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float) -> FileMesh:
-    """Triangles of a file's solids, at most `deflection` (mm) off its faces, written by a worker to `target`."""
+    """Triangles of a file's solids, at most `deflection` (mm) off its faces, written by a worker to
+    `target`.
+    """
     from clacad.formats.mesh.readers import read_mesh
 
     with reading_worker(subject.path) as worker:
         worker.run(
-            "clacad.formats.step.read_back:facets", str(subject.path), str(target), deflection, timeout=longest_wait(subject.path),
+            "clacad.formats.step.read_back:facets",
+            str(subject.path),
+            str(target),
+            deflection,
+            timeout=longest_wait(subject.path),
             progress=asked.progress,
-        )  # fmt: skip
+        )
     return replace(read_mesh(target), format=STEP, unit=MILLIMETRE)
 
 
@@ -125,9 +134,14 @@ def _through_faces(asked: Inspection, placed: Placed, subject: Subject, target: 
     try:
         with reading_worker(subject.path) as worker:
             worker.run(
-                "clacad.formats.step.read_back:set_down", str(subject.path), str(target), pose.turn.tolist(),
-                (pose.move * millimetres(asked.design.unit_m)).tolist(), timeout=longest_wait(subject.path), progress=asked.progress,
-            )  # fmt: skip
+                "clacad.formats.step.read_back:set_down",
+                str(subject.path),
+                str(target),
+                pose.turn.tolist(),
+                (pose.move * millimetres(asked.design.unit_m)).tolist(),
+                timeout=longest_wait(subject.path),
+                progress=asked.progress,
+            )
     except (ExportError, OSError) as error:
         why = f"no light can be sent through its faces: {error}"
         return [kind.not_run(why, **asked.common) for kind in THROUGH]

@@ -82,7 +82,9 @@ class Row:
 
     @property
     def worsened(self) -> bool:
-        """Whether the error exceeds the recorded one by more than half a place (a law uses sines of some library)."""
+        """Whether the error exceeds the recorded one by more than half a place (a law uses sines of some
+        library).
+        """
         slack = 0.5 * (max(1.0, self.condition) if self.kind == "law" else 1.0)
         return self.error > 1.001 * self.recorded + slack  # four figures are recorded
 
@@ -123,7 +125,8 @@ def _rows(case: Case) -> Iterator[Row]:
         )
 
 
-# -- one function per kind: clacad's result for the inputs, compared with the answer -----------------------------
+# -- one function per kind: clacad's result for the inputs, compared with the answer
+# -----------------------------
 def _ray(given: Case, answer: Case) -> dict[str, float]:
     seq = [_interface(face) for face in given["faces"]]
     result = trace_sequence(seq, Rays([given["start"]], [given["direction"]]))
@@ -179,11 +182,17 @@ def _view(given: Case, answer: Case) -> dict[str, float]:
 
 
 MEASURES: Mapping[str, Callable[[Case, Case], dict[str, float]]] = {
-    "ray": _ray, "law": _law, "sag": _sag, "cell": _cell, "angle": _angle, "view": _view,
-}  # fmt: skip
+    "ray": _ray,
+    "law": _law,
+    "sag": _sag,
+    "cell": _cell,
+    "angle": _angle,
+    "view": _view,
+}
 
 
-# -- helpers -----------------------------------------------------------------------------------------------------
+# -- helpers
+# -----------------------------------------------------------------------------------------------------
 def _surface(shape: Case) -> Surface:
     if shape["kind"] == "quadric":
         cx, cy, kappa, side = shape["numbers"]

@@ -1,7 +1,9 @@
 """Fabrication errors and their effect on light: tolerances, sensitivities, yield; and parameter sweeps.
 
-`tolerance` perturbs the window as built (array poses, radii, index, thickness, roughness) and traces it. It reports the
-results in the terms of lenslet sheets: image shift, moiré, residual power, blur, throughput. `sweep` varies any keys
+`tolerance` perturbs the window as built (array poses, radii, index, thickness, roughness) and traces it. It
+reports the
+results in the terms of lenslet sheets: image shift, moiré, residual power, blur, throughput. `sweep` varies
+any keys
 of the design instead. Both run point by point on an executor and resume from a checkpoint. Names resolve
 when first used.
 """
@@ -29,18 +31,53 @@ if TYPE_CHECKING:
     )
 
 _HOME = {
-    "Checkpoint": "checkpoint", "OtherStudy": "checkpoint", "NoTolerances": "study", "Farm": "farm",
-    "MEASURES": "light_measures", "Bench": "light_measures", "bench": "light_measures", "Parameter": "perturbations", "draw": "perturbations",
-    "parameters": "perturbations", "plot_sweep": "study_plots", "plot_tolerances": "study_plots", "Study": "study",
-    "tolerance": "study", "Sweep": "parameter_sweep", "parse_vary": "parameter_sweep", "sweep": "parameter_sweep", "as_made": "misaligned",
-    "telescopelet": "misaligned", "write_study": "study_files", "write_sweep": "study_files",
-}  # fmt: skip
+    "Checkpoint": "checkpoint",
+    "OtherStudy": "checkpoint",
+    "NoTolerances": "study",
+    "Farm": "farm",
+    "MEASURES": "light_measures",
+    "Bench": "light_measures",
+    "bench": "light_measures",
+    "Parameter": "perturbations",
+    "draw": "perturbations",
+    "parameters": "perturbations",
+    "plot_sweep": "study_plots",
+    "plot_tolerances": "study_plots",
+    "Study": "study",
+    "tolerance": "study",
+    "Sweep": "parameter_sweep",
+    "parse_vary": "parameter_sweep",
+    "sweep": "parameter_sweep",
+    "as_made": "misaligned",
+    "telescopelet": "misaligned",
+    "write_study": "study_files",
+    "write_sweep": "study_files",
+}
 
 __all__ = [
-    "MEASURES", "Bench", "Checkpoint", "Farm", "NoTolerances", "OtherStudy", "Parameter", "Study", "Sweep", "as_made",
-    "bench", "draw", "parameters", "parse_vary", "plot_sweep", "plot_tolerances", "read_study", "sweep",
-    "telescopelet", "tolerance", "write_study", "write_sweep",
-]  # fmt: skip
+    "MEASURES",
+    "Bench",
+    "Checkpoint",
+    "Farm",
+    "NoTolerances",
+    "OtherStudy",
+    "Parameter",
+    "Study",
+    "Sweep",
+    "as_made",
+    "bench",
+    "draw",
+    "parameters",
+    "parse_vary",
+    "plot_sweep",
+    "plot_tolerances",
+    "read_study",
+    "sweep",
+    "telescopelet",
+    "tolerance",
+    "write_study",
+    "write_sweep",
+]
 
 
 def __getattr__(name: str) -> Any:

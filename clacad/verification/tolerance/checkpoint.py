@@ -1,7 +1,9 @@
 """Append-only file of results, in which the checksum of every line covers all lines before it.
 
-A line is a checksum, a space and a JSON value. The checksum covers the line and the checksum before it. A killed run
-therefore leaves a prefix of the file of a complete run, and a truncated, changed or moved line ends the prefix.
+A line is a checksum, a space and a JSON value. The checksum covers the line and the checksum before it. A
+killed run
+therefore leaves a prefix of the file of a complete run, and a truncated, changed or moved line ends the
+prefix.
 The first line identifies the study.
 """
 
@@ -94,8 +96,8 @@ class Checkpoint:
         if found and found[0] != header:
             other = [k for k in sorted(self.header) if found[0].get(k) != header[k]]
             raise OtherStudy(
-                f"{path} holds results of another study ({', '.join(other) or 'more'} differ); take another folder, "
-                "or --overwrite to begin again"
+                f"{path} holds results of another study ({', '.join(other) or 'more'} differ); take another"
+                " folder, or --overwrite to begin again"
             )
         os.ftruncate(self._handle, good)
         os.lseek(self._handle, good, os.SEEK_SET)
@@ -104,7 +106,9 @@ class Checkpoint:
             self._write([self.header])
 
     def _read(self, content: bytes) -> tuple[list[Any], int]:
-        """Records of the valid prefix, and its length in bytes. A complete first line of another study: [], > 0."""
+        """Records of the valid prefix, and its length in bytes. A complete first line of another study: [],
+        > 0.
+        """
         records: list[Any] = []
         good = 0
         for line in content.splitlines(keepends=True):

@@ -1,4 +1,5 @@
-"""Execution of independent pieces of work: in this process, on this machine's cores, or on a cluster; ordered results.
+"""Execution of independent pieces of work: in this process, on this machine's cores, or on a cluster;
+ordered results.
 
 The local pool needs no further software. With a scheduler's address the work goes to a running Dask cluster.
 The results do not depend on which of them does the work.
@@ -26,7 +27,8 @@ from clacad.base.text import whole_number
 from clacad.storage.worker import safe_children
 
 Work = Callable[[str, Any], list[Any]]
-"""Takes a study as text and a piece of it; must be a module-level function, so that other processes can import it."""
+"""Takes a study as text and a piece of it; must be a module-level function, so that other processes can
+import it."""
 
 PER_WORKER = 3
 """Pieces queued ahead for each worker."""
@@ -67,7 +69,8 @@ class Farm:
     Parameters
     ----------
     workers : int or None
-        Processes on this machine; 1: this process itself; None: one per core (or the environment's CLACAD_THREADS).
+        Processes on this machine; 1: this process itself; None: one per core (or the environment's
+        CLACAD_THREADS).
     scheduler : str or None
         Address of a Dask scheduler, such as "tcp://10.0.0.1:8786", used in place of this machine.
     """
@@ -198,7 +201,8 @@ def _awaited(promise: _Promise, client: _Client, address: str) -> Any:
     Raises
     ------
     WorkersLost
-        The scheduler disconnected, no worker was left for `PATIENCE`, or the piece ended every worker that ran it.
+        The scheduler disconnected, no worker was left for `PATIENCE`, or the piece ended every worker that
+        ran it.
     """
     from distributed import KilledWorker
 

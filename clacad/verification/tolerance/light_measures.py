@@ -1,19 +1,24 @@
-"""Measures of light through one telescopelet as made, in the terms of lenslet sheets; each is a traced number.
+"""Measures of light through one telescopelet as made, in the terms of lenslet sheets; each is a traced
+number.
 image shift
     Change of the exit direction of the ray through the middle of lens 1's cell; caused by decentred arrays.
 slip, moiré period
-    Change of that direction from cell to cell, expressed as the rate at which array 2 slips relative to array 1
-    (the change per decentre is traced too). The moiré pattern repeats where the slip reaches one pitch: Hutley,
+    Change of that direction from cell to cell, expressed as the rate at which array 2 slips relative to
+    array 1
+    (the change per decentre is traced too). The moiré pattern repeats where the slip reaches one pitch:
+    Hutley,
     Hunt, Stevens, Savander, Pure Appl. Opt. 3, 133 (1994).
 residual power
-    Convergence: minus the change of exit slope with entrance height of parabasal rays about that ray, 0 for an
+    Convergence: minus the change of exit slope with entrance height of parabasal rays about that ray, 0 for
+    an
     afocal pair. In dioptres.
 blur
     Rms spread of the exit directions of parallel light over a cell.
 throughput
     Share of the light of the field that stays in its telescopelet and is not scattered by rough faces.
 law_rms, law_bias, eta, delta, kept
-    Defined as in the checks of the same names (kept: throughput over the closed form), with fewer rays. Blur, law_rms
+    Defined as in the checks of the same names (kept: throughput over the closed form), with fewer rays.
+    Blur, law_rms
     and law_bias are those of the worst of the traced cells, the middle one and the farthest ones.
 law_rms_x, law_rms_y
     Centre of the cell with that law_rms.
@@ -53,7 +58,8 @@ HAIR = 2e-3
 """Entrance height of the parabasal rays over the cell's circumradius."""
 
 FIT_SCALE = 0.1
-"""Aperture and field of the rays on which eta and delta are fitted, over those of the main rays, as in the checks."""
+"""Aperture and field of the rays on which eta and delta are fitted, over those of the main rays, as in the
+checks."""
 
 FEWEST_OF_BEAM = 8
 """Least number of rays of a parallel beam that must get through."""
@@ -62,13 +68,36 @@ FEWEST_BY_BUNDLE: Mapping[str, int] = {"cone": 1, "narrow": 64}
 """Least number of rays of the other bundles that must get through."""
 
 MEASURES: Mapping[str, str] = {
-    "shift_x": "rad", "shift_y": "rad", "slip_xx": "", "slip_xy": "", "slip_yx": "", "slip_yy": "",
-    "power_xx": "1/m", "power_xy": "1/m", "power_yx": "1/m", "power_yy": "1/m",
-    "image_shift": "rad", "moire_rate": "", "moire_period": "m", "residual_power": "1/m", "blur": "rad",
-    "throughput": "", "law_rms": "rad", "law_bias": "rad", "eta_x": "", "eta_y": "", "delta_x": "", "delta_y": "",
-    "eta_error": "", "delta_error": "", "kept": "", "law_rms_x": "m", "law_rms_y": "m",
-}  # fmt: skip
-"""Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others are derived."""
+    "shift_x": "rad",
+    "shift_y": "rad",
+    "slip_xx": "",
+    "slip_xy": "",
+    "slip_yx": "",
+    "slip_yy": "",
+    "power_xx": "1/m",
+    "power_xy": "1/m",
+    "power_yx": "1/m",
+    "power_yy": "1/m",
+    "image_shift": "rad",
+    "moire_rate": "",
+    "moire_period": "m",
+    "residual_power": "1/m",
+    "blur": "rad",
+    "throughput": "",
+    "law_rms": "rad",
+    "law_bias": "rad",
+    "eta_x": "",
+    "eta_y": "",
+    "delta_x": "",
+    "delta_y": "",
+    "eta_error": "",
+    "delta_error": "",
+    "kept": "",
+    "law_rms_x": "m",
+    "law_rms_y": "m",
+}
+"""Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others are
+derived."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +107,8 @@ class Bench:
     window : Window
     law : RequestedLaw
     bundles : mapping
-        Name to bundle, its rays about the cell's centre: the cone, the parallel beams, the narrow fit bundle, the
+        Name to bundle, its rays about the cell's centre: the cone, the parallel beams, the narrow fit
+        bundle, the
         parabasal rays.
     places : (m, 2) lengths
         Traced cells: the middle one and the farthest ones, nominal centres of cell 1.
@@ -116,13 +146,19 @@ class Bench:
         kept = min(share_)
         x, y = self.window.unit * self.places[_first_worst(rms)]
         return found | {
-            "blur": _worst(spread), "throughput": kept, "law_rms": _worst(rms), "law_bias": _worst(bias),
+            "blur": _worst(spread),
+            "throughput": kept,
+            "law_rms": _worst(rms),
+            "law_bias": _worst(bias),
             "kept": kept / self.closed_form if self.closed_form > 0.0 else np.nan,
-            "law_rms_x": float(x), "law_rms_y": float(y),
-        }  # fmt: skip
+            "law_rms_x": float(x),
+            "law_rms_y": float(y),
+        }
 
     def light(self, errors: Errors, place: Floats | None = None) -> dict[str, Light]:
-        """Light of each bundle through one cell of the sheet made with these errors; default the sheet's middle."""
+        """Light of each bundle through one cell of the sheet made with these errors; default the sheet's
+        middle.
+        """
         bundles = list(self.bundles.values())
         seen = measure_each(self._sender(errors, place), bundles, self.law)
         return {
@@ -173,9 +209,11 @@ class Bench:
                 f"{name}_{a}{b}": float(matrix[i, k]) for i, a in enumerate("xy") for k, b in enumerate("xy")
             }
         return found | {
-            "image_shift": hypot(*shift), "moire_rate": rate, "residual_power": _norm(power),
+            "image_shift": hypot(*shift),
+            "moire_rate": rate,
+            "residual_power": _norm(power),
             "moire_period": min(window.lattice.pitch) * unit / rate if rate > 1e-12 else np.inf,
-        }  # fmt: skip
+        }
 
     def chief_slopes(self, errors: Errors, place: Floats | None = None) -> Floats:
         """Exit slopes (5, 2), lens frame, of the chief ray and its parabasal rays; NaN for a lost ray."""
@@ -195,7 +233,8 @@ def bench(
         Gives the field of the checks.
     window : Window
     rays : int
-        Rays of each bundle. The cone, whose rays are counted, has four times as many; the parallel beams other than
+        Rays of each bundle. The cone, whose rays are counted, has four times as many; the parallel beams
+        other than
         the middle one have a quarter.
     incident : (x, y) slopes or None
         Middle of the field along the sheet's x and y, in place of `check.field_centre`.
@@ -204,9 +243,15 @@ def bench(
     bundles = _bundles(window, spec, rays, None if incident is None else sloped(incident))
     kept = float(share(thin_cells(window), bundles["cone"].rays.direction[:64]).mean())
     blank = Bench(
-        window, RequestedLaw.of(window), bundles, places_of_errors(window), np.zeros(2), np.eye(2), kept,
+        window,
+        RequestedLaw.of(window),
+        bundles,
+        places_of_errors(window),
+        np.zeros(2),
+        np.eye(2),
+        kept,
         window.wavelength or DEFAULT_WAVELENGTH,
-    )  # fmt: skip
+    )
     return replace(blank, chief=blank.chief_slopes({})[0], per_decentre=_per_decentre(blank))
 
 
@@ -242,7 +287,9 @@ def _per_decentre(table: Bench) -> Floats:
 
 
 def _chief_rays(window: Window, middle: Floats, low: float) -> Rays:
-    """The ray through the cell's middle, and four parabasal rays along lens x and y, from below the window."""
+    """The ray through the cell's middle, and four parabasal rays along lens x and y, from below the
+    window.
+    """
     u, v, _ = window.thin.rotation.T
     size = HAIR * window.lattice.circumradius
     at = np.array([0.0 * u, u, -u, v, -v]) * size

@@ -1,7 +1,9 @@
 """One telescopelet of a sheet with fabrication errors: its faces in their actual positions and shapes.
 
-Errors of radius, index and thickness change the bodies of the window. Decentre, rotation, separation and tilt are
-rigid motions of a whole array, so their effect on a telescopelet depends on its position in the sheet. No effect is
+Errors of radius, index and thickness change the bodies of the window. Decentre, rotation, separation and
+tilt are
+rigid motions of a whole array, so their effect on a telescopelet depends on its position in the sheet. No
+effect is
 linearized: the faces are moved, and light is traced through them.
 """
 
@@ -59,9 +61,11 @@ class Telescopelet:
     centre: Floats
 
     def send(self, rays: Rays) -> TraceResult:
-        """Trace rays given about the cell's centre; ALIVE are those that stay in this telescopelet, else WALL.
+        """Trace rays given about the cell's centre; ALIVE are those that stay in this telescopelet, else
+        WALL.
 
-        Directions are NaN where a ray ended on the way. A ray counts if it hits every lens face in the optical zone
+        Directions are NaN where a ray ended on the way. A ray counts if it hits every lens face in the
+        optical zone
         of this cell, where the lens is not buried in land, and leaves forwards.
         """
         result = trace_sequence(self.seq, rays, record=True)
@@ -85,14 +89,16 @@ class Telescopelet:
 
 
 def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -> Telescopelet:
-    """Build the faces of the telescopelet whose cell 1 is centred at `centre` (2,), default the sheet's middle.
+    """Build the faces of the telescopelet whose cell 1 is centred at `centre` (2,), default the sheet's
+    middle.
 
     Parameters
     ----------
     window : Window
         As designed.
     errors : mapping
-        Parameter name (`clacad.verification.tolerance.perturbations`) to error, in design units, radians or as a
+        Parameter name (`clacad.verification.tolerance.perturbations`) to error, in design units, radians or
+        as a
         ratio; parameters without an entry have no error.
     """
     at = np.zeros(2) if centre is None else np.asarray(centre, dtype=np.float64)
@@ -150,7 +156,9 @@ def as_made(window: Window, errors: Errors) -> Window:
 
 
 def _thicker_outside(body: Body, change: float, number: int) -> Body:
-    """First or second plate of a slab with a field lens, `change` (length) thicker; inner faces keep the air gap."""
+    """First or second plate of a slab with a field lens, `change` (length) thicker; inner faces keep the air
+    gap.
+    """
     if number == 1:
         x, y, z = body.front.vertex
         return replace(body, front=replace(body.front, vertex=(x, y, z - change)))
@@ -183,7 +191,9 @@ def _field(errors: Errors) -> Motion:
 
 
 def _second(window: Window, errors: Errors) -> Motion:
-    """Motion of array 2: decentred, turned about the sheet's normal, tilted about x and y, its spacer too high."""
+    """Motion of array 2: decentred, turned about the sheet's normal, tilted about x and y, its spacer too
+    high.
+    """
     heights = [face.vertex[2] for face in window.faces if face.array == 1]
     pivot = np.array([*window.shifts[1], sum(heights) / len(heights)])
     up = errors.get("separation", 0.0)
@@ -207,7 +217,9 @@ def _middle_of_pins(window: Window, pivot: Floats) -> Floats:
 
 
 def _turned(about_x: float, about_y: float, about_z: float) -> Floats:
-    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues); no axis order is involved."""
+    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues); no axis order is
+    involved.
+    """
     vector = np.array([about_x, about_y, about_z])
     angle = float(np.linalg.norm(vector))
     x, y, z = vector

@@ -35,26 +35,53 @@ if TYPE_CHECKING:
 MOST_POINTS = 1_000_000
 
 TRACED: Mapping[str, str] = {
-    "exit_x": "slope", "exit_y": "slope", "power_xx": "1/m", "power_yy": "1/m", "residual_power": "1/m", "blur": "rad",
-    "throughput": "", "kept": "", "law_rms": "rad", "law_bias": "rad", "eta_x": "", "eta_y": "", "delta_x": "",
+    "exit_x": "slope",
+    "exit_y": "slope",
+    "power_xx": "1/m",
+    "power_yy": "1/m",
+    "residual_power": "1/m",
+    "blur": "rad",
+    "throughput": "",
+    "kept": "",
+    "law_rms": "rad",
+    "law_bias": "rad",
+    "eta_x": "",
+    "eta_y": "",
+    "delta_x": "",
     "delta_y": "",
-}  # fmt: skip
-"""Measures of a point by light: those of `clacad.verification.tolerance.light_measures`, and the exit slopes of the chief ray."""
+}
+"""Measures of a point by light: those of `clacad.verification.tolerance.light_measures`, and the exit slopes
+of the chief ray."""
 
 BEAM: Mapping[str, str] = {
-    "beam_exit_x": "slope", "beam_exit_y": "slope", "partner_share": "", "ghost_share": "", "orders": "",
-}  # fmt: skip
+    "beam_exit_x": "slope",
+    "beam_exit_y": "slope",
+    "partner_share": "",
+    "ghost_share": "",
+    "orders": "",
+}
 """Measures of the parallel beam in the middle of the light.
 
-By trace: mean exit slopes of its ALIVE rays along the sheet's x and y. Shares of thin lenses: of the partner, of all
+By trace: mean exit slopes of its ALIVE rays along the sheet's x and y. Shares of thin lenses: of the
+partner, of all
 ghosts, and of each order "i,j" of at least `clacad.sheet.vignetting.LEAST_SHARE`.
 """
 
 BUILT: Mapping[str, str] = {
-    "pieces": "", "cover": "", "edge": "design unit", "neck": "design unit", "step": "design unit",
-    "clearance": "design unit", "radius": "design unit", "sag": "design unit", "thickness_1": "design unit",
-    "thickness_2": "design unit", "normal_z": "", "half_field": "slope", "fresnel_number": "",
-}  # fmt: skip
+    "pieces": "",
+    "cover": "",
+    "edge": "design unit",
+    "neck": "design unit",
+    "step": "design unit",
+    "clearance": "design unit",
+    "radius": "design unit",
+    "sag": "design unit",
+    "thickness_1": "design unit",
+    "thickness_2": "design unit",
+    "normal_z": "",
+    "half_field": "slope",
+    "fresnel_number": "",
+}
 """Geometric numbers of a point: the worst of its lenses or bodies."""
 
 _RANGE = re.compile(r"(?P<start>[^:]+):(?P<stop>[^:]+):(?P<count>[^:]+)(?P<log>:log)?\Z")
@@ -79,8 +106,10 @@ class Sweep:
         Of the varied design.
     axes : tuple of (key, values)
     rows : list of mappings
-        In the order of the grid, the last axis fastest: the varied keys, "state" ("ok", "failed": a check of the
-        design rules fails, or "error": the point cannot be built), "failed" and "message", then `BUILT`, `TRACED`
+        In the order of the grid, the last axis fastest: the varied keys, "state" ("ok", "failed": a check of
+        the
+        design rules fails, or "error": the point cannot be built), "failed" and "message", then `BUILT`,
+        `TRACED`
         and `BEAM`.
     incident : (x, y) slopes or None
         Middle of the light at every point; None: the middle of the field of each point.
@@ -100,7 +129,8 @@ class Sweep:
 def parse_vary(text: str) -> Axis:
     """Read "key=from:to:count", "key=from:to:count:log" or "key=a,b,c".
 
-    Values may carry a unit ("5 um:20 um:4"); whole numbers stay whole. The steps of a linear range are rounded
+    Values may carry a unit ("5 um:20 um:4"); whole numbers stay whole. The steps of a linear range are
+    rounded
     once, from exact fractions.
 
     Raises
@@ -229,22 +259,30 @@ def _beam(seen: SeenCell, direction: Floats, rays: int) -> dict[str, Any]:
     orders = order_shares(cells, direction)
     ghosts = 0.0 if seen.like.baffle is not None else max(0.0, cells.part - orders[0, 0])
     return {
-        "beam_exit_x": float(x), "beam_exit_y": float(y), "partner_share": orders[0, 0], "ghost_share": ghosts,
+        "beam_exit_x": float(x),
+        "beam_exit_y": float(y),
+        "partner_share": orders[0, 0],
+        "ghost_share": ghosts,
         "orders": {f"{i},{j}": part for (i, j), part in orders.items()},
-    }  # fmt: skip
+    }
 
 
 def _built(facts: Feasibility) -> dict[str, float]:
     return {
-        "pieces": max(body.pieces for body in facts.bodies), "cover": min(lens.cover for lens in facts.lenses),
-        "edge": min(body.edge for body in facts.bodies), "neck": min(body.neck for body in facts.bodies),
-        "step": max(body.step for body in facts.bodies), "clearance": facts.clearance,
+        "pieces": max(body.pieces for body in facts.bodies),
+        "cover": min(lens.cover for lens in facts.lenses),
+        "edge": min(body.edge for body in facts.bodies),
+        "neck": min(body.neck for body in facts.bodies),
+        "step": max(body.step for body in facts.bodies),
+        "clearance": facts.clearance,
         "radius": min(abs(r) for lens in facts.lenses for r in lens.radii),
         "sag": max(lens.sag for lens in facts.lenses),
-        "thickness_1": facts.lenses[0].thickness, "thickness_2": facts.lenses[1].thickness,
-        "normal_z": min(lens.least_normal_z for lens in facts.lenses), "half_field": min(facts.half_field),
+        "thickness_1": facts.lenses[0].thickness,
+        "thickness_2": facts.lenses[1].thickness,
+        "normal_z": min(lens.least_normal_z for lens in facts.lenses),
+        "half_field": min(facts.half_field),
         "fresnel_number": facts.fresnel_number,
-    }  # fmt: skip
+    }
 
 
 def sweep(
@@ -268,7 +306,8 @@ def sweep(
     farm, checkpoint, progress
         As for `clacad.verification.tolerance.tolerance`.
     incident : (x, y) slopes or None
-        Middle of the light along the sheet's x and y, at every point; None: the middle of the field of each point.
+        Middle of the light along the sheet's x and y, at every point; None: the middle of the field of each
+        point.
 
     Raises
     ------
@@ -280,8 +319,12 @@ def sweep(
     asked = {"axes": whole, "rays": rays, "incident": None if incident is None else list(incident)}
     text = json.dumps({**named_design(design), **asked}, sort_keys=True)
     header = {
-        "kind": "sweep", "format": FORMAT, "clacad": __version__, "design": design.sha256, **asked,
-    }  # fmt: skip
+        "kind": "sweep",
+        "format": FORMAT,
+        "clacad": __version__,
+        "design": design.sha256,
+        **asked,
+    }
     found = worked(make_points, text, header, count, farm or Farm(), checkpoint, progress, piece=1)
     rows = [point | row for point, row in zip(grid(axes), found, strict=True)]
     if not any(row["state"] != "error" for row in rows):

@@ -1,8 +1,10 @@
 """Fabrication errors of a sheet as parameters, and how a sample draws them.
 
 Sample k depends on the seed and on k only. Its numbers are those of a counter-based generator (Philox
-4×64-10: Salmon, Moraes, Dror, Shaw, SC'11) whose counter holds k and a hash of the parameter's name. Samples can
-therefore be drawn in any order, on any machine, and an additional parameter does not change the numbers of others.
+4×64-10: Salmon, Moraes, Dror, Shaw, SC'11) whose counter holds k and a hash of the parameter's name. Samples
+can
+therefore be drawn in any order, on any machine, and an additional parameter does not change the numbers of
+others.
 """
 
 from __future__ import annotations
@@ -42,7 +44,8 @@ class Parameter:
     one_sided : bool
         Whether only positive errors exist (roughness).
     uniform : bool
-        Whether all errors up to the tolerance are equally likely, regardless of the design's distribution (pin play).
+        Whether all errors up to the tolerance are equally likely, regardless of the design's distribution
+        (pin play).
     """
 
     name: str
@@ -54,7 +57,9 @@ class Parameter:
 
 
 def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
-    """Parameters of all tolerances in the design's [tolerances], in a fixed order; tolerances of 0 are omitted."""
+    """Parameters of all tolerances in the design's [tolerances], in a fixed order; tolerances of 0 are
+    omitted.
+    """
     spec, unit = design.tolerances, design.unit
     found: list[Parameter] = []
     for array, half in enumerate(spec.decentre, 1):
@@ -83,10 +88,14 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
 def _play(design: Design) -> list[Parameter]:
     """Parameters of the play that pins leave array 2 relative to array 1.
 
-    A pin of diameter d in holes of d + p has p/2 of room all round in either plate. Plate 2 therefore moves up to p
-    relative to plate 1 along x and along y. Where the pins farthest apart, at distance L, allow opposite motions, it
-    turns by 2 p/L about the middle of the pins. Nothing centres a plate in its play: all positions are equally likely.
-    The three are drawn independently; together they cover every pose that the pins allow, and some that they do not.
+    A pin of diameter d in holes of d + p has p/2 of room all round in either plate. Plate 2 therefore moves
+    up to p
+    relative to plate 1 along x and along y. Where the pins farthest apart, at distance L, allow opposite
+    motions, it
+    turns by 2 p/L about the middle of the pins. Nothing centres a plate in its play: all positions are
+    equally likely.
+    The three are drawn independently; together they cover every pose that the pins allow, and some that they
+    do not.
     """
     pins = design.body.pins
     if pins is None:
@@ -100,7 +109,9 @@ def _play(design: Design) -> list[Parameter]:
 
 
 def curved_faces(window: Window) -> list[tuple[int, str]]:
-    """Lens faces in the order of the light: array (1, 2; 3: field lens), and ".front" or ".back" where it has two."""
+    """Lens faces in the order of the light: array (1, 2; 3: field lens), and ".front" or ".back" where it
+    has two.
+    """
     return [
         (face.array + 1, part if body.columnar or face.array == 2 else "")
         for body in window.bodies
@@ -120,7 +131,8 @@ def draw(
     seed : int, 0 … 2^64 − 1
     sample : int ≥ 0
     distribution : "normal" or "uniform"
-        Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the limit, as always for parameters
+        Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the limit, as always for
+        parameters
         with `uniform`. One-sided parameters take the absolute value.
     """
     found = {}

@@ -77,11 +77,13 @@ class Study:
     ends : (p, 2, m)
         Measures at the two ends of each tolerance alone (one-sided: the end, and as designed).
     slopes : (p, m)
-        Change of each measure per unit of the parameter, from central differences over a tenth of the tolerance.
+        Change of each measure per unit of the parameter, from central differences over a tenth of the
+        tolerance.
     errors : (n, p), measures : (n, m)
         Of the Monte-Carlo sheets.
     cell : (i, j) or None; tried : int
-        For a non-uniform sheet: the study is of this cell's uniform equivalent, by light the worst of `tried` cells.
+        For a non-uniform sheet: the study is of this cell's uniform equivalent, by light the worst of
+        `tried` cells.
     """
 
     name: str
@@ -111,7 +113,9 @@ class Study:
         return np.where(np.isfinite(found), found, np.inf)
 
     def place(self, parameter: str) -> tuple[float, float]:
-        """Centre (metres) of the cell with the worst law error at the worse end of a parameter's tolerance."""
+        """Centre (metres) of the cell with the worst law error at the worse end of a parameter's
+        tolerance.
+        """
         number = [p.name for p in self.parameters].index(parameter)
         return _centre(
             self.ends[number, int(np.argmax(np.nan_to_num(self.ends[number, :, _LAW], nan=np.inf)))]
@@ -135,7 +139,9 @@ class Study:
         return kept
 
     def yields(self) -> tuple[float, float, float]:
-        """Share of good sheets, and the ends of its 95 % interval (Wilson, J. Am. Stat. Assoc. 22, 209 (1927))."""
+        """Share of good sheets, and the ends of its 95 % interval (Wilson, J. Am. Stat. Assoc. 22, 209
+        (1927)).
+        """
         n = len(self.measures)
         if n == 0:
             return float("nan"), 0.0, 1.0
@@ -262,7 +268,8 @@ def tolerance(
     farm : Farm or None
         Executor of the work; None: all cores of this machine.
     checkpoint : path or None
-        Results are stored here as they arrive. Stored results are not computed again, and more samples continue
+        Results are stored here as they arrive. Stored results are not computed again, and more samples
+        continue
         from them. A checkpoint of another study raises OtherStudy.
     progress : callable or None
         (stage, done 0 … 1).
@@ -275,9 +282,15 @@ def tolerance(
     count = 1 + ENDS * len(chosen) + (design.tolerances.samples if samples is None else samples)
     text = json.dumps({**named_design(design), "rays": rays, "seed": seed}, sort_keys=True)
     header = {
-        "kind": "tolerances", "format": FORMAT, "clacad": __version__, "design": design.sha256, "seed": seed,
-        "rays": rays, "parameters": [p.name for p in chosen], "measures": list(MEASURES),
-    }  # fmt: skip
+        "kind": "tolerances",
+        "format": FORMAT,
+        "clacad": __version__,
+        "design": design.sha256,
+        "seed": seed,
+        "rays": rays,
+        "parameters": [p.name for p in chosen],
+        "measures": list(MEASURES),
+    }
     rows = worked(make_cases, text, header, count, farm or Farm(), checkpoint, progress)
     study = _study(design, chosen, seed, rays, np.array(rows, dtype=np.float64))
     i, j = (int(v) for v in seen.cell)
@@ -285,7 +298,9 @@ def tolerance(
 
 
 def named_design(design: Design) -> dict[str, Any]:
-    """A design as a study passes it to workers: its keys, and its path if a table of cells lies next to it."""
+    """A design as a study passes it to workers: its keys, and its path if a table of cells lies next to
+    it.
+    """
     varying = design.law_spec.varying
     beside = varying is not None and varying.table is not None
     return {"design": design.to_dict(), **({"path": design.path} if beside else {})}
@@ -300,10 +315,17 @@ def asked_design(asked: Mapping[str, Any]) -> Design:
 
 
 def worked(
-    work: Callable[[str, Any], list[Any]], text: str, header: Mapping[str, Any], count: int, farm: Farm,
-    checkpoint: Path | None, progress: Progress | None, piece: int = PIECE,
-) -> list[Any]:  # fmt: skip
-    """Records 0 … count − 1 of a study: those of the checkpoint, and the computed others, which are added to it.
+    work: Callable[[str, Any], list[Any]],
+    text: str,
+    header: Mapping[str, Any],
+    count: int,
+    farm: Farm,
+    checkpoint: Path | None,
+    progress: Progress | None,
+    piece: int = PIECE,
+) -> list[Any]:
+    """Records 0 … count − 1 of a study: those of the checkpoint, and the computed others, which are added to
+    it.
 
     Raises
     ------
@@ -326,7 +348,10 @@ def worked(
 
 def _how_to_go_on(done: int, count: int, checkpoint: Path | None) -> str:
     if checkpoint is None:
-        return f"{done} of {count} results were made and none is kept: with -o DIR the same command would go on from there"
+        return (
+            f"{done} of {count} results were made and none is kept: with -o DIR the same command would go on"
+            " from there"
+        )
     return (
         f"{done} of {count} results are kept in {checkpoint}: "
         "the same command goes on from there, with this scheduler, another or none"
@@ -349,10 +374,20 @@ def _study(design: Design, chosen: tuple[Parameter, ...], seed: int, rays: int, 
     drawn = len(rows) - 1 - ENDS * n
     errors = [list(draw(chosen, seed, k, distribution).values()) for k in range(drawn)]
     return Study(
-        design.name, design.sha256, design.unit_m, chosen, limits(design), distribution, seed, rays,
-        dict(zip(MEASURES, (float(v) for v in rows[0]), strict=True)), alone[:, :2], slopes,
-        np.array(errors, dtype=np.float64).reshape(drawn, n), rows[1 + ENDS * n :],
-    )  # fmt: skip
+        design.name,
+        design.sha256,
+        design.unit_m,
+        chosen,
+        limits(design),
+        distribution,
+        seed,
+        rays,
+        dict(zip(MEASURES, (float(v) for v in rows[0]), strict=True)),
+        alone[:, :2],
+        slopes,
+        np.array(errors, dtype=np.float64).reshape(drawn, n),
+        rows[1 + ENDS * n :],
+    )
 
 
 def finite(value: float) -> float | str | None:

@@ -41,10 +41,16 @@ def study_document(study: Study) -> dict[str, Any]:
     """Content of tolerances.json, also used for the report's section."""
     share, low, high = study.yields()
     return {
-        "kind": TOLERANCES, "format": FORMAT, "design": {"name": study.name, "sha256": study.sha256},
+        "kind": TOLERANCES,
+        "format": FORMAT,
+        "design": {"name": study.name, "sha256": study.sha256},
         **({} if study.cell is None else {"cell": list(study.cell), "cells_tried": study.tried}),
-        "unit_m": study.unit_m, "distribution": study.distribution, "seed": study.seed, "rays": study.rays,
-        "samples": len(study.measures), "units": dict(MEASURES),
+        "unit_m": study.unit_m,
+        "distribution": study.distribution,
+        "seed": study.seed,
+        "rays": study.rays,
+        "samples": len(study.measures),
+        "units": dict(MEASURES),
         "parameters": [
             {"name": p.name, "key": p.key, "tolerance": p.half, "unit": p.unit, "one_sided": p.one_sided}
             for p in study.parameters
@@ -60,17 +66,23 @@ def study_document(study: Study) -> dict[str, Any]:
         },
         "root_sum_square": {m: finite(float(np.sqrt((study.change(m) ** 2).sum()))) for m in RANKED},
         "percentiles": {
-            m: dict(zip(("5", "50", "95"), (finite(v) for v in study.percentiles(m)), strict=True)) for m in MEASURES
+            m: dict(zip(("5", "50", "95"), (finite(v) for v in study.percentiles(m)), strict=True))
+            for m in MEASURES
         },
         "limits": [
-            {"measure": lim.measure, "relation": lim.relation, "value": lim.value, "source": lim.source,
-             "missed": study.misses()[lim.measure]}
+            {
+                "measure": lim.measure,
+                "relation": lim.relation,
+                "value": lim.value,
+                "source": lim.source,
+                "missed": study.misses()[lim.measure],
+            }
             for lim in study.limits
         ],
         "yield": {"share": finite(share), "low": low, "high": high},
         "nominal_misses": study.nominal_misses(),
         "versions": {"clacad": __version__},
-    }  # fmt: skip
+    }
 
 
 def _sensitivity(study: Study, number: int) -> dict[str, Any]:
@@ -100,7 +112,9 @@ def _csv(lines: Sequence[Sequence[str]]) -> str:
 
 
 def harmless_cell(cell: str) -> str:
-    """Return a cell with an apostrophe before text that a spreadsheet would run as a formula; numbers are unchanged."""
+    """Return a cell with an apostrophe before text that a spreadsheet would run as a formula; numbers are
+    unchanged.
+    """
     try:
         float(cell)
     except ValueError:
@@ -131,8 +145,12 @@ def write_study(study: Study, folder: str | os.PathLike[str], *, overwrite: bool
 
 
 def write_sweep(
-    found: Sweep, folder: str | os.PathLike[str], formats: Sequence[str] = ("csv",), *, overwrite: bool = False
-) -> list[Path]:  # fmt: skip
+    found: Sweep,
+    folder: str | os.PathLike[str],
+    formats: Sequence[str] = ("csv",),
+    *,
+    overwrite: bool = False,
+) -> list[Path]:
     """Write sweep.csv or sweep.parquet (or both), and sweep.png.
 
     Raises
@@ -192,11 +210,14 @@ def _published(folder: Path, files: dict[str, bytes], overwrite: bool) -> list[P
 
 
 WORDS = {
-    "image_shift": ("image shift / mrad", 1e3), "moire_rate": ("moiré: slip of array 2 / 1e-6", 1e6),
-    "residual_power": ("residual power / dioptres", 1.0), "blur": ("blur, rms / mrad", 1e3),
-    "throughput": ("throughput", 1.0), "law_rms": ("law error, rms / mrad", 1e3),
+    "image_shift": ("image shift / mrad", 1e3),
+    "moire_rate": ("moiré: slip of array 2 / 1e-6", 1e6),
+    "residual_power": ("residual power / dioptres", 1.0),
+    "blur": ("blur, rms / mrad", 1e3),
+    "throughput": ("throughput", 1.0),
+    "law_rms": ("law error, rms / mrad", 1e3),
     "law_bias": ("law bias / mrad", 1e3),
-}  # fmt: skip
+}
 """Title and factor of each measure that is drawn."""
 
 SHOWN = 8
@@ -208,12 +229,16 @@ BAR, LINE, LIMIT = "#1f4e79", "#e07b39", "#b00020"
 
 
 def plot_tolerances(study: Study) -> bytes:
-    """Draw the ranked contributors of each measure, and its distribution over the Monte-Carlo sheets, as PNG."""
+    """Draw the ranked contributors of each measure, and its distribution over the Monte-Carlo sheets, as
+    PNG.
+    """
     return _png((11.0, 9.6), lambda figure: _draw_study(figure, study))
 
 
 def plot_sweep(found: Sweep) -> bytes:
-    """Draw measures as PNG: over one key as lines, over two as maps, over more against the first, one line each."""
+    """Draw measures as PNG: over one key as lines, over two as maps, over more against the first, one line
+    each.
+    """
     if len(found.axes) == 2:
         return _png((11.0, 6.4), lambda figure: _draw_maps(figure, found))
     return _png((11.0, 6.4), lambda figure: _draw_lines(figure, found))
@@ -300,7 +325,7 @@ def _draw_lines(figure: Figure, found: Sweep) -> None:
 def _draw_maps(figure: Figure, found: Sweep) -> None:
     """Draw each measure over both keys, as a map."""
     figure.suptitle(f"{found.name}: {len(found.rows)} points", fontsize=10)
-    (x, y) = found.axes
+    x, y = found.axes
     shape = (len(x[1]), len(y[1]))
     axes = figure.subplots(2, ceil(len(SWEPT) / 2)).ravel()
     for panel, measure in zip(axes, SWEPT):
