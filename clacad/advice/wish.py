@@ -37,9 +37,8 @@ _LAW, _PAIR, _CHECK = (SECTIONS[name] for name in ("law", "pair", "check"))
 
 KEYS: Final[dict[str, Key]] = {
     "eta": Key(
-        Several(_LAW["eta"].kind.kind, ("x", "y"), single=True),
-        "light leaves at slopes (t - delta)/eta; -1 turns it over, "  # type: ignore[attr-defined]
-        "0 < eta < 1 shrinks without turning",
+        Several(_LAW["eta"].kind.kind, ("x", "y"), single=True),  # type: ignore[attr-defined]
+        "light leaves at slopes (t - delta)/eta; -1 turns it over, 0 < eta < 1 shrinks without turning",
         REQUIRED,
     ),
     "delta": Key(_LAW["delta"].kind, "offset of the image, delta_i = d_i/f1_i", (0.0, 0.0)),

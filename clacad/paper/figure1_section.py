@@ -210,7 +210,8 @@ class _Canvas:
         """The whole drawing of the given parts."""
         style = (
             "text{font:15px"
-            " system-ui,sans-serif;fill:#333;paint-order:stroke;stroke:#fff;stroke-width:4px;stroke-linejoin:round}"
+            " system-ui,sans-serif;fill:#333;paint-order:stroke;stroke:#fff;"
+            "stroke-width:4px;stroke-linejoin:round}"
             ".caption{font-size:13px}polyline{fill:none}"
             ".lens{fill:#bcd9ee;fill-opacity:.75;stroke:#3b6f9c}.ray{stroke:#c4483a;stroke-width:1.4}"
             ".axis{stroke:#555;stroke-dasharray:9 3 2 3}.plane{stroke:#2b7a4b;stroke-dasharray:5 4}"

@@ -308,6 +308,7 @@ def _patch_text(weights: Floats) -> tuple[str, str]:
         (
             f"),.UNSPECIFIED.,.F.,.F.,.F.)"
             f"B_SPLINE_SURFACE_WITH_KNOTS({many_u},{many_v},{knots},{knots},.UNSPECIFIED.)"
-            f"GEOMETRIC_REPRESENTATION_ITEM()RATIONAL_B_SPLINE_SURFACE(({listed}))REPRESENTATION_ITEM('')SURFACE())"
+            f"GEOMETRIC_REPRESENTATION_ITEM()"
+            f"RATIONAL_B_SPLINE_SURFACE(({listed}))REPRESENTATION_ITEM('')SURFACE())"
         ),
     )
