@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import clacad
-from clacad.sheet.feasibility.bodies import BorderJoint, count_pieces_and_holes, count_together
+from clacad.sheet.pieces_and_holes import BorderJoint, count_pieces_and_holes, count_together
 from clacad.sheet.window import Window
 from clacad.topology.complex_parts import CellComplex
 

@@ -9,9 +9,9 @@ import pytest
 from benchmarks.house import measured
 
 MOST = {
-    "modules": 577,
-    "modules imported by one other only": 110,
-    "modules under 60 lines": 29,
+    "modules": 581,
+    "modules imported by one other only": 111,
+    "modules under 60 lines": 32,
     "lines over 110 characters": 0,
     "# fmt: skip": 0,
     "function lines, most, compiled": 72,

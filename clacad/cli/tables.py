@@ -100,7 +100,7 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
 def holds_text(entry: Mapping[str, Any]) -> str:
     """Solids or objects in a file of a manifest, and the option that changes their number; "" for none."""
     from clacad.exporting.formats import step
-    from clacad.formats.step.step_files import FUSED_CELLS
+    from clacad.formats.step.step_mode import FUSED_CELLS
     from clacad.verification.files.delivery import fixture_names
 
     instanced = entry.get("mode") == "instanced"

@@ -16,7 +16,8 @@ from clacad.storage.errors import FileDisagrees
 if TYPE_CHECKING:
     from clacad.exporting.job import Job
     from clacad.formats.step.lens_placements import SheetPlace
-    from clacad.formats.step.step_files import Mode, Schema
+    from clacad.formats.step.step_files import Schema
+    from clacad.formats.step.step_mode import Mode
 
 SHAPE_LIMIT = 1e-7
 """Largest distance of a written lens face from the closed form, in pitches."""

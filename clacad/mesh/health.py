@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints, Words
-from clacad.sheet.feasibility.bodies import connect
+from clacad.sheet.pieces_and_holes import connect
 
 Chunks = Callable[[], Iterable[NDArray[Any]]]
 

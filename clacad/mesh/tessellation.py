@@ -264,7 +264,7 @@ class _Parts:
         mine = [face for face, here in zip(faces, make.meshed()) if here and face.change is not None]
         if not mine:
             return Tiled(TemplateMaker(make_prototile(make, quads), lattice), tiling.shift, lattice)
-        from clacad.mesh.tiled import OwnTemplates  # not needed for uniform sheets
+        from clacad.mesh.own_cells import OwnTemplates
 
         own = OwnTemplates(make, quads)
         i, j = next(

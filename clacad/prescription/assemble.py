@@ -586,7 +586,7 @@ def _assemble_window(
     """Window of placed bodies: thin pair, land, outline; lengths in design units.
 
     moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacement
-    of the
+        of the
     field lens's cells; `told` : the recipe's entries for the field lens.
     """
     design = intent.design

@@ -22,7 +22,7 @@ from clacad.exporting.step_record import SECONDS, compare_step
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.formats.mesh.file_mesh import FileMesh, put
 from clacad.formats.step.lens_placements import SheetPlace
-from clacad.formats.step.step_files import Mode
+from clacad.formats.step.step_mode import Mode
 from clacad.sheet.stack import Stack, StackedSheet
 from clacad.sheet.volume_and_extent import body_volume, volume_sum
 from clacad.sheet.window import Window

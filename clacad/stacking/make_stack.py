@@ -13,7 +13,7 @@ from clacad.base.types import Pair2, Progress, Rung, silent
 from clacad.base.units import millimetres
 from clacad.exporting.limits import refuse_uncountable, worker_memory
 from clacad.exporting.manifest import FORMAT, FileRecord, Manifest
-from clacad.formats.step.step_files import Mode
+from clacad.formats.step.step_mode import Mode
 from clacad.sheet.stack import BadStack, Stack, stacked
 from clacad.stacking.assembly import NAME, StackAssembly, sheet_facts
 from clacad.stacking.stack_cost import FORMATS, QUADS, StackRequest, refuse

@@ -18,7 +18,7 @@ from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.limits import refuse_over_limits
 from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
-from clacad.formats.step.step_files import Mode
+from clacad.formats.step.step_mode import Mode
 from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.stack import Stack
 

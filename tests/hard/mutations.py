@@ -68,7 +68,7 @@ PLACES, LIKE, OWN, BLOCKS, MIRROR = (
     "clacad/sheet/cell_places.py",
     "clacad/sheet/like_cell.py",
     "clacad/tracing/compiled/array_cells.py",
-    "clacad/tracing/compiled/own_cells.py",
+    "clacad/tracing/compiled/own_straight.py",
     "clacad/effects/engine/mirrored_window.py",
 )
 AIMED, MADE = "clacad/prescription/aimed_cells.py", "tests/prescription/test_aimed_cells.py"

@@ -16,9 +16,9 @@ from clacad.design import Design
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import describe, feasibility
-from clacad.sheet.feasibility.bodies import connect
 from clacad.sheet.feasibility.convex_extremes import least, share_covered
 from clacad.sheet.feasibility.pitch_for_eye import viewing
+from clacad.sheet.pieces_and_holes import connect
 from clacad.sheet.vignetting import clip, ghost_step, share, thin_cells
 from clacad.sheet.window import column
 from clacad.tracing.trace import trace

@@ -60,21 +60,21 @@ def _rough_bytes(sheet: RoughSheet, fused: bool) -> int:
 
 
 def _rough_seconds(sheet: RoughSheet, _quads: int, asked: Request) -> float:
-    from clacad.formats.step.step_files import FUSED_CELLS
+    from clacad.formats.step.step_mode import FUSED_CELLS
 
     fused = asked.step == "fused" or (asked.step == "auto" and sheet.cells <= FUSED_CELLS)
     return _seconds(_rough_bytes(sheet, fused), "fused" if fused else "instanced")
 
 
 def _forecast(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
-    from clacad.formats.step.step_files import chosen_mode
+    from clacad.formats.step.step_mode import chosen_mode
 
     mode = chosen_mode(meshes.window, asked.step)
     return _row(meshes.window, mode, step_bytes(meshes.window, mode, asked.pcurves))
 
 
 def _at_a_glance(window: Window, sheet: RoughSheet, _chosen: ChosenMesh | None) -> Forecast:
-    from clacad.formats.step.step_files import chosen_mode
+    from clacad.formats.step.step_mode import chosen_mode
 
     mode = chosen_mode(window, "auto")
     return _row(window, mode, about_number(_rough_bytes(sheet, mode == "fused")))

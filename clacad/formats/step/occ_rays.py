@@ -129,7 +129,7 @@ def follow_rays(
     dict of lists
         position, direction : (n, 3) of the last crossing; end : (n,) index into `ENDS`; crossings : (n,);
         hits : (n, 2 bodies, 3) where each ray crossed, zero beyond its last crossing; curved : (n, 2 bodies)
-        whether the face crossed there is curved both ways.
+            whether the face crossed there is curved both ways.
 
     Raises
     ------

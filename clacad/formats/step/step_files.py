@@ -2,9 +2,6 @@
 
 `write_step` needs no CAD kernel; `read_step` reports what OCC finds in a file, without knowing how it was
 made. Both return plain facts (JSON-able).
-
-Whether a STEP file contains every lenslet, fused, or one and its placements: known before any writer is
-loaded.
 """
 
 from __future__ import annotations
@@ -23,39 +20,11 @@ from clacad.base.units import millimetres
 from clacad.formats.step.part21 import Part21, StepColour
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
+from clacad.formats.step.step_mode import Mode, chosen_mode
 from clacad.sheet.window import Body, Window
 from clacad.solid.shells import MERGE, ShellCounts, Shells
 from clacad.solid.solids import describe_body, describe_layers, layers, middle_plane, single
 from clacad.solid.tiling_borders import Layer
-
-Mode = Literal["auto", "fused", "instanced"]
-
-FUSED_CELLS = 2500
-"""Cells up to which mode "auto" writes fused solids."""
-
-
-def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
-    """Resolve mode "auto"; a non-uniform sheet has no cell to repeat.
-
-    Raises
-    ------
-    CellsDiffer
-        An assembly is requested for such a sheet.
-    """
-    if mode not in ("auto", "fused", "instanced"):
-        raise ValueError(f"STEP mode must be auto, fused or instanced, not {mode!r}")
-    if not window.uniform:
-        if mode == "instanced":
-            from clacad.sheet.need_window import need_equal_cells
-
-            need_equal_cells(
-                window, "a STEP assembly of one cell and where it stands", "fused is one solid of all of them"
-            )
-        return "fused"
-    if mode == "auto":
-        return "fused" if window.lattice.cell_count <= FUSED_CELLS else "instanced"
-    return mode
-
 
 __all__ = ["StepBodyFacts", "read_step", "step_text_length", "write_step", "write_step_stack"]
 

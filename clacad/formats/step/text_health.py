@@ -88,7 +88,7 @@ class Scan:
     points : Vectors
         All 3-D points, in the file's unit.
     patches : (pole numbers, (m, n), weights (m, n)) of every surface curved both ways that is one Bézier
-    patch
+        patch
     uneven : number of surfaces curved both ways that have more than one span; they are not evaluated here
     face_ids, face_surfaces : number of every face, and of its surface
     reversed_faces : faces oriented against their surface's own normal

@@ -44,7 +44,7 @@ def quadric_root(
     curvatures.
 
     kappa : 1/length, (n,) or one for all; start, base, ray : three columns (n,): point, base point,
-    direction.
+        direction.
     """
     cx, cy, side = surface.curvature_x, surface.curvature_y, surface.side
     (x, y, z), (L, M, N) = base, ray

@@ -25,7 +25,7 @@ from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import row_of
 from clacad.tracing.compiled.cells import hexagon_steps
 from clacad.tracing.compiled.face import bend, height, meet
-from clacad.tracing.compiled.own_cells import carry_own, from_own_lens, own_thick, to_own_lens
+from clacad.tracing.compiled.own_straight import carry_own, from_own_lens, own_thick, to_own_lens
 from clacad.tracing.compiled.packing import OwnCells, Packed
 from clacad.tracing.compiled.records import Vector
 from clacad.tracing.compiled.straight_path_slots import (

@@ -91,7 +91,7 @@ def volume_check(
 
     window : reduced to the bodies of the file
     reach : largest |z| (length) of the whole window, whose float32 spacing the heights of all its bodies
-    share
+        share
     chord : from `chord_volume` (length³)
     """
     common: dict[str, Any] = {"unit": "design unit³", **asked.common}

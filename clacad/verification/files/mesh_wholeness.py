@@ -14,7 +14,7 @@ from clacad.base.types import Floats
 from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes, welded
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.sheet.feasibility import body_facts
-from clacad.sheet.feasibility.bodies import connect
+from clacad.sheet.pieces_and_holes import connect
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.verification.check_kinds.files import CLOSED, PIECES, SCALE

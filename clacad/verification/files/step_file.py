@@ -207,7 +207,7 @@ def hole_words(
     """Text of the round holes of a part, with the cells of array 1 they pass through; "" for none.
 
     onto : from the file's mm to the design's sheet frame and units; None where the file lies as the design
-    does.
+        does.
     """
     words = []
     for hole in holes[:4]:
