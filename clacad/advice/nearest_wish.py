@@ -17,7 +17,7 @@ from clacad.verification.checks import Check
 FEW = 2
 """Largest number of wishes that are named."""
 
-MOST_WORK = 1000
+MOST_WORK = 1500
 """Work after which no further wish is tried, in shares of thin lenses."""
 
 REASONS = 4

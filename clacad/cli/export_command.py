@@ -66,9 +66,9 @@ def run(given: Export, console: Console) -> int:
     if given.formats == (POV,) and is_scene(given.design):
         return _export_scene(given, console)
     design = load_design(given.design, given.set)
+    if not given.force:
+        _refuse_uncountable(design if given.cells is None else design.with_cells(given.cells))
     request = _request(design, given)
-    if not request.force:
-        _refuse_uncountable(design, request)
     if given.target is not None:
         request = _within_target(design, given, given.target, request, console)
     if given.dry_run:
@@ -156,7 +156,7 @@ def _cut(design: Design, request: Request) -> Design:
     return design if request.cells is None else design.with_cells(request.cells)
 
 
-def _refuse_uncountable(design: Design, request: Request) -> None:
+def _refuse_uncountable(design: Design) -> None:
     """Refuse more lenslets than are ever counted through, before a module is loaded that could.
 
     Raises
@@ -165,7 +165,7 @@ def _refuse_uncountable(design: Design, request: Request) -> None:
     """
     from clacad.exporting.limits import refuse_uncountable
 
-    refuse_uncountable(_cut(design, request))
+    refuse_uncountable(design)
 
 
 def _within_target(

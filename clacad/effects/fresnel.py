@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import FaceCrossing, RayBlock
+from clacad.effects.engine.block import FaceCrossing, RayBlock, traced_of
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.effect import Declaration, Effect, When
 from clacad.effects.engine.parameters import Setting
@@ -56,21 +56,9 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def _compiled(block: RayBlock) -> None:
-    from clacad.effects.engine.compiled_passes import Traced, fresnel_pass
+    from clacad.effects.engine.compiled_passes import fresnel_pass
 
-    rays, result = block.rays, block.result
-    assert result.hits is not None
-    assert result.directions is not None
-    traced = Traced(
-        rays.position,
-        rays.direction,
-        result.hits,
-        result.directions,
-        result.fate,
-        result.surface,
-        block.indices,
-    )
-    fresnel_pass(traced, result.flux)
+    fresnel_pass(traced_of(block), block.result.flux)
 
 
 def losses(situation: Situation) -> Floats:

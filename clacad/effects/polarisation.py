@@ -29,7 +29,7 @@ from math import cos, sin
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import FaceCrossing, RayBlock, crossings, unit_rows
+from clacad.effects.engine.block import FaceCrossing, RayBlock, crossings, traced_of, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.effect import Declaration, Effect, When
 from clacad.effects.engine.measured_change import MOST, traced_with
@@ -66,21 +66,10 @@ def effect(window: Window, setting: Setting) -> Effect:
         block.result.flux[:] *= passed(setting, block.state.pop(NAME), block.result.direction)
 
     def compiled(block: RayBlock) -> None:
-        from clacad.effects.engine.compiled_passes import Traced, polarisation_pass
+        from clacad.effects.engine.compiled_passes import polarisation_pass
 
-        rays, result = block.rays, block.result
-        assert result.hits is not None
-        assert result.directions is not None
-        traced = Traced(
-            rays.position,
-            rays.direction,
-            result.hits,
-            result.directions,
-            result.fate,
-            result.surface,
-            block.indices,
-        )
-        polarisation_pass(traced, _pointing(setting.analyser), _pointing(setting.polariser), result.flux)
+        ends = _pointing(setting.analyser), _pointing(setting.polariser)
+        polarisation_pass(traced_of(block), *ends, block.result.flux)
 
     bare = setting.coating == "none"
     return Effect(

@@ -36,6 +36,9 @@ MOST_TRACED: Final = 5000
 """Largest number of aimed cells whose lenses 2 are positioned by traced light, at 1 ms a cell; more are
 positioned by formula."""
 
+MOST_AIMED: Final = 10_000_000
+"""Largest number of cells that are tried as aimed at the viewer: every cell at the rim is examined."""
+
 FARTHEST: Final = 1024.0
 """Largest factor on the viewer's distance that is tried."""
 
@@ -80,7 +83,8 @@ def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) ->
     point = {LATTICE.aperture: {"point": [int(v) if v.is_integer() else v for v in map(float, viewer)]}}
     n1, n2 = design.lattice.count
     aimed = point if n1 * n2 <= MOST_TRACED else point | PARAXIAL
-    for changes in (aimed, {PAIR.field_lens: True}):
+    tried = (aimed, {PAIR.field_lens: True}) if n1 * n2 <= MOST_AIMED else ({PAIR.field_lens: True},)
+    for changes in tried:
         share = _share(design, changes, viewer)
         if share >= design.check.viewed and _fails(design, changes) <= failing:
             keys = " with ".join(f"{key} = {value_text(value)}" for key, value in changes.items())

@@ -38,17 +38,21 @@ def without_squares(window, triangles, rays):
     return tracer._compiled(facets.layout, rays, 0, 1, found_in)
 
 
+def both_ways(window, triangles, rays):
+    """Rays through triangles with and without squares; their fates, cells, orders and surfaces are the same."""
+    found = clacad.trace(window, rays, "mesh", mesh=triangles)
+    wanted = without_squares(window, triangles, rays)
+    for column in ("fate", "cell", "order", "surface"):
+        assert (getattr(found, column) == getattr(wanted, column)).all(), column
+    return found, wanted
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WINDOWS)
 def test_rays_end_as_they_do_in_the_trees(name):
     window = WINDOWS[name]
     triangles, rays = soup(window, 6), all_directions(window, 2000, 3)
-    found, wanted = (
-        clacad.trace(window, rays, "mesh", mesh=triangles),
-        without_squares(window, triangles, rays),
-    )
-    for column in ("fate", "cell", "order", "surface"):
-        assert (getattr(found, column) == getattr(wanted, column)).all(), column
+    found, wanted = both_ways(window, triangles, rays)
     alive = wanted.fate <= 1
     assert np.abs(found.direction - wanted.direction)[alive].max(initial=0.0) <= 1.4e-15
     assert np.abs(found.position - wanted.position)[alive].max(initial=0.0) <= 4e-15
@@ -76,12 +80,7 @@ def test_facets_that_are_no_whole_surface_are_met_as_in_the_trees(how):
     window = WINDOWS["paper base"]
     rays = beam(window, 20000, 0.03, 1.0)
     triangles = TriangleSoup(damaged(soup(window, 8).corners, how, 6))
-    found, wanted = (
-        clacad.trace(window, rays, "mesh", mesh=triangles),
-        without_squares(window, triangles, rays),
-    )
-    for column in ("fate", "cell", "order", "surface"):
-        assert (getattr(found, column) == getattr(wanted, column)).all(), column
+    found, wanted = both_ways(window, triangles, rays)
     alive = wanted.fate <= 1
     assert np.abs(found.direction - wanted.direction)[alive].max() <= 1.4e-15
     whole = soup(window, 8)

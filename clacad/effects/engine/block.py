@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Rung
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Body, Window
+
+if TYPE_CHECKING:
+    from clacad.effects.engine.compiled_passes import Traced
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,3 +188,14 @@ def bend(block: RayBlock, slopes: Floats, rows: Bools) -> None:
 def around(indices: Sequence[float]) -> list[float]:
     """Refractive index before the first face and behind each, from those of the bodies."""
     return [1.0, *(n for index in indices for n in (index, 1.0))]
+
+
+def traced_of(block: RayBlock) -> Traced:
+    """Record for compiled passes of a block whose trace kept hits and directions."""
+    from clacad.effects.engine.compiled_passes import Traced
+
+    rays, result = block.rays, block.result
+    assert result.hits is not None
+    assert result.directions is not None
+    kept = result.hits, result.directions, result.fate, result.surface
+    return Traced(rays.position, rays.direction, *kept, block.indices)

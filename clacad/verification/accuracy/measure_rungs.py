@@ -160,16 +160,21 @@ def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRo
     return [
         row(ladder, "law", "", lambda: trace(window, rays, rung="law", path="numba")),
         row(ladder, "thin", "", lambda: trace(window, rays, rung="thin", path="numba")),
-        replace(
-            surfaces,
-            model_rms=checked["rms"],
-            model_p95=checked["p95"],
-            model_max=checked["max"],
-            checked=int(checked["rays"]),
-            bytes=_surface_bytes(window),
-        ),
+        _with_truth(surfaces, checked, _surface_bytes(window)),
         replace(single, bytes=_surface_bytes(window) // 2, float="f32"),
     ]
+
+
+def _with_truth(found: AccuracyRow, checked: dict[str, float], size: int) -> AccuracyRow:
+    """Row of the exact surfaces with its errors against the reference, and the bytes of its numbers."""
+    return replace(
+        found,
+        model_rms=checked["rms"],
+        model_p95=checked["p95"],
+        model_max=checked["max"],
+        checked=int(checked["rays"]),
+        bytes=size,
+    )
 
 
 def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
@@ -186,14 +191,7 @@ def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
         for one in (
             row(ladder, "law", setting, lambda: trace(window, rays, rung="law", path="numpy")),
             row(ladder, "thin", setting, lambda: trace(window, rays, rung="thin", path="numpy")),
-            replace(
-                surfaces,
-                model_rms=checked["rms"],
-                model_p95=checked["p95"],
-                model_max=checked["max"],
-                checked=int(checked["rays"]),
-                bytes=_own_bytes(window),
-            ),
+            _with_truth(surfaces, checked, _own_bytes(window)),
         )
     ]
 

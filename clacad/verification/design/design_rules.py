@@ -49,14 +49,8 @@ def design_checks(
 
     Parameters
     ----------
-    design : Design
-        Gives the limits and the process.
-    window : Window
-    facts : Feasibility
-        Derived numbers of this window.
-    solved : bool
-        Whether to compute a thickness, index or pitch that covers the cell of a lens that does not: about a
-        second.
+    design, window, facts, solved
+        As in `Built`.
     """
     built = Built(design, window, facts, solved)
     found = [*_cell_checks(built), *(check for judge in found_by("part") for check in judge(built))]

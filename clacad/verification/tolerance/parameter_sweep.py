@@ -26,7 +26,7 @@ from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.vignetting import order_shares, thin_cells
 from clacad.tracing.worst_cell import SeenCell, worst_cell
 from clacad.verification.tolerance.farm import Farm
-from clacad.verification.tolerance.light_measures import RAYS, bench, sloped
+from clacad.verification.tolerance.light_measures import MEASURES, RAYS, bench, sloped
 from clacad.verification.tolerance.study import asked_design, named_design, worked
 
 if TYPE_CHECKING:
@@ -35,20 +35,14 @@ if TYPE_CHECKING:
 MOST_POINTS = 1_000_000
 
 TRACED: Mapping[str, str] = {
-    "exit_x": "slope",
-    "exit_y": "slope",
-    "power_xx": "1/m",
-    "power_yy": "1/m",
-    "residual_power": "1/m",
-    "blur": "rad",
-    "throughput": "",
-    "kept": "",
-    "law_rms": "rad",
-    "law_bias": "rad",
-    "eta_x": "",
-    "eta_y": "",
-    "delta_x": "",
-    "delta_y": "",
+    **dict.fromkeys(("exit_x", "exit_y"), "slope"),
+    **{
+        name: MEASURES[name]
+        for name in (
+            *("power_xx", "power_yy", "residual_power", "blur", "throughput", "kept", "law_rms", "law_bias"),
+            *("eta_x", "eta_y", "delta_x", "delta_y"),
+        )
+    },
 }
 """Measures of a point by light: those of `clacad.verification.tolerance.light_measures`, and the exit slopes
 of the chief ray."""
