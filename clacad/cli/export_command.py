@@ -122,7 +122,7 @@ def _export(given: Export, design: Design, request: Request, console: Console) -
 
     console.show(lambda: dict(manifest.document), text)
     if not console.json:
-        console.say(f"next: clacad verify {given.design} --files {given.out}")
+        console.say(f"next: clacad verify {given.design} --files {given.out} -o {given.out / 'report'}")
     return 0
 
 
