@@ -8,7 +8,7 @@
 import time
 
 import numpy as np
-from clacad.design.shipped_folder import shipped_designs
+from clacad.design.starter_designs import shipped_designs
 
 import clacad
 from clacad.optics.law import angle_between
