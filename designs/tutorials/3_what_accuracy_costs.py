@@ -8,9 +8,9 @@
 import time
 
 import numpy as np
-from clacad.design.starter_designs import shipped_designs
 
 import clacad
+from clacad.design.starter_designs import shipped_designs
 from clacad.optics.law import angle_between
 from clacad.sheet.bundle import bundle
 
