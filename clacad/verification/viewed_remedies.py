@@ -23,8 +23,7 @@ from clacad.verification.checks import Check, wrong
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
 from clacad.verification.light.viewed import thin_share, viewed
-
-Point = tuple[float, float, float]
+from clacad.verification.light.viewed_check import Point
 
 TRIED_RAYS: Final = 4096
 """Sobol rays through each changed sheet: the mean is within .008."""
@@ -86,7 +85,7 @@ def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) ->
     tried = (aimed, {PAIR.field_lens: True}) if n1 * n2 <= MOST_AIMED else ({PAIR.field_lens: True},)
     for changes in tried:
         share = _share(design, changes, viewer)
-        if share >= design.check.viewed and _fails(design, changes) <= failing:
+        if share >= design.check.viewed and _fails_no_more(design, changes, failing):
             keys = " with ".join(f"{key} = {value_text(value)}" for key, value in changes.items())
             yield f"{keys} ({100.0 * share:.3g} %)"
 
@@ -105,19 +104,24 @@ def _share(design: Design, changes: dict[str, Any], viewer: Point) -> float:
         return 0.0
 
 
-def _fails(design: Design, changes: dict[str, Any]) -> frozenset[tuple[str, str]]:
-    """Checks that fail with some keys changed; the check "" where it cannot be built."""
+def _fails_no_more(design: Design, changes: dict[str, Any], failing: frozenset[tuple[str, str]]) -> bool:
+    """Whether a design with some keys changed can be built and fails no check but those that fail already.
+
+    The rules come first: light is traced only where they hold.
+    """
     try:
         changed = design.replace(changes)
         window = prescribe(changed)
-        light, _ = judge_light(changed, window, *JUDGED_RAYS)
         rules = design_checks(changed, window, feasibility(window, *changed.viewing_places), solved=False)
+        if not _failing(rules, changed) <= failing:
+            return False
+        light, _ = judge_light(changed, window, *JUDGED_RAYS)
     except (DesignError, NoSuchLens):
-        return frozenset({("", "")})
-    return _failing([*light, *rules], changed)
+        return False
+    return _failing(light, changed) <= failing
 
 
-def _failing(checks: list[Check], design: Design) -> frozenset[tuple[str, str]]:
+def _failing(checks: Iterable[Check], design: Design) -> frozenset[tuple[str, str]]:
     return frozenset((c.id, c.subject) for c in wrong(accepted(checks, design)))
 
 
