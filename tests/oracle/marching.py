@@ -124,8 +124,12 @@ def span(window, body):
         heights = list(column(window, body, x, y))
     lands = [f.land for f in (body.front, body.back) if f.land is not None]
     values = np.concatenate([*heights, lands])
-    pad = 0.02 * window.lattice.pitch[0]
-    return np.nanmin(values) - pad, np.nanmax(values) + pad
+    return np.nanmin(values) - margin(window), np.nanmax(values) + margin(window)
+
+
+def margin(window):
+    """Height by which a march begins below and ends above a body."""
+    return 0.02 * window.lattice.pitch[0]
 
 
 def march(window, start, ray, step):
@@ -140,7 +144,9 @@ def march(window, start, ray, step):
             along = (start - position) @ ray
         change = first_change(window, body, position, ray, False, step, (high - position[2]) / ray[2])
         if change is None:
-            at = position + (high - position[2]) / ray[2] * ray
+            at = (
+                position + (high - margin(window) - position[2]) / ray[2] * ray
+            )  # level with the highest material
             inside = over_body(window, body, at[:1], at[1:2])[3]
             if not inside[0] or (first and (at - start) @ ray < 0):
                 return Fate("MISSED", launched, np.array(start))

@@ -21,7 +21,9 @@ def agree(found, result, ray):
     same &= bool(np.abs(found.direction - result.direction[ray]).max() < 1e-5)
     # a hole has no face to be on; any point of the ray will do there
     if found.name not in ("MISSED", "LAND"):
-        same &= bool(np.abs(found.position - result.position[ray]).max() < 1e-5 * PITCH)
+        # the step at a tilted lens's rim is noticed where the ray next crosses a face: lost there, a little later
+        error = 1e-2 if found.name == "WALL" else 1e-5
+        same &= bool(np.abs(found.position - result.position[ray]).max() < error * PITCH)
     return same
 
 
