@@ -47,6 +47,7 @@ _HOME = {
     "prescribe": "clacad.prescription.prescribe",
     "tessellate": "clacad.mesh",
     "Mesh": "clacad.mesh",
+    "to_trimesh": "clacad.mesh",
     "Interface": "clacad.tracing.trace",
     "trace": "clacad.tracing.trace",
     "Tracer": "clacad.tracing.tracer",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.mesh.body_mesh import BodyMesh, Mesh, mesh_volume
+from clacad.mesh.body_mesh import BodyMesh, Mesh, mesh_volume, to_trimesh
 from clacad.mesh.health import Health, check_closed
 from clacad.mesh.tessellation import (
     count_facets,
@@ -29,4 +29,5 @@ __all__ = [
     "mesh_volume",
     "slope_error_at",
     "tessellate",
+    "to_trimesh",
 ]

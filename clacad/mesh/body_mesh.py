@@ -23,7 +23,7 @@ from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
-    pass
+    from trimesh import Trimesh
 
 _CHUNK = 20_000  # largest number of triangles of an expanded block, about: they fit the second-level cache
 
@@ -376,6 +376,37 @@ class Mesh:
     def vertices(self) -> Floats:
         """Vertices (n, 3) of all bodies, sheet frame (lengths). Expands everything."""
         return self._expanded[0]
+
+
+def to_trimesh(mesh: Mesh | BodyMesh) -> Trimesh:
+    """Convert a mesh, or that of one body, to a `trimesh.Trimesh`, which expands it.
+
+    Parameters
+    ----------
+    mesh : Mesh or BodyMesh
+        For example from `clacad.tessellate`; a closed mesh becomes one that is `is_watertight`.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Copies of the vertices (n, 3) and triangles (m, 3), not merged and in their order, sheet frame.
+        Coordinates are in the unit of the design, which `units` states: `convert_units("mm")` scales them.
+
+    Raises
+    ------
+    MemoryError
+        The expanded mesh does not fit the memory; `Mesh.part` selects some of its cells.
+    """
+    from trimesh import Trimesh
+
+    metres = mesh.window.unit
+    made = Trimesh(mesh.vertices.copy(), mesh.triangles.copy(), process=False)
+    made.units = _NAMED_UNITS.get(metres) or f"{metres!r} * meters"
+    return made
+
+
+_NAMED_UNITS = {1e-6: "microns", 1e-3: "mm", 1e-2: "cm", 1.0: "m", 0.0254: "inches"}
+"""Metres → word of trimesh for the unit."""
 
 
 def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:

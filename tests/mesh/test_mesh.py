@@ -60,6 +60,24 @@ def test_every_form_is_closed_also_after_a_float32_file(name):
         assert len(corners) == body.facet_count
 
 
+@pytest.mark.parametrize("metres", [1.0, 1e-3, 0.1])
+def test_a_mesh_becomes_one_of_trimesh_with_its_vertices_unit_and_volume(metres):
+    sheet = replace(window(**FORMS["slab, seam"]), unit=metres)
+    mesh = tessellate(sheet, quads=5)
+    for given, bodies in ((mesh, mesh.bodies), (mesh.bodies[0], mesh.bodies[:1])):
+        made = clacad.to_trimesh(given)
+        assert made.is_watertight == check_closed((given.vertices, given.triangles)).closed
+        np.testing.assert_array_equal(made.vertices, given.vertices)
+        np.testing.assert_array_equal(made.faces, given.triangles)
+        corners = np.concatenate([rows for body in bodies for rows in body.rows()])
+        a, b, c = np.moveaxis(corners, 1, 0)  # signed tetrahedra over the streamed facets: another route
+        assert made.volume == pytest.approx((a * np.cross(b, c)).sum() / 6.0, rel=1e-11)
+        made.convert_units("m")
+        np.testing.assert_allclose(made.vertices, given.vertices * metres, rtol=1e-14)
+    made.vertices[:] = 0.0
+    assert np.ptp(given.vertices) > 0.0
+
+
 @pytest.mark.daily_cases("strips")
 @pytest.mark.parametrize("name", often(FORMS, "strips", "pinholes", "loose cells that touch", "saddle at every corner",
                                       "tilted web, rims in the cell", "plano"))  # fmt: skip
