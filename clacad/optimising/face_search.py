@@ -28,7 +28,7 @@ from clacad.optics.surface import Surface
 from clacad.optimising.aim import FIELDS, RAYS, Aim, AimedRays
 from clacad.optimising.light_in_cells import LightInCells, ShareOfLight
 from clacad.optimising.unknowns import Unknowns, given_design, trial_design, with_faces
-from clacad.prescription.given import given_conics
+from clacad.prescription.bodies import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
 from clacad.verification.check_kinds.process import SLOPE
@@ -372,7 +372,7 @@ class FaceSearch:
         faces, offset = self.unknowns.faces(vector)
         if self.quick:
             return with_faces(self.window, faces)
-        from clacad.prescription.assemble import placed
+        from clacad.prescription.prescribe import placed
 
         return placed(trial_design(self.design, self.window, faces, offset))
 

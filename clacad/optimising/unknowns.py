@@ -26,7 +26,7 @@ from clacad.design import Design
 from clacad.design.faces import FaceSpec, SearchRecord, face_table
 from clacad.design.sections import OF_RECIPES
 from clacad.optics.surface import EvenPolynomial, Quadric, Surface
-from clacad.prescription.given import given_conics, given_surface
+from clacad.prescription.bodies import given_conics, given_surface
 from clacad.sheet.window import Window
 
 WORDS = ("radii", "conic", "bending", "a4", "a6", "a8", "offset", "field")

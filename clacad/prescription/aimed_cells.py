@@ -21,7 +21,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.keys import LATTICE
-from clacad.prescription.poses import displacement
+from clacad.prescription.bodies import displacement
 from clacad.prescription.radii import NoSuchLens
 from clacad.prescription.traced_vertices import traced_moves
 from clacad.sheet.cell_places import CellPlacement, VertexChange, row_ends
@@ -121,7 +121,7 @@ def _landing(window: Window) -> Landing:
     if window.form == "biconvex":
         return _straight(0.5 * (faces[0].vertex[2] + faces[1].vertex[2]))
     height = faces[0].vertex[2]
-    return lambda slope: displacement(window.bodies, slope, np.zeros(2), height, True)
+    return lambda slope: displacement(slope, np.zeros(2), height, window.bodies)
 
 
 def _straight(height: float) -> Landing:

@@ -23,6 +23,7 @@ from clacad.optics.fit import AskedLight, law_residuals, minimise
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, parabasal, trace_sequence
+from clacad.prescription.bodies import shallower
 from clacad.prescription.cell_heights import window_range
 from clacad.prescription.intent import Intent
 from clacad.sheet.asked_focus import asked_power
@@ -34,7 +35,7 @@ RAYS = 4096
 
 
 def best_scale(intent: Intent, build: Callable[[float], Window]) -> Window:
-    """Find the scale of the radii with the least rms law error, and build with it.
+    """Build with the scale of the radii of least rms law error where "best" is requested, else with 1.
 
     Parameters
     ----------
@@ -45,9 +46,12 @@ def best_scale(intent: Intent, build: Callable[[float], Window]) -> Window:
     Returns
     -------
     Window
-        Its recipe records the scale and the rms error before and after (radians).
+        Recipe "best" records the scale and the rms error before and after (radians).
     """
     start = build(1.0)
+    pair = intent.design.pair
+    if pair.given or pair.confocal != "best":
+        return start
     light = _light(intent, start)
 
     def residuals(scale: Floats) -> Floats:
@@ -86,25 +90,19 @@ def _to_partner(window: Window, rays: Rays) -> Bools:
     return np.asarray(good)
 
 
-def residual(window: Window, rotation: Floats, origin: Floats, asked: Floats) -> dict[str, float]:
+def residual(window: Window, intent: Intent) -> dict[str, float]:
     """Parabasal law error (radians) and decollimation over half a cell (radians) of a window, minus requested
     power.
-
-    Parameters
-    ----------
-    rotation : (3, 3)
-        Lens → sheet of the requested law: its axis is the axis ray before the window.
-    origin : (3,)
-        A point of the axis ray, sheet frame, lengths.
-    `asked` : (3,) unit
-        Direction of the axis ray behind the window by the law.
 
     Returns
     -------
     dict
         Both are infinite where the axis ray is lost.
     """
-    found = parabasal(interfaces(window), rotation, origin, STEP * window.lattice.circumradius)
+    rotation = intent.turn
+    asked = intent.law.refract(rotation[:, 2][None])[0]
+    size = STEP * window.lattice.circumradius
+    found = parabasal(interfaces(window), rotation, _entry(window, intent), size)
     if not (np.isfinite(found.direction).all() and np.isfinite(found.cosines).all()):
         # the axis ray misses a lens or is totally reflected:
         # the window is built and fails its checks, no error here
@@ -114,3 +112,13 @@ def residual(window: Window, rotation: Floats, origin: Floats, asked: Floats) ->
         "law": float(angle_between(found.direction, asked)),
         "decollimation": float(np.linalg.norm(found.cosines + np.diag(asked_power(window)), 2)) * half,
     }
+
+
+def _entry(window: Window, intent: Intent) -> Floats:
+    """Point of the axis ray before the window, sheet frame."""
+    pair = intent.design.pair
+    if pair.form == "plano" and pair.curved == "inside":
+        glass = shallower(intent.law, intent.index)[:, 2]
+        plane = window.bodies[0].front.vertex[2]
+        return np.asarray(glass * (plane / glass[2]))
+    return np.zeros(3)

@@ -3,6 +3,8 @@
 Exact heights are sampled: borders at 65 points, the cell on a grid, corners always included.
 
 Thickness "auto": the smallest that covers every cell, joins neighbours and covers the land.
+
+Given faces without height somewhere over their cell, or that intersect there, are refused.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.keys import LATTICE
+from clacad.design.keys import LATTICE, PAIR
+from clacad.prescription.bodies import given_conics
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.representative_cells import level_point, outermost_cells
 from clacad.sheet.window import (
@@ -237,3 +240,67 @@ def _missing(window: Window, number: int, neck: float) -> float:
     if spare == -float("inf"):
         return window.lattice.circumradius  # a lens ends inside its cell: a thicker lens reaches farther
     return -spare / float(window.thin.rotation[2, 2])
+
+
+def refuse_no_faces(window: Window) -> None:
+    """Refuse given faces that have no height somewhere over their cell, or that cross there.
+
+    Raises
+    ------
+    NoSuchLens
+        A face has no real height somewhere over its cell, or front and back of a body without land intersect.
+    """
+    number = 0
+    for body in window.bodies:
+        for face in (body.front, body.back):
+            if face.array is not None:
+                _refuse_no_height(window, face, number)
+            number += 1
+        _refuse_crossing(window, body, number)
+
+
+def _refuse_no_height(window: Window, face: Face, number: int) -> None:
+    points = zone_points(window)
+    missing = np.isnan(lens_height(face, points[:, 0], points[:, 1]))
+    if not missing.any():
+        return
+    apart = points[missing] - np.asarray(face.vertex[:2])
+    at = points[missing][int(np.argmin((apart**2).sum(axis=1)))]
+    raise NoSuchLens(
+        f"face {number + 1} has no real height over ({at[0]:.4g}, {at[1]:.4g}) of its cell",
+        key=f"{PAIR.face}.{number}.conic",
+        hint=_conic_that_fits(face, points),
+    )
+
+
+def _conic_that_fits(face: Face, points: Floats) -> str:
+    """Conic constants of an upright face that reach every point (n, 2), lengths, of its zone."""
+    surface = face.surface
+    conics = given_conics(surface)
+    x, y = (points - np.asarray(face.vertex[:2])).T
+    square = [
+        (1.0 + k) * c * c for k, c in zip(conics, (surface.curvature_x, surface.curvature_y), strict=True)
+    ]
+    worst = float((square[0] * x * x + square[1] * y * y).max())
+    if worst <= 1.0:
+        return "less tilt, longer radii or a smaller pitch"
+    fits = [(1.0 + k) / worst - 1.0 for k in conics]
+    return f"conic below [{fits[0]:.4g}, {fits[1]:.4g}], longer radii, or a smaller pitch"
+
+
+def _refuse_crossing(window: Window, body: Body, after: int) -> None:
+    """Refuse a body without land whose front and back intersect over the cell."""
+    faces = (body.front, body.back)
+    if all(face.land is not None for face in faces if face.array is not None):
+        return
+    if body.columnar or None in (body.front.array, body.back.array):
+        left = least_thickness(window, body)
+    else:
+        left = face_range(window, body.back)[0] - face_range(window, body.front)[1]
+    if left <= 0.0:
+        raise NoSuchLens(
+            f"faces {after - 1} and {after} cross over their cell: {left:.4g} is left between them where they"
+            " are nearest",
+            key=PAIR.thickness if window.form != "slab" else PAIR.separation,
+            hint=f"more than {-left:.4g} more thickness, or longer radii",
+        )

@@ -29,7 +29,7 @@ from clacad.design.keys import LATTICE, LAW, PAIR
 from clacad.design.process_profiles import profile
 from clacad.design.sections import AimedAt
 from clacad.optics.surface import Quadric, Surface
-from clacad.prescription.given import GivenFaces
+from clacad.prescription.bodies import GivenFaces
 from clacad.prescription.intent import Intent
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
 from clacad.sheet.volume_and_extent import FIELD as ARRAY

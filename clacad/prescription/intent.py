@@ -1,17 +1,23 @@
-"""Inputs of the recipes, read once from a design."""
+"""Inputs of the recipes, read once from a design; refused where a lens has no sag or ends inside its cell."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
+from clacad.design.asked_cells import lattice_of
+from clacad.design.keys import LATTICE, PAIR
+from clacad.design.process_profiles import profile
 from clacad.optics.law import Law
-from clacad.prescription.faces_and_bodies import Shaping
-from clacad.prescription.radii import LensPair, NoSuchLens
+from clacad.prescription.bodies import GivenFaces, Shape, Shaping
+from clacad.prescription.plates import cells_outline
+from clacad.prescription.radii import LensPair, NoSuchLens, thin_focal_lengths
 from clacad.sheet.lattice import Lattice
+from clacad.sheet.plate import Plate
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -53,6 +59,123 @@ class Intent:
                 hint="a finite radius there, delta = 0, or pair.vertex = [d_x, d_y]",
             )
         return offset
+
+
+def intent_of(design: Design) -> Intent:
+    """Read the inputs of the recipes from a design."""
+    pair = design.pair
+    material = None
+    if pair.material is not None:
+        from clacad.optics.material.catalogue import find
+
+        material = find(pair.material)
+    index = pair.index if material is None else float(material.index(pair.wavelength))
+    assert index is not None  # the design holds exactly one of index and material
+    law = design.law
+    neck = design.body.neck
+    if neck is None:
+        neck = max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
+    return Intent(
+        design,
+        law,
+        law.rotation,
+        design.law_spec.eta,
+        design.law_spec.delta,
+        index,
+        material,
+        _lattice(design),
+        GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth),
+        neck,
+    )
+
+
+def _conic(design: Design, index: float) -> Pair2 | None:
+    """Conic constants of a biconic; the default makes the axial beam stigmatic (plano outside: a start
+    value).
+    """
+    pair = design.pair
+    if pair.surface != "biconic":
+        return None
+    if pair.conic is not None:
+        return pair.conic
+    inside = pair.form == "plano" and pair.curved == "inside"
+    k = -(index**2) if inside else -1.0 / index**2
+    return k, k
+
+
+def _lattice(design: Design) -> Lattice:
+    """Pattern of cells, ended at a plate where one is requested."""
+    plain = lattice_of(design)
+    outline = cells_outline(design.lattice.outline, design.body)
+    return replace(plain, outline=outline) if isinstance(outline, Plate) else plain
+
+
+def untraced(intent: Intent) -> Intent:
+    """Intent with paraxially placed lenses: trials of a thickness trace no light."""
+    design = intent.design
+    return replace(intent, design=replace(design, pair=replace(design.pair, offset="paraxial")))
+
+
+LEAST_SAG = 1e-14
+"""Least sag of a lens over its cell, as part of the separation:
+a smaller sag is below the rounding of its position.
+"""
+
+
+def _lens_reach(intent: Intent) -> tuple[Pair2, tuple[str, str]]:
+    """Least reach of a lens from the centre of its cell along lens x and y (lengths), and the dimension it is
+    half of.
+
+    A cylinder, which has no power along its other axis, must reach across its cell only; any other lens must
+    reach the corners.
+    """
+    corner = intent.lattice.circumradius
+    across = np.abs(intent.lattice.tile() @ intent.turn[:2, :2]).max(axis=0)
+    cylinder = [other == 1.0 for other in reversed(intent.eta)]
+    x, y = (float(half) if alone else corner for half, alone in zip(across, cylinder, strict=True))
+    first, second = ("width" if alone else "diagonal" for alone in cylinder)
+    return (x, y), (first, second)
+
+
+def _smaller_pitch(intent: Intent, axis: str, where: str, part: float) -> str:
+    """Describe a sufficient pitch as a hint: a cylinder on an upright rectangle constrains one side only."""
+    pitch = intent.lattice.pitch
+    upright = where == "width" and not intent.lattice.hexagonal and abs(intent.turn[0, 1]) < 1e-12
+    if upright:
+        k = "xy".index(axis)
+        return f"pitch along {axis} < {pitch[k] * part:.6g}"
+    return f"pitch < {max(pitch) * part:.6g}"
+
+
+def refuse_radius(intent: Intent) -> None:
+    """Refuse a face whose radius is below its reach in the cell, or that has almost no sag."""
+    factor = intent.index - 1.0
+    if intent.design.pair.form == "biconvex":
+        factor *= 2.0
+    for axis, value, reach, where in zip("xy", intent.eta, *_lens_reach(intent), strict=True):
+        for number, f in enumerate(thin_focal_lengths(value, separation_of(intent)), start=1):
+            radius = abs(factor * f)
+            sag = reach * reach / (2.0 * radius) if radius > reach else reach
+            if isfinite(radius) and sag < LEAST_SAG * separation_of(intent):
+                raise NoSuchLens(
+                    f"lens {number} would rise by {sag:.3g} over its cell in {axis}, less than its place"
+                    f" between lenses {separation_of(intent):.6g} apart is known to",
+                    key=PAIR.separation,
+                    hint=(
+                        f"a smaller separation or a larger pitch: the height must be above {LEAST_SAG:g} of"
+                        " the separation"
+                    ),
+                )
+            if radius < reach:
+                raise NoSuchLens(
+                    f"lens {number} would have the radius {radius:.6g} in {axis}, less than half the {where}"
+                    f" of its cell ({reach:.6g}): the surface ends inside the cell",
+                    key=LATTICE.pitch,
+                    hint=(
+                        f"{_smaller_pitch(intent, axis, where, radius / reach)}, or separation > "
+                        f"{separation_of(intent) * reach / radius:.6g}"
+                    ),
+                )
 
 
 def separation_of(intent: Intent) -> float:

@@ -1,4 +1,6 @@
-"""Plates at which bodies end, from requested outlines, corners, holes and pins. Lengths in design units.
+"""Plates at which bodies end, from requested outlines, corners, holes and pins, and their land.
+
+Lengths in design units.
 
 A plate lies where it is drawn, relative to the sheet's origin, and is common to both bodies: bolts and pins
 pass straight through. A plain border around displaced arrays is as wide as both need. Where `lattice.outline`
@@ -10,6 +12,7 @@ is refused.
 from __future__ import annotations
 
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 
@@ -17,11 +20,13 @@ from clacad.base.text import rounded_up
 from clacad.base.types import Pair2
 from clacad.design.body import BodySpec, Outline
 from clacad.design.keys import BODY, LATTICE
+from clacad.prescription.cell_heights import face_range
 from clacad.prescription.radii import NoSuchLens
-from clacad.sheet.lattice import Circle, Rectangle
+from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Hole, Plate, counter_clockwise, plate_of_circle, plate_of_rectangle
 from clacad.sheet.plate_edges import Vertex, edge_gaps, inside
-from clacad.sheet.window import Window
+from clacad.sheet.turn import held_when_turned
+from clacad.sheet.window import Body, Window
 
 MOST_CELLS = 10_000_000
 """Greatest number of cells that are tested one by one against a plate."""
@@ -208,4 +213,93 @@ def _refuse_empty(window: Window, plate: Plate) -> None:
         f"it reaches from ({x0:.6g}, {y0:.6g}) to ({x1:.6g}, {y1:.6g}); cells stand about the origin: a"
         " larger outline, a smaller lattice.pitch, or the outline moved there",
         "CL117",
+    )
+
+
+# -- cells inside both arrays, and land ----------------------------------------------------------------
+
+
+def _within(outline: Circle | Rectangle, moved: Pair2, wider: float) -> Circle | Rectangle:
+    """Outline reduced so that its contents lie in `outline` with and without displacement by `moved` and
+    scale `wider`.
+    """
+    if isinstance(outline, Circle):
+        return Circle(max((outline.diameter - 2.0 * hypot(*moved)) / max(wider, 1.0), 0.0))
+    width, height = outline.width - 2.0 * abs(moved[0]), outline.height - 2.0 * abs(moved[1])
+    return Rectangle(max(width / max(wider, 1.0), 0.0), max(height / max(wider, 1.0), 0.0))
+
+
+def _refuse_apart(lattice: Lattice, moved: Pair2, wider: float) -> None:
+    """Refuse a displaced slab without a whole cell of both arrays inside the outline:
+    a sheet without lenses.
+    """
+    if lattice.holds_a_cell:
+        return
+    least = lattice.least_outline()
+    if isinstance(least, Circle):
+        shape = f"circle = {rounded_up(max(wider, 1.0) * least.diameter + 2.0 * hypot(*moved))}"
+    else:
+        sides = tuple(
+            max(wider, 1.0) * size + 2.0 * abs(m)
+            for size, m in zip((least.width, least.height), moved, strict=True)
+        )
+        shape = f"rectangle = [{', '.join(map(rounded_up, sides))}]"
+    raise NoSuchLens(
+        f"lattice.outline holds no cell that is whole in both arrays: they stand {hypot(*moved):.4g} apart",
+        key=LATTICE.outline,
+        hint=(
+            f"outline = {{{shape}}} or larger; or smaller angles, delta or separation, which bring the arrays"
+            " together"
+        ),
+        code="CL117",
+    )
+
+
+def inside_both(window: Window) -> Window:
+    """Window whose circular or rectangular outline keeps only cells that are whole in both arrays: those of
+    array 2 are displaced in a slab, and may be larger.
+
+    Raises
+    ------
+    NoSuchLens
+        No cell is left.
+    """
+    second, cut = window.placements[1], window.lattice.outline
+    moved = second.shift if window.form == "slab" else (0.0, 0.0)
+    wider = max(second.scale(window.lattice))
+    if second.turn and isinstance(cut, Rectangle):
+        wider = max(wider, 1.0) / held_when_turned((cut.width, cut.height), second.turn)
+    if not isinstance(cut, Circle | Rectangle) or (moved == (0.0, 0.0) and wider <= 1.0):
+        return window
+    window = replace(window, lattice=replace(window.lattice, outline=_within(cut, moved, wider)))
+    _refuse_apart(window.lattice, moved, wider)
+    return window
+
+
+def with_land(window: Window, seam_depth: float | None) -> Window:
+    """Return the window with the land that faces of plano lenses, slabs and field lenses need (seam, border,
+    outline).
+
+    The land lies `seam_depth` below the deepest point of the array's optical zone, so that it is outside the
+    range of the border heights.
+    """
+    if window.land.seam == 0.0 and window.outline is None:
+        return window
+    depth = min(window.lattice.pitch) / 50.0 if seam_depth is None else seam_depth
+
+    def landed(body: Body) -> Body:
+        faces = []
+        for face in (body.front, body.back):
+            if face.array is not None:
+                low, high = face_range(window, face)
+                face = replace(face, land=high + depth if face.side > 0 else low - depth)
+            faces.append(face)
+        return replace(body, front=faces[0], back=faces[1])
+
+    plates = [window.form != "biconvex" or body.name == "field" for body in window.bodies]
+    return replace(
+        window,
+        bodies=tuple(
+            landed(body) if plate else body for body, plate in zip(window.bodies, plates, strict=True)
+        ),
     )

@@ -7,11 +7,12 @@ Recipes
 biconvex "exact": centres s apart, both meridians afocal with exactly η (thick lenses).
 biconvex "thin": the paper's R = 2(n − 1)f. slab, plano: one curved face per lens, exact for any thickness.
 "best": radii scaled for the least rms law error (biconvex: the thin ones), `clacad.prescription.best_recipe`.
-given: nothing is solved, the faces are those of the design, `clacad.prescription.given`.
+given: nothing is solved, the faces are those of the design, `clacad.prescription.bodies`.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.design.keys import PAIR
@@ -19,6 +20,7 @@ from clacad.prescription.radii import NoSuchLens
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.prescription.intent import Intent
     from clacad.sheet.window import Window
 
 __all__ = ["NoSuchLens", "prescribe"]
@@ -43,12 +45,47 @@ def prescribe(design: Design) -> Window:
         unwise (for example a lens that does not cover its cell) is built and left to the checks.
     """
     from clacad.design import DesignError
-    from clacad.prescription.assemble import build_window
 
     try:
-        return build_window(design)
+        return _checked(design)
     except NoSuchLens as error:
         raise DesignError.at(design, error.key, error.message, code=error.code, hint=error.hint) from error
     except ArithmeticError as error:  # lengths too far apart in size
         message = f"the lengths of this design are too far apart in size to be computed with ({error})"
         raise DesignError.at(design, PAIR.separation, message) from error
+
+
+def placed(design: Design) -> Window:
+    """Window of a design with given faces, without checks and residual: a trial of a search."""
+    from clacad.prescription.intent import intent_of
+
+    return _of_form(intent_of(design))
+
+
+def _of_form(intent: Intent) -> Window:
+    """Window of a pair of the requested form."""
+    from clacad.prescription.biconvex import biconvex
+    from clacad.prescription.plano import plano
+    from clacad.prescription.slab import slab
+
+    build = {"biconvex": biconvex, "plano": plano, "slab": slab}[intent.design.pair.form]
+    return build(intent)
+
+
+def _checked(design: Design) -> Window:
+    """Window of a design whose lenses have sag, heights and radii over their cells, with its residual."""
+    from clacad.prescription.best_recipe import residual
+    from clacad.prescription.bodies import refuse_crossed
+    from clacad.prescription.cell_heights import refuse_no_faces, window_range
+    from clacad.prescription.intent import intent_of, refuse_radius
+
+    intent = intent_of(design)
+    if design.pair.given:
+        refuse_crossed(design.pair)
+    else:
+        refuse_radius(intent)
+    window = _of_form(intent)
+    if design.pair.given:
+        refuse_no_faces(window)
+    window = replace(window, z_range=window_range(window))
+    return replace(window, residual=residual(window, intent))

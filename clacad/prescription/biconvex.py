@@ -1,0 +1,137 @@
+"""Biconvex pairs: two thick lenses with centres on the axis, with or without a field plate between them."""
+
+from __future__ import annotations
+
+from math import isinf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Pair2
+from clacad.design.keys import BODY, LATTICE
+from clacad.prescription.assemble import assemble_window
+from clacad.prescription.best_recipe import best_scale
+from clacad.prescription.bodies import LensPose, biconvex_body, displacement, given_pair
+from clacad.prescription.cell_heights import auto_thickness
+from clacad.prescription.field_lens import Chief, one_plate, plate_body, symmetric_foci
+from clacad.prescription.intent import Intent, separation_of, untraced
+from clacad.prescription.radii import LensPair, NoSuchLens, biconvex_exact, biconvex_thin, thin_focal_lengths
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+def biconvex(intent: Intent) -> Window:
+    """Window of two biconvex (or concave) lenses."""
+    thickness = _solved(intent)
+    window = best_scale(intent, lambda scale: _with_thickness(intent, thickness, scale))
+    _refuse_land_without_plate(intent.design, window)
+    return window
+
+
+def _refuse_land_without_plate(design: Design, window: Window) -> None:
+    """Refuse seam, border or outline on a concave lens: its body has no plate of its own for them."""
+    asked = {
+        LATTICE.seam: design.lattice.seam > 0.0,
+        BODY.border: design.body.border > 0.0,
+        BODY.outline: design.body.outline is not None,
+        LATTICE.outline: design.lattice.outline is not None,
+    }
+    keys = [key for key, given in asked.items() if given]
+    for number, body in enumerate(window.bodies, start=1):
+        if keys and body.front.land is None:
+            raise NoSuchLens(
+                f"lens {number} is concave: it has no plate for {' and '.join(keys)}",
+                key=keys[0],
+                hint=f"no {' and no '.join(keys)}, or pair.form = 'plano'",
+            )
+
+
+def _solved(intent: Intent) -> Pair2:
+    """Requested thicknesses, or thicknesses solved for "auto" with the exact (or thin) radii."""
+    given = intent.design.pair.thicknesses
+    if given is not None:
+        return given
+    separation = separation_of(intent)
+    focal = [thin_focal_lengths(value, separation) for value in intent.eta]
+    reach = intent.lattice.circumradius
+    curvature = [
+        sum(0.0 if isinf(f[k]) else max(0.0, 1.0 / f[k]) for f in focal) / (2.0 * (intent.index - 1.0))
+        for k in (0, 1)
+    ]
+    guess = (intent.neck + 0.5 * reach**2 * curvature[0], intent.neck + 0.5 * reach**2 * curvature[1])
+    converging = [abs(f) for fs in focal for f in fs if f > 0.0 and not isinf(f)]
+    limit = min([intent.index * f for f in converging] + [2.0 * separation])
+    trial = untraced(intent)
+    return auto_thickness(lambda t: _with_thickness(trial, t), guess, intent.neck, limit)
+
+
+def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Window:
+    """Window of a biconvex pair with given thicknesses, its radii times `scale`."""
+    pair = intent.design.pair
+    separation = separation_of(intent)
+    if pair.given:
+        lenses = given_pair(pair, thickness, intent.index)
+    elif pair.focus is not None:
+        from clacad.prescription.sharp_pairs import sharp_thick_lenses
+
+        lenses = sharp_thick_lenses(intent.eta, separation, pair.focus, thickness, intent.index)
+    else:
+        recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
+        lenses = recipe(intent.eta, separation, thickness, intent.index)
+    lenses = lenses.scaled(scale)
+    offset = intent.built_offset(lenses)
+    plate, ideal = None, lenses
+    if pair.field_lens:
+        # the plate's position follows from eta alone, so that given and derived faces have the same position
+        if pair.given:
+            ideal = biconvex_exact(intent.eta, separation, thickness, intent.index)
+        rooms = [symmetric_foci(ideal.radius[k], thickness[k], intent.index) for k in (0, 1)]
+        plate = one_plate(intent, ideal.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
+    lens_2, added = intent.turn @ np.array([*offset, separation]), np.zeros(3)
+    moved = displacement(intent.design.lattice.aperture, lens_2[:2], float(lens_2[2]))
+    if plate is not None:
+        added = plate.added(intent.index) * intent.turn[:, 2]
+        lens_2 = lens_2 + added
+        if intent.design.lattice.aperture != "aligned":  # the plate carries the ray to cell 2 along the axis
+            moved = (moved[0] + float(added[0]), moved[1] + float(added[1]))
+    relative = lens_2 - np.array([*moved, 0.0])
+    bodies = tuple(
+        biconvex_body(
+            lenses,
+            k,
+            LensPose(point, intent.turn),
+            intent.shape,
+            intent.index,
+            _web(intent, lenses, k, float(point[2])),
+        )
+        for k, point in enumerate((np.zeros(3), relative))
+    )
+    if plate is None:
+        return assemble_window(intent, bodies, moved, lenses, offset)
+    axis = intent.turn[:, 2]
+    height = float((lens_2 - np.array([*moved, 0.0])) @ axis) / axis[2]
+    reduced = ideal.focal_length[0][0] + ideal.focal_length[1][0]
+    chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced)
+    legs = ((min(ideal.focal_length[0]), 1.0), (plate.thickness, intent.index))
+    field, shift = plate_body(intent, plate, (chief.across(legs[:1]), chief.across(legs)))
+    bodies = (bodies[0], field, bodies[1])
+    return assemble_window(intent, bodies, moved, lenses, offset, shift, plate.told)
+
+
+def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
+    """Front and back z of the plate that joins the lenslets of one array;
+    None without one or for a concave lens.
+    """
+    spec = intent.design
+    bordered = spec.body.apart or spec.lattice.outline is not None
+    web = spec.pair.web
+    if web is None or (web == 0.0 and bordered):
+        web = intent.neck  # the border is a plate; a web must join it to the lenslets
+    radii: tuple[float, ...] = lenses.radius[number]
+    if spec.pair.given:
+        radii = tuple(r for face in spec.pair.face[spec.pair.lens_faces(number)] for r in face.radius)
+    if web == 0.0 or any(r < 0.0 for r in radii):
+        return None
+    return centre - 0.5 * web, centre + 0.5 * web

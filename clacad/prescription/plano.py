@@ -1,0 +1,200 @@
+"""Plano pairs: two lenses with one curved face each, inside or outside, with or without a field plate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from clacad.base.types import Floats, Pair2
+from clacad.design.keys import PAIR
+from clacad.prescription.assemble import assemble_window
+from clacad.prescription.best_recipe import best_scale
+from clacad.prescription.bodies import (
+    LensPose,
+    Shape,
+    best_gap,
+    displacement,
+    given_pair,
+    plano_body,
+    plano_outside_axis,
+    shallower,
+)
+from clacad.prescription.cell_heights import face_range
+from clacad.prescription.field_lens import Chief, one_plate, plate_body
+from clacad.prescription.intent import Intent, separation_of, untraced
+from clacad.prescription.radii import LensPair, NoSuchLens, single_surface, thin_pair
+from clacad.sheet.window import Body, Window
+
+
+def plano(intent: Intent) -> Window:
+    """Window of two plano lenses, curved faces inside or outside."""
+    return best_scale(intent, lambda scale: _plano_scaled(intent, scale))
+
+
+def _plano_scaled(intent: Intent, scale: float) -> Window:
+    """Plano pair with its radii times `scale`."""
+    pair = intent.design.pair
+    separation = separation_of(intent)
+    thickness = pair.thicknesses or _plano_auto(intent, separation)
+    lenses = one_faced(intent, separation, thickness).scaled(scale)
+    if pair.field_lens:
+        return plano_with_field(intent, lenses)
+    offset = intent.built_offset(lenses)
+    if pair.curved == "inside":
+        turn = shallower(intent.law, intent.index)  # the plane faces refract the axis
+        return _plano_placed(intent, lenses, turn @ np.array([*offset, separation]), turn, offset)
+    gap = separation - (thickness[0] + thickness[1]) / intent.index
+    if gap <= 0.0:
+        raise NoSuchLens(
+            f"the plane faces would meet: the air gap separation - (T1 + T2)/n is {gap:.6g}",
+            hint=(
+                f"T1 + T2 < {intent.index * separation:.6g}, separation > "
+                f"{(thickness[0] + thickness[1]) / intent.index:.6g}, or curved = 'inside'"
+            ),
+        )
+
+    if intent.law.theta != 0.0:
+        gap = _afocal_gap(intent, thickness, gap)
+    lens_2 = plano_outside_axis(intent.turn, intent.index, thickness, gap)
+    lens_2 = lens_2 + intent.turn @ np.array([*offset, 0.0])
+    return _plano_placed(intent, lenses, lens_2, intent.turn, offset)
+
+
+def one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
+    """Lenses with one curved face each: as given, else from the requested η,
+    afocal or with the requested focus.
+    """
+    pair = intent.design.pair
+    if pair.given:
+        return given_pair(pair, thickness, intent.index)
+    if pair.focus is not None:
+        from clacad.prescription.sharp_pairs import behind_plates, seen_through, sharp_lenses
+
+        seen = (
+            seen_through(pair.focus, thickness, intent.index) if behind_plates(intent.design) else pair.focus
+        )
+        return sharp_lenses(intent.eta, separation, seen, thickness, intent.index)
+    return single_surface(intent.eta, separation, thickness, intent.index)
+
+
+def _afocal_gap(intent: Intent, thickness: Pair2, guess: float) -> float:
+    """Air gap (length) of a tilted plano pair: that of the ellipsoids of law.eta, regardless of the built
+    faces.
+
+    A gap solved for the built faces makes any pair of faces afocal. A search over faces or their scale would
+    then increase the separation, because the error falls as the cube of pitch over separation.
+    """
+    plain = replace(untraced(intent), shape=Shape(None, None))
+    lenses = single_surface(intent.eta, separation_of(intent), thickness, intent.index)
+
+    def built(gap: float) -> Window:
+        # without the offset: off its axis lens 2 adds aberration that is unrelated to the gap
+        lens_2 = plano_outside_axis(intent.turn, intent.index, thickness, gap)
+        return _plano_placed(plain, lenses, lens_2, intent.turn, np.zeros(2))
+
+    return best_gap(built, intent.turn, guess)
+
+
+def _plano_auto(intent: Intent, separation: float) -> Pair2:
+    """Smallest vertex-to-plane thickness that leaves the neck under the whole lens,
+    and the land if there is one.
+    """
+    found = _plano_auto_of(intent, separation, one_faced(intent, separation, (0.0, 0.0)))
+    if intent.design.pair.focus is None:
+        return found
+    for _ in range(SETTLING):  # sharp lenses behind their own plates depend slightly on the thickness
+        found = _plano_auto_of(intent, separation, one_faced(intent, separation, found))
+    return found
+
+
+SETTLING = 4
+"""Number of iterations of thickness and radii of sharp lenses: each gains three digits."""
+
+
+def _plano_auto_of(intent: Intent, separation: float, trial: LensPair) -> Pair2:
+    """Smallest vertex-to-plane thickness, as `_plano_auto`, for the lenses of `trial`."""
+    trial = replace(trial, thickness=(0.0, 0.0))
+    window = _plano_placed(
+        untraced(intent),
+        trial,
+        np.array([0.0, 0.0, separation]),
+        intent.turn if intent.design.pair.curved == "outside" else shallower(intent.law, intent.index),
+        np.zeros(2),
+    )
+    found = []
+    for body in window.bodies:
+        curved = body.front if body.front.array is not None else body.back
+        low, high = face_range(window, curved)
+        deepest = (high if curved.side > 0 else -low) - curved.side * curved.vertex[2]
+        if curved.land is not None:
+            deepest = max(deepest, curved.side * (curved.land - curved.vertex[2]))
+        found.append(max(deepest, 0.0) + intent.neck)
+    return found[0], found[1]
+
+
+def _plano_placed(intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats, offset: Floats) -> Window:
+    """Window of plano lenses, lens 2's apex at `lens_2` (3,) from lens 1's,
+    both rotated by `turn` (lens → sheet).
+    """
+    outside = intent.design.pair.curved == "outside"
+    t1, t2 = lenses.thickness
+    planes = (t1, float(lens_2[2]) - t2) if outside else (-t1, float(lens_2[2]) + t2)
+
+    def bodies(moved: Pair2) -> tuple[Body, ...]:
+        points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
+        return tuple(
+            plano_body(
+                lenses,
+                k,
+                LensPose(points[k], turn),
+                intent.shape,
+                intent.index,
+                outside == (k == 0),
+                planes[k],
+            )
+            for k in (0, 1)
+        )
+
+    aperture = intent.design.lattice.aperture
+    moved = displacement(aperture, lens_2[:2], float(lens_2[2]), bodies((0.0, 0.0)))
+    return assemble_window(intent, bodies(moved), moved, lenses, offset)
+
+
+def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
+    """Window of two plano lenses with the field plate between them; nothing is tilted."""
+    n, (t1, t2), separation = intent.index, lenses.thickness, separation_of(intent)
+    outside = intent.design.pair.form == "slab" or intent.design.pair.curved == "outside"
+    first, second = thin_pair(intent.eta, separation)
+    glass = (t1, t2) if outside else (0.0, 0.0)
+    before, behind = min(first) - glass[0] / n, min(second) - glass[1] / n
+    if before <= 0.0:
+        raise NoSuchLens(
+            f"lens 1 would reach {-before:.4g} beyond its focus",
+            key=PAIR.separation,
+            hint="a larger separation, or a thinner lens 1",
+            code="CL129",
+        )
+    foci = (glass[0] + first[0] - glass[0] / n, glass[0] + first[1] - glass[0] / n)
+    plate = one_plate(intent, (first, second), foci, behind)
+    behind -= 0.0 if plate.crossed else plate.thickness / n
+    offset = intent.built_offset(lenses)
+    legs = ((glass[0], n), (before, 1.0), (plate.thickness, n), (behind, 1.0), (glass[1], n))
+    turn = intent.turn[:2, :2]
+    aligned = intent.design.lattice.aperture == "aligned"
+    chief = Chief.of(intent, 0.0 * offset if aligned else offset, separation)
+    moved_x, moved_y = turn @ chief.across(legs)
+    moved = float(moved_x), float(moved_y)
+    height = sum(length for length, _ in legs)
+    lens_2 = np.array([*(turn @ offset), height])
+    planes = (t1, height - t2) if outside else (-t1, height + t2)
+    points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
+    arrays = [
+        plano_body(
+            lenses, k, LensPose(points[k], intent.turn), intent.shape, n, outside == (k == 0), planes[k]
+        )
+        for k in (0, 1)
+    ]
+    field, shift = plate_body(intent, plate, (chief.across(legs[:2]), chief.across(legs[:3])))
+    bodies = (arrays[0], field, arrays[1])
+    return assemble_window(intent, bodies, moved, lenses, offset, shift, plate.told)
