@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from benchmarks.house import rings
+from package_source import syntax
 
 PACKAGE = Path(__file__).parents[1] / "clacad"
 
@@ -79,7 +80,7 @@ def in_rooms(*rooms: str) -> dict[str, Path]:
 @cache
 def imports(name: str, head_only: bool = False) -> frozenset[str]:
     """Files that a file imports, anywhere (for type checkers too) or at its head."""
-    tree = ast.parse(files()[name].read_text(encoding="utf-8"))
+    tree = syntax(files()[name])
     found: set[str] = set()
     for node in tree.body if head_only else ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "clacad":
@@ -137,7 +138,7 @@ def test_no_module_has_the_name_of_what_its_package_gives():
         if not name.endswith("__init__.py"):
             continue
         given = set()
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in syntax(path).body:
             if isinstance(node, ast.ImportFrom):
                 given |= {a.asname or a.name for a in node.names}
             elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
@@ -156,7 +157,7 @@ def test_no_module_has_the_name_of_what_its_package_gives():
 def test_every_package_says_what_lives_in_it():
     for name, path in files().items():
         if name.endswith("__init__.py"):
-            assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), f"{name} says nothing"
+            assert ast.get_docstring(syntax(path)), f"{name} says nothing"
 
 
 def mathematics() -> list[str]:
@@ -167,7 +168,7 @@ def mathematics() -> list[str]:
 def test_mathematics_knows_numpy_and_the_standard_library_only():
     heavy = {"scipy", "numba", "OCP", "build123d", "matplotlib", "trimesh", "manifold3d", "pydantic"}
     for name in mathematics():
-        tree = ast.parse(files()[name].read_text(encoding="utf-8"))
+        tree = syntax(files()[name])
         for node in ast.walk(tree):
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
@@ -191,7 +192,7 @@ def test_intent_is_read_once():
     for name, path in files().items():
         if name.startswith(free) and not name.startswith(bound):
             continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(syntax(path)):
             if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
                 if isinstance(node.value, ast.Name) and node.value.id == "LAW":
                     continue  # LAW.eta is the path of a key, not its value
@@ -206,7 +207,7 @@ def test_heavy_packages_are_imported_inside_functions():
         "solid/occ_writer.py": {"OCP"},
     }
     for name, path in files().items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in syntax(path).body:
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
             elif isinstance(node, ast.Assign) and "without_settings" in ast.dump(node.value):
@@ -256,10 +257,9 @@ def test_importing_the_package_loads_no_numpy():
 
 def test_whatever_compiled_code_takes_names_from_makes_it_compile_anew():
     """A cached kernel keeps the callees and constants it was built with; `base.kernel_cache` loads none made from other SOURCES."""
-    text = files()["base/kernel_cache.py"].read_text(encoding="utf-8")
     [given] = [
         node.value
-        for node in ast.parse(text).body
+        for node in syntax(files()["base/kernel_cache.py"]).body
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "SOURCES"
     ]
     patterns = ast.literal_eval(given)

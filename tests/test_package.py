@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from package_source import syntax
 from public_api import public_api
 
 import clacad
@@ -85,7 +86,7 @@ def documented(text: str) -> set[str]:
 def test_what_a_class_documents_it_has():
     """A docstring that lists what is no field, property or argument sends its reader after nothing."""
     for path in sorted((Path(__file__).parents[1] / "clacad").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(syntax(path)):
             if not isinstance(node, ast.ClassDef):
                 continue
             inner = list(ast.walk(node))

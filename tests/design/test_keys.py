@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from package_source import syntax
 
 from clacad.config.keys import KeyPaths, key, keys_of
 from clacad.config.quantities import Quantity
@@ -134,7 +135,7 @@ def literals() -> dict[str, Counter[str]]:
     """Module → the texts of its syntax tree, docstrings left out, with their number."""
     found = {}
     for path in PACKAGE.rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = syntax(path)
         docstrings = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
         texts = (n for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str))
         found[path.relative_to(PACKAGE).as_posix()] = Counter(
@@ -191,7 +192,7 @@ def test_a_name_of_a_key_occurs_in_one_module():
 def test_paths_named_in_the_package_are_keys():
     """`PAIR.sepration` would fail only where it is reached: here every such name is looked up."""
     for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(syntax(path)):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 section = node.value.id.lower()
                 if node.value.id.isupper() and section in SECTIONS:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from package_source import syntax
 
 import clacad
 from clacad.cli import main
@@ -61,7 +62,7 @@ def sunglasses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def literals(path: Path) -> set[str]:
     """Strings in a module that are one word."""
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    nodes = ast.walk(syntax(path))
     return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
 
 

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from package_source import syntax
 
 import clacad
 from clacad.exporting.formats import registry
@@ -118,7 +119,7 @@ sys.exit(main(sys.argv[2:]))
 
 def literals(path: Path) -> set[str]:
     """Strings in a module that are one word."""
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    nodes = ast.walk(syntax(path))
     return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from package_source import syntax
 
 from clacad.advice import advise, judge
 from clacad.advice.levers import levers_of
@@ -81,7 +82,7 @@ def parsed() -> Iterator[tuple[str, ast.Module]]:
     for path in sorted(PACKAGE.rglob("*.py")):
         name = path.relative_to(PACKAGE).as_posix()
         if name not in declaring():
-            yield name, ast.parse(path.read_text(encoding="utf-8"))
+            yield name, syntax(path)
 
 
 def words(tree: ast.AST) -> set[str]:
