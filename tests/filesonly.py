@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from clacad.checks.file_kinds import CONVERGENCE
 from clacad.design import Design
-from clacad.verification.check_kinds.file_light import CONVERGENCE
 
 _SEEN: dict[Any, Any] = {}
 

@@ -33,6 +33,8 @@ ROOMS = [
     "imaging",  # where light of a point meets behind a sheet, and tables that send light into a pattern
     "exporting",
     "waves",  # light as a wave through one telescopelet, beside its rays
+    "checks",  # kinds of checks: code, unit, limit, explanation, levers
+    "judging",  # files against a design: found, placed, whole, in shape, lit
     "verification",
     "stacking",  # sheets behind one another
     "advice",  # what verify will say, and which keys would change it
@@ -187,7 +189,7 @@ def test_only_the_forecast_of_light_traces_in_export_and_meshes_and_solids_know_
 
 def test_intent_is_read_once():
     """Only law, design, advice on it, prescription and the judges read an attribute named eta*: the rest sees geometry."""
-    free = ("optics/law/", "design/", "advice/", "prescription/", "verification/")
+    free = ("optics/law/", "design/", "advice/", "prescription/", "judging/", "verification/")
     bound = ("verification/accuracy/", "verification/stability/")
     for name, path in files().items():
         if name.startswith(free) and not name.startswith(bound):

@@ -9,9 +9,9 @@ from typing import Any, Final, Literal
 
 from clacad.advice.first_numbers import MILLIMETRES
 from clacad.advice.wish import KEYS, Wish, angle_text, wavelength_text
+from clacad.checks.check import NEAR
 from clacad.design import Design
 from clacad.design.process_profiles import profile
-from clacad.verification.checks import NEAR
 
 Form = Literal["slab", "plano", "biconvex"]
 Curved = Literal["outside", "inside"]

@@ -19,11 +19,11 @@ from clacad.advice.levers import Changes, levers_of, mends, settings, size_of
 from clacad.advice.trials import NoMoreTrials, Trials, badness, settled
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
+from clacad.checks.check import Check
+from clacad.checks.levers import UNBUILT, Lever
 from clacad.config.edit_text import value_text
 from clacad.design import Design
 from clacad.design.keys import LATTICE, PAIR
-from clacad.verification.check_kinds.levers import UNBUILT, Lever
-from clacad.verification.checks import Check
 
 TRIALS = 100
 """Largest number of designs that are tried."""

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from math import inf, isfinite, sqrt
 
 from clacad.advice.wish import Wish
+from clacad.checks.check import NEAR
 from clacad.design.process_profiles import profile
 from clacad.optics.material.catalogue import find
 from clacad.sheet.feasibility import pitch_for_eye
-from clacad.verification.checks import NEAR
 
 MILLIMETRES = 1e3
 """Millimetres per metre."""

@@ -20,12 +20,12 @@ from clacad.advice.levers import Changes, is_tried, levers_of, mends, settings, 
 from clacad.advice.trials import NoMoreTrials, Trials, found_in, settled
 from clacad.base.text import digits, plain, shown
 from clacad.base.types import Progress
+from clacad.checks.check import Check
+from clacad.checks.levers import Lever
+from clacad.checks.light_kinds import LAW_RMS
 from clacad.config.edit_text import value_text
 from clacad.design import Design
 from clacad.design.keys import PAIR
-from clacad.verification.check_kinds.levers import Lever
-from clacad.verification.check_kinds.light import LAW_RMS
-from clacad.verification.checks import Check
 
 CHANGES: Final[Changes] = {PAIR.surface: "biconic"}
 

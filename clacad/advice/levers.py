@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable, Mapping
 from math import ceil, isfinite, log10
 from typing import TYPE_CHECKING, Any, Final
 
+from clacad.checks.check import Check, kinds
+from clacad.checks.levers import FORMS, WORDS, Lever
+from clacad.checks.light_kinds import VIEWED
 from clacad.design import Design
 from clacad.design.keys import BODY, LATTICE, PAIR
-from clacad.verification.check_kinds.levers import FORMS, WORDS, Lever
-from clacad.verification.check_kinds.light import VIEWED
-from clacad.verification.checks import Check, kinds
 
 if TYPE_CHECKING:
     from clacad.advice.judged import Judged

@@ -11,8 +11,8 @@ from clacad.advice.lens_shape import Work
 from clacad.advice.wish import KEYS, Wish, workable_material
 from clacad.advice.wish_search import Search, Tried, returned_share
 from clacad.base.text import shown
+from clacad.checks.check import Check
 from clacad.design.body import Outline
-from clacad.verification.checks import Check
 
 FEW = 2
 """Largest number of wishes that are named."""

@@ -17,10 +17,10 @@ from clacad.advice.wish import Wish, read_wish
 from clacad.advice.wish_search import Search, Tried
 from clacad.base.text import table
 from clacad.base.types import Progress, silent
+from clacad.checks.light_kinds import VIEWED
 from clacad.config.edit_text import to_toml
 from clacad.design import Design
 from clacad.design.keys import ROOT, SECTIONS
-from clacad.verification.check_kinds.light import VIEWED
 
 
 class NoSuchSheet(ValueError):

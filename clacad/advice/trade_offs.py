@@ -11,10 +11,10 @@ from clacad.advice.first_numbers import MILLIMETRES, returning, sharpest_pitch
 from clacad.advice.judged import Judged, judge
 from clacad.advice.wish import Wish
 from clacad.base.text import digits
+from clacad.checks.light_kinds import LAW_RMS
 from clacad.design import Design, DesignError
 from clacad.design.keys import LATTICE, PAIR
 from clacad.sheet.feasibility.pitch_for_eye import ARC_MINUTE
-from clacad.verification.check_kinds.light import LAW_RMS
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from clacad.advice.judged import Judged, judge, tight
 from clacad.advice.levers import CONIC_STEPS, Changes, conics_about
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
+from clacad.checks.check import Check, wrong
 from clacad.design import Design, DesignError
-from clacad.verification.checks import Check, wrong
 
 Wish = Callable[[Judged], bool]
 """Predicate that returns whether a trial is sufficient."""

@@ -26,15 +26,15 @@ from clacad.advice.judged import Judged, judge
 from clacad.advice.lens_shape import FAULTS, JUDGEMENT, UNEQUAL, LensShapes, Work
 from clacad.advice.wish import Wish
 from clacad.base.types import Progress, silent
+from clacad.checks.check import Check
+from clacad.checks.design_kinds import DRAFT, WALL
+from clacad.checks.light_kinds import FIELD, LAW_RMS, VIEWED
 from clacad.design import Design, DesignError
 from clacad.design.keys import PAIR
 from clacad.design.limits import CheckSpec
 from clacad.design.process_profiles import profile
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
-from clacad.verification.check_kinds.light import FIELD, LAW_RMS, VIEWED
-from clacad.verification.check_kinds.process import DRAFT, WALL
-from clacad.verification.checks import Check
 from clacad.verification.light.viewed import thin_share, viewer_of
 
 RATIOS = (

@@ -24,11 +24,11 @@ from clacad.exporting.formats.indexed_meshes import GLB
 from clacad.exporting.formats.step import WORD as STEP
 
 if TYPE_CHECKING:
+    from clacad.checks.check import Check
     from clacad.design import Design
     from clacad.sheet.stack import Stack
     from clacad.stacking import Stacked, StackRequest
     from clacad.stacking.stack_light import StackMeridian
-    from clacad.verification.checks import Check
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,10 +233,10 @@ def _judge(
     designs: Sequence[Design], stack: Stack, request: StackRequest, files: Path, console: Console
 ) -> int:
     """Judge the files of a stack; exit status 1 where a check failed or did not run."""
+    from clacad.checks.check import passed
     from clacad.cli.tables import checks_text
     from clacad.stacking.judge_stack import judge_stack
     from clacad.stacking.make_stack import field_of
-    from clacad.verification.checks import passed
 
     with console.progress() as progress:
         checks = judge_stack(stack, designs, files, field_of(designs, request), progress)
@@ -249,7 +249,7 @@ def _judge(
 
 
 def _verdict(good: bool, checks: Sequence[Check]) -> str:
-    from clacad.verification.checks import wrong
+    from clacad.checks.check import wrong
 
     return (
         "passed: every sheet as an optical master, and light through all of them"

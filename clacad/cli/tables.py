@@ -101,7 +101,7 @@ def holds_text(entry: Mapping[str, Any]) -> str:
     """Solids or objects in a file of a manifest, and the option that changes their number; "" for none."""
     from clacad.exporting.formats import step
     from clacad.formats.step.step_mode import FUSED_CELLS
-    from clacad.verification.files.delivery import fixture_names
+    from clacad.judging.without_optics import fixture_names
 
     instanced = entry.get("mode") == "instanced"
     if entry["format"] == step.WORD and "solids" in entry:
@@ -163,7 +163,7 @@ def check_text(
     title: str, derived: Iterable[Sequence[str]], checks: Iterable[Any], forecast: Iterable[dict[str, Any]]
 ) -> str:
     """Derived numbers, checks and forecasts of `clacad check`; the verdict is printed below."""
-    from clacad.verification.check_kinds.light import RESIDUAL
+    from clacad.checks.light_kinds import RESIDUAL
     from clacad.verification.light.viewed_check import headline
 
     checks = list(checks)

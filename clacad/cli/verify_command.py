@@ -14,8 +14,8 @@ from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.judging.delivery import Delivery
     from clacad.verification import Report
-    from clacad.verification.files.find_files import Delivery
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ def run(request: Verify, console: Console) -> int:
 
 def _subjects(design: Design, request: Verify) -> tuple[Delivery | None, int]:
     """The files to judge, and the number of rays."""
-    from clacad.verification.files.find_files import declared_roles, list_files
+    from clacad.judging.delivery import declared_roles, list_files
 
     roles = declared_roles(per_format("--role", request.role))
     delivery = None if request.files is None else list_files(request.files, roles)
@@ -130,7 +130,7 @@ def _text(report: Report, name: str) -> str:
 
 def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:
     """Maps of the deviations of each measured part, next to the report."""
-    from clacad.verification.returned.deviation_map import write_deviation
+    from clacad.judging.deviation_map import write_deviation
 
     found: list[Path] = []
     for file in report.files:

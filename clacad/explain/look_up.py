@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from clacad.base.text import did_you_mean, near, whole_number
 from clacad.base.units import LENGTHS, Unit
+from clacad.checks.check import kinds
 from clacad.config.mistakes import CODES as IN_DESIGNS
 from clacad.design.keys import DESIGN, PAIR, ROOT, SECTIONS
 from clacad.explain.design_mistakes import MISTAKES
@@ -15,7 +16,6 @@ from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.explain.named_things import materials_text, named_things
 from clacad.optics.material.catalogue import find
 from clacad.topology.cannot_build import CODES as BODIES
-from clacad.verification.checks import kinds
 
 __all__ = ["Entry", "Unexplained", "entries", "explain"]
 

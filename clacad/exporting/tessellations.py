@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.exporting.compare import Promise
+from clacad.formats.mesh.compare_triangles import Promise
 from clacad.formats.mesh.repeated_pieces import Piece, Places
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.need_window import need_equal_cells

@@ -17,6 +17,7 @@ from time import monotonic
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.checks.design_kinds import EDGE, NECK, RADIUS, SAG, SLOPE
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.design import Design
@@ -31,8 +32,6 @@ from clacad.optimising.unknowns import Unknowns, given_design, trial_design, wit
 from clacad.prescription.bodies import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
-from clacad.verification.check_kinds.process import SLOPE
-from clacad.verification.check_kinds.shape import EDGE, NECK, RADIUS, SAG
 from clacad.verification.design.process_rules import process_limit
 
 GRID = 21

@@ -74,11 +74,11 @@ def before_and_after(found: Optimised) -> BeforeAndAfter:
 
 def _measured(design: Design) -> Report:
     """A design's checks and curves, by fewer rays than verify sends."""
+    from clacad.checks.allowances import accepted
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.feasibility import feasibility
     from clacad.tracing.trace import trace
     from clacad.verification import Report, design_checks
-    from clacad.verification.allowances import accepted
     from clacad.verification.light.facet_convergence import meridians
     from clacad.verification.light.through_window import judge_light
 

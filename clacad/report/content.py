@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import bound, plain, shown
+from clacad.checks.check import Origin
 from clacad.formats.drawing.notes import orientation
 from clacad.report.fabrication import FabricationLine, fabrication
 from clacad.report.light_rows import LightRows
 from clacad.sheet.feasibility import FactRow, describe
 from clacad.sheet.feasibility.as_rows import cells_text
-from clacad.verification.limit_sources import Origin
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress

@@ -14,6 +14,7 @@ import numpy as np
 from clacad.base.even_orders import MONOMIALS, POWER, RAISED
 from clacad.base.text import digits
 from clacad.base.units import millimetres
+from clacad.checks.design_kinds import RADIUS
 from clacad.formats.drawing.notes import orientation
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.feasibility.as_rows import cells_text
@@ -21,7 +22,6 @@ from clacad.sheet.lattice import Circle, polygon_area
 from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
 from clacad.sheet.window import Window, optical_tile
-from clacad.verification.check_kinds.shape import RADIUS
 
 if TYPE_CHECKING:
     from clacad.sheet.feasibility import BodyFacts, LensFacts

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plainly
 from clacad.base.units import millimetres
+from clacad.checks.light_kinds import IMAGE_POINT, SPOT, VIEWED
 from clacad.effects.registry import declared
-from clacad.verification.check_kinds.light import IMAGE_POINT, SPOT, VIEWED
 
 if TYPE_CHECKING:
     from clacad.verification import Report

@@ -13,11 +13,11 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.checks.light_kinds import LAW_RMS, THROUGHPUT
 from clacad.imaging.best_point import spot_at
 from clacad.imaging.image_by_rays import RungImage, heights, image, reach_of
 from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, Margins, panels, room_for, svg
 from clacad.sheet.own_steps import greatest_steps
-from clacad.verification.check_kinds.light import LAW_RMS, THROUGHPUT
 from clacad.verification.light.error_attribution import NAMES
 from clacad.verification.light.image_checks import RAYS, asked_image
 from clacad.verification.light.viewed import share_map, viewer_of

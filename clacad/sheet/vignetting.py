@@ -36,6 +36,9 @@ from clacad.sheet.window import ThinPair, Window, optical_tile
 LEAST_SHARE = 1e-3
 """Least share of the light for which a ghost order is listed."""
 
+SHARE_DIRECTIONS = 1024
+"""Most directions of a bundle over which its mean share is computed."""
+
 MOST_ORDERS = 30_000
 """Number of cells of array 2 under a copy of lens 1 beyond which no order has the share `LEAST_SHARE`."""
 
@@ -139,6 +142,11 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     whole = polygon_area(cells.image)
     common = _common_areas(cells.image, arrivals(cells, slopes), target)
     return np.asarray(cells.part * common * _in_channels(cells, slopes) / whole)
+
+
+def mean_share(cells: ThinCells, directions: Floats) -> float:
+    """Mean share over the first `SHARE_DIRECTIONS` of the directions (n, 3) of a bundle."""
+    return float(share(cells, directions[:SHARE_DIRECTIONS]).mean())
 
 
 def order_shares(cells: ThinCells, direction: Floats) -> dict[tuple[int, int], float]:

@@ -13,13 +13,13 @@ import numpy as np
 
 from clacad.base.types import Progress
 from clacad.base.units import MILLIMETRE, millimetres
-from clacad.exporting.compare import compare_mesh
 from clacad.exporting.formats.indexed_meshes import GLB
 from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.manifest import FileRecord
 from clacad.exporting.roles import Prospect, Role
 from clacad.exporting.step_record import SECONDS, compare_step
 from clacad.exporting.tessellations import Meshes, instanceable
+from clacad.formats.mesh.compare_triangles import compare_mesh
 from clacad.formats.mesh.file_mesh import FileMesh, put
 from clacad.formats.step.lens_placements import SheetPlace
 from clacad.formats.step.step_mode import Mode

@@ -12,10 +12,15 @@ import numpy as np
 
 from clacad.base.types import Floats, Progress
 from clacad.base.units import millimetres
-from clacad.exporting.compare import compare_mesh
+from clacad.checks.check import Check, default, other
+from clacad.checks.file_kinds import INTEGRITY, SHAPE, STACK_LIGHT, unreadable
 from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes, instanceable
+from clacad.formats.mesh.compare_triangles import compare_mesh
+from clacad.judging.delivery import Inspection
+from clacad.judging.step_file import DIRECTION_LIMIT, judge_solid
+from clacad.judging.step_light import FACE_RAYS, OCC_RAYS, SECONDS
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.stacking.assembly import mesh_of_sheet, places
@@ -23,13 +28,6 @@ from clacad.stacking.stack_light import launched
 from clacad.storage.atomic import file_hash, read_manifest
 from clacad.storage.errors import BadRequest, ExportError
 from clacad.tracing.through_stack import StackTrace, StackTracer
-from clacad.verification.check_kinds.file_light import STACK_LIGHT
-from clacad.verification.check_kinds.files import INTEGRITY, SHAPE, unreadable
-from clacad.verification.checks import Check
-from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.step_file import DIRECTION_LIMIT, judge_solid
-from clacad.verification.files.step_light import FACE_RAYS, OCC_RAYS, SECONDS
-from clacad.verification.limit_sources import default, other
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -7,8 +7,8 @@ from dataclasses import replace
 from math import ceil, log2
 from typing import TYPE_CHECKING
 
-from clacad.verification.check_kinds.file_light import FAITHFUL_RMS, FILE_TARGET
-from clacad.verification.checks import Check
+from clacad.checks.check import Check
+from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
 
 if TYPE_CHECKING:
     from clacad.verification.verification_report import Report

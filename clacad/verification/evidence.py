@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.text import plain
 from clacad.base.types import Progress
 from clacad.effects.registry import declared_all
+from clacad.judging.judge_files import FileReport
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy.report_ladder import Ladder, climb
-from clacad.verification.file_report import FileReport
 from clacad.verification.light.caustic import MeridianFocus, foci
 from clacad.verification.light.error_attribution import (
     Attribution,

@@ -9,16 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress, silent
+from clacad.checks.allowances import accepted
+from clacad.checks.check import Check
+from clacad.judging.delivery import Delivery, declared_roles, list_files, with_copied_table, written_meanwhile
+from clacad.judging.judge_files import judge_files
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
-from clacad.verification.allowances import accepted
-from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
-from clacad.verification.files.copied_table import with_copied_table
-from clacad.verification.files.find_files import Delivery, declared_roles, list_files, written_meanwhile
-from clacad.verification.judge_files import judge_files
 from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check, meridians
 from clacad.verification.light.law_checks import Optics
 from clacad.verification.light.through_window import judge_light

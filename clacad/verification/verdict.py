@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from clacad.checks.check import RAYS_NEEDED, Check, wrong
+from clacad.checks.file_kinds import DELIVERY, FAITHFUL_RMS, FILE_LAW_ETA, FILE_LAW_RMS, THROUGH_FILE
 from clacad.exporting.roles import Role
-from clacad.verification.check_kinds.file_light import FAITHFUL_RMS, FILE_LAW_ETA, FILE_LAW_RMS, THROUGH_FILE
-from clacad.verification.check_kinds.files import DELIVERY
-from clacad.verification.checks import RAYS_NEEDED, Check, wrong
 
 Word = Literal["passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged"]
 """Verdicts; the first is for a design without files."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from clacad.verification.files.find_files import Subject
+from clacad.judging.delivery import Subject
 
 DESIGN, CONVERGENCE, MESH, SOLID, REPORT = 0.5, 2.0, 0.8, 3.0, 4.0
 """Seconds, each without the part that depends on size: a design, the convergence study, a mesh, a solid, a

@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
+from clacad.checks import check as judging
+from clacad.checks.check import RAYS_NEEDED, Check, wrong
+from clacad.checks.file_kinds import CONVERGENCE, DELIVERY
 from clacad.exporting.roles import Role
+from clacad.judging.judge_files import FileReport
 from clacad.light.measure import Light
 from clacad.sheet.feasibility import Feasibility, describe, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
-from clacad.verification import checks as judging
-from clacad.verification.check_kinds.file_light import CONVERGENCE
-from clacad.verification.check_kinds.files import DELIVERY
-from clacad.verification.checks import RAYS_NEEDED, Check, wrong
-from clacad.verification.file_report import FileReport
 from clacad.verification.light.facet_convergence import Convergence, Meridian
 from clacad.verification.light.law_checks import Optics
 from clacad.verification.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of

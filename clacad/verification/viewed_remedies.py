@@ -7,6 +7,9 @@ from dataclasses import replace
 from math import ceil, floor, log10
 from typing import Any, Final
 
+from clacad.checks.allowances import accepted
+from clacad.checks.check import Check, wrong
+from clacad.checks.light_kinds import VIEWED
 from clacad.config.design_error import DesignError
 from clacad.config.edit_text import value_text
 from clacad.design import Design
@@ -17,9 +20,6 @@ from clacad.prescription.prescribe import prescribe
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.window import Window
-from clacad.verification.allowances import accepted
-from clacad.verification.check_kinds.light import VIEWED
-from clacad.verification.checks import Check, wrong
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
 from clacad.verification.light.viewed import thin_share, viewed

@@ -11,13 +11,13 @@ import pytest
 
 from clacad.advice import advise, fewest_keys, fix, judge
 from clacad.advice.levers import levers_of, settings
+from clacad.checks.check import kinds
+from clacad.checks.design_kinds import EDGE
+from clacad.checks.light_kinds import RESIDUAL
 from clacad.cli.entry_point import main
 from clacad.design import Design, load
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import passed
-from clacad.verification.check_kinds.light import RESIDUAL
-from clacad.verification.check_kinds.shape import EDGE
-from clacad.verification.checks import kinds
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
 

@@ -12,17 +12,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from clacad.base.text import digits, shown
+from clacad.checks.check import DEFAULT, Check
+from clacad.checks.design_kinds import EDGE, GRAPH, SAG
 from clacad.cli.tables import checks_text
 from clacad.design import load
 from clacad.prescription.prescribe import prescribe
 from clacad.report.content import row
 from clacad.report.fabrication import FabricationLine
 from clacad.sheet.feasibility import describe, feasibility
-from clacad.verification.check_kinds.shape import EDGE, GRAPH, SAG
-from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.law_checks import Lit, confocality_check
-from clacad.verification.limit_sources import DEFAULT
 
 ROOT = Path(__file__).parents[2]
 

@@ -23,11 +23,11 @@ from typing import Any
 from soak_designs import draw, without_curves
 
 from clacad.advice import judge
+from clacad.checks.check import Check, wrong
 from clacad.design import Design, DesignError
 from clacad.exporting.export_design import ExportError, export
 from clacad.topology.cannot_build import CannotBuild
 from clacad.verification import verify
-from clacad.verification.checks import Check, wrong
 
 RECORD = Path(__file__).with_name("predictions.json")
 TABLE = RECORD.with_suffix(".md")

@@ -31,10 +31,10 @@ from unittest import mock
 import numpy as np
 
 from clacad import __version__
+from clacad.checks.file_kinds import CONVERGENCE
 from clacad.design import Design, DesignError
 from clacad.exporting.export_design import LimitRefused, export
 from clacad.verification import verify
-from clacad.verification.check_kinds.file_light import CONVERGENCE
 
 RECORD = Path(__file__).parents[1] / "trust" / "soak.json"
 INDEXED = ("3mf", "ply", "glb")

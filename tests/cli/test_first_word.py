@@ -16,7 +16,7 @@ from clacad.exporting.forecast import rough_span
 from clacad.exporting.request import Request
 from clacad.exporting.roles import Role
 from clacad.exporting.run import forecast_rows, in_all
-from clacad.verification.files.find_files import Subject, find_files, list_files
+from clacad.judging.delivery import Subject, find_files, list_files
 from clacad.verification.run import verified
 from clacad.verification.verification_cost import seconds, task
 

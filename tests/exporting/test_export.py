@@ -21,7 +21,6 @@ import pytest
 
 import clacad
 from clacad.design import Design
-from clacad.exporting.compare import Promise, compare_mesh
 from clacad.exporting.export_design import (
     ExportIncomplete,
     ExportRefused,
@@ -31,6 +30,7 @@ from clacad.exporting.export_design import (
     export,
 )
 from clacad.exporting.tessellations import Tessellation
+from clacad.formats.mesh.compare_triangles import Promise, compare_mesh
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.readers import read_mesh
 from clacad.formats.mesh.stl import write_stl

@@ -161,7 +161,7 @@ def test_auto_keeps_every_limit_of_light_not_the_rms_alone():
 
     Both as the checks of files measure them, with their own rays, through the facets of the sheet.
     """
-    from clacad.verification.files.law_through_file import measure_light
+    from clacad.judging.file_light import measure_light
 
     design = design_of("galilean", (5, 5))
     window = clacad.prescribe(design)

@@ -43,10 +43,10 @@ OTHER_MEANINGS = {
     "pins": {"design/model.py"},  # the key body.pins
     "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "imaging/shape.py",
             "imaging/image_by_rays.py", "report/pdf.py", "verification/accuracy/accuracy_plot.py",
-            "verification/returned/deviation_map.py", "verification/tolerance/study_files.py",
+            "judging/deviation_map.py", "verification/tolerance/study_files.py",
             "waves/wave_report.py"},  # pictures for people
     "sag": {"advice/trade_offs.py", "explain/glossary.py", "explain/named_things.py", "optics/surface/__init__.py",
-            "sheet/feasibility/as_rows.py", "verification/check_kinds/shape.py",
+            "sheet/feasibility/as_rows.py", "checks/design_kinds.py",
             "verification/stability/measure_cases.py",
             "verification/tolerance/parameter_sweep.py"},  # the height of a lens, its check and its limit
     "scene": {"cli/export_command.py", "design/keys.py", "scene/model.py", "scene/read.py",
@@ -55,14 +55,14 @@ OTHER_MEANINGS = {
              "stacking/make_stack.py", "cli/stack_command.py",  # the option --step, a default
              "verification/accuracy/accuracy_plot.py", "verification/accuracy/accuracy_row.py",
              "verification/accuracy/step_rung.py",  # a rung
-             "verification/returned/damage.py", "verification/tolerance/parameter_sweep.py",  # steps between cells
+             "judging/damage.py", "verification/tolerance/parameter_sweep.py",  # steps between cells
              "verification/verification_cost.py"},  # a task whose time is recorded
     "stl": {"explain/glossary.py", "exporting/request.py"},  # a synonym, a default
     "table": {"cli/shape_command.py", "config/edit_text.py", "config/key_positions.py", "design/varying.py",
               "optics/material/catalogue.py", "optics/material/material.py", "report/pdf.py",
-              "verification/check_kinds/files.py"},  # a check, a key, parts of TOML files, pages and formulas
-    "xyz": {"cli/image_command.py", "paper/figure1.py", "verification/files/mesh_wholeness.py",
-            "verification/returned/registration.py"},  # the axes
+              "checks/file_kinds.py"},  # a check, a key, parts of TOML files, pages and formulas
+    "xyz": {"cli/image_command.py", "paper/figure1.py", "judging/mesh_wholeness.py",
+            "judging/registration.py"},  # the axes
 }  # fmt: skip
 """Files in which a word means something else; one that is gone fails."""
 

@@ -20,15 +20,14 @@ from clacad.exporting.fixtures.letters import CHORD, Engraving, polygons
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.readers import read_mesh
 from clacad.formats.mesh.stl import FACET, HEADER, write_stl
+from clacad.judging.delivery import Inspection, find_files
+from clacad.judging.judge_part import judge_placed
+from clacad.judging.registration import place
 from clacad.mesh import check_closed
 from clacad.sheet.lattice import polygon_area
 from clacad.solid.marks import line_sketch, pockets
 from clacad.storage.errors import NotPossible
 from clacad.verification import verify
-from clacad.verification.files.find_files import find_files
-from clacad.verification.files.inspection import Inspection
-from clacad.verification.returned.judge_part import judge_placed
-from clacad.verification.returned.registration import place
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 BORDERED = ["body.border=2", "lattice.count=[4,4]"]

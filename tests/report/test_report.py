@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from clacad.checks.check import Check
 from clacad.design import Design, load
 from clacad.prescription.prescribe import prescribe
 from clacad.report import content as contents
@@ -24,7 +25,6 @@ from clacad.report.content import content
 from clacad.report.report_files import Section, is_report, number
 from clacad.report.view_through_sheet import seen_by_viewer
 from clacad.verification import verify
-from clacad.verification.checks import Check
 
 TEXT = {
     "format": 1, "name": "page", "unit": "mm", "notes": ["<script>alert(1)</script> & \"quotes\""],

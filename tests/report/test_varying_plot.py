@@ -6,8 +6,8 @@ import re
 from types import SimpleNamespace
 
 import clacad
+from clacad.checks.light_kinds import LAW_RMS
 from clacad.report.plots import varying
-from clacad.verification.check_kinds.light import LAW_RMS
 
 
 def test_a_sheet_of_differing_cells_is_drawn_with_its_worst_cell_and_one_of_equal_cells_is_not():

@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 
 import clacad
+from clacad.checks.check import Check, passed
 from clacad.cli import main
 from clacad.sheet.stack import stacked
 from clacad.stacking import stack
 from clacad.stacking.judge_stack import judge_stack
 from clacad.storage.errors import ExportRefused
-from clacad.verification.checks import Check, passed
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "designs" / "window-100mm.toml"

@@ -14,10 +14,10 @@ import pytest
 from trust.judging import read
 from trust.running import TINY
 
+from clacad.checks.file_kinds import CONVERGENCE
 from clacad.design import Design
 from clacad.exporting.export_design import export
 from clacad.verification import verify
-from clacad.verification.check_kinds.file_light import CONVERGENCE
 
 FORMATS = (
     ("stl", "table"),

@@ -87,7 +87,7 @@ def damages(data: bytes) -> list[bytes]:
 
 def hold_by_hash(files: dict[str, bytes], folder: Path) -> set[str]:
     """Damage every file of an export; each must fail. Returns their formats."""
-    from clacad.verification.files.find_files import find_files, integrity
+    from clacad.judging.delivery import find_files, integrity
 
     for entry in listed(files):
         for spoilt in damages(files[entry["name"]]):

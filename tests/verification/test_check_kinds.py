@@ -13,13 +13,14 @@ from package_source import syntax
 
 from clacad.advice import advise, judge
 from clacad.advice.levers import levers_of
+from clacad.checks import check as checks
+from clacad.checks.check import found_by, kinds
 from clacad.cli import main
 from clacad.design import Design
 from clacad.design.keys import SECTIONS
 from clacad.explain.look_up import explain
 from clacad.report.content import content, numbers
-from clacad.verification import checks, verify
-from clacad.verification.checks import found_by, kinds
+from clacad.verification import verify
 
 PACKAGE = Path(__file__).parents[2] / "clacad"
 
@@ -34,7 +35,7 @@ ELSEWHERE = {
     "explain/named_things.py": "describes the limits of a process profile",
     "exporting/light_forecast.py": "names the keys of [check] that a forecast exceeds, for the manifest",
     "exporting/quads_and_roles.py": "names the keys of [check] that a forecast exceeds, for the manifest",
-    "exporting/compare.py": "states in the manifest what was compared",
+    "formats/mesh/compare_triangles.py": "states in the manifest what was compared",
     "exporting/step_record.py": "states in the manifest what was compared",
     "exporting/formats/parts.py": "states in the manifest what was compared",
     "exporting/manifest.py": "field of the manifest",
@@ -57,9 +58,9 @@ ELSEWHERE = {
     "tracing/layout.py": "field of a layout",
     "verification/accuracy/report_ladder.py": "field of JSON",
     "verification/design/design_rules.py": "field of a check's detail",
-    "verification/files/mesh_light.py": "field of a check's detail",
-    "verification/files/step_file.py": "field of what is read from a STEP file",
-    "verification/judge_files.py": "field of what is read from a STEP file",
+    "judging/mesh_light.py": "field of a check's detail",
+    "judging/step_file.py": "field of what is read from a STEP file",
+    "judging/judge_files.py": "field of what is read from a STEP file",
     "verification/light/confocality.py": "public function",
     "verification/light/image_checks.py": "field of a check's detail",
     "verification/tolerance/light_measures.py": "measures of a study of tolerances",
@@ -143,8 +144,8 @@ def test_every_stage_has_functions(stage):
 TOY = '''
 """A check of nothing but the pitch."""
 
-from clacad.verification.check_kinds.levers import FINER
-from clacad.verification.checks import CheckKind
+from clacad.checks.levers import FINER
+from clacad.checks.check import CheckKind
 
 PITCH_IN_HAND = CheckKind("toy_pitch", "CL399", "of an inch", rule="a whim", levers=(FINER,)).explained(
     means="Whether the pitch is below a hundredth of an inch.", why="It is a toy.", do="Make it smaller."

@@ -7,13 +7,13 @@ from math import asin, atan, cos, degrees, pi, radians, sin, sqrt, tan
 import numpy as np
 import pytest
 
+from clacad.checks.allowances import accepted
 from clacad.design import Design
 from clacad.design.process_profiles import profile, profiles
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.feasibility.process_features import groove, wall
 from clacad.verification import CODES, design_checks
-from clacad.verification.allowances import accepted
 
 RULES = ("tool", "wall", "draft", "slope", "voxel", "layer", "aspect", "undercut")
 PROCESSES = [p.name for p in profiles() if p.name != "none"]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from clacad.design import Design
+from clacad.judging.cell_triangles import CellFacets, Gatherer, onto_face, owner
 from clacad.mesh import tessellate
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate
@@ -15,7 +16,6 @@ from clacad.optics.surface import Quadric
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle
 from clacad.tracing.trace import trace
-from clacad.verification.files.cell_triangles import CellFacets, Gatherer, onto_face, owner
 from clacad.verification.light.error_attribution import (
     NAMES,
     FacetTraces,

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from clacad.base.text import plain
+from clacad.checks.allowances import accepted
+from clacad.checks.check import Check, passed
+from clacad.checks.design_kinds import RADIUS
+from clacad.checks.light_kinds import ETA
 from clacad.design import Design
 from clacad.verification import CODES
-from clacad.verification.allowances import accepted
-from clacad.verification.check_kinds.light import ETA
-from clacad.verification.check_kinds.shape import RADIUS
-from clacad.verification.checks import Check, passed
 
 GOOD = Check("eta", "pass", "fine")
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clacad.checks.check import passed
 from clacad.design import Design
 from clacad.optics.rays import Fate
 from clacad.optics.surface import Quadric
@@ -15,7 +16,6 @@ from clacad.sheet.bundle import bundle, cone, field_points, middle_direction
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.representative_cells import central_cell
 from clacad.tracing.trace import trace
-from clacad.verification.checks import passed
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.confocality import confocality
 from clacad.verification.light.law_checks import (

@@ -10,9 +10,9 @@ import pytest
 import clacad
 from clacad.cli import main
 from clacad.formats.mesh.readers import read_mesh
+from clacad.judging.delivery import Inspection
+from clacad.judging.mesh_file import judge_mesh
 from clacad.mesh import tessellate
-from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.mesh_file import judge_mesh
 
 trimesh = pytest.importorskip("trimesh")
 FORMATS = ("obj", "stl", "3mf", "ply")

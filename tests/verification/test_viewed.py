@@ -8,12 +8,12 @@ import tomllib
 
 import pytest
 
+from clacad.checks.allowances import accepted
+from clacad.checks.check import passed, wrong
 from clacad.cli.entry_point import main
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
-from clacad.verification.allowances import accepted
-from clacad.verification.checks import passed, wrong
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.law_checks import Lit
 from clacad.verification.light.through_window import judge_light

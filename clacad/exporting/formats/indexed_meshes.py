@@ -85,8 +85,8 @@ def _record(
     job: Job, word: str, write: Writer, single: bool, repeated: bool, normals: bool = True, unit: str = "mm"
 ) -> FileRecord:
     """Write a file, read it back and compare; `repeated`: it stores one cell; `single`: single precision."""
-    from clacad.exporting.compare import compare_mesh
     from clacad.exporting.formats.records import SCALES, mesh_facts
+    from clacad.formats.mesh.compare_triangles import compare_mesh
     from clacad.formats.mesh.readers import read_mesh
     from clacad.sheet.volume_and_extent import volume_sum
 

@@ -39,8 +39,8 @@ def _write_parts(job: Job) -> list[FileRecord]:
 
 def write_one(job: Job, name: str, window: Window) -> FileRecord:
     """Write some bodies of the sheet as one file, read it back once, compare, and hash while reading."""
-    from clacad.exporting.compare import compare_mesh
     from clacad.exporting.formats.records import mesh_facts
+    from clacad.formats.mesh.compare_triangles import compare_mesh
     from clacad.formats.mesh.stl import read_stl, write_stl
     from clacad.sheet.volume_and_extent import volume_sum
     from clacad.storage.reading import Overheard

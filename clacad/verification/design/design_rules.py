@@ -13,17 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.text import count_text, digits
-from clacad.design.keys import PAIR
-from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
-from clacad.sheet.like_cell import like_cell
-from clacad.sheet.own_steps import highest_step
-from clacad.sheet.representative_cells import representative_cells
-from clacad.sheet.vignetting import order_steps
-from clacad.sheet.window import Window
-from clacad.verification.allowances import accepted
-from clacad.verification.check_kinds.light import FIELD, FRESNEL_NUMBER, ORDERS, RESIDUAL
-from clacad.verification.check_kinds.process import WALL
-from clacad.verification.check_kinds.shape import (
+from clacad.checks.allowances import accepted
+from clacad.checks.check import DEFAULT, NEAR, Check, CheckKind, State, found_by
+from clacad.checks.design_kinds import (
     CLEARANCE,
     COVER,
     EDGE,
@@ -33,10 +25,17 @@ from clacad.verification.check_kinds.shape import (
     PITCH,
     RADIUS,
     SAG,
+    WALL,
 )
-from clacad.verification.checks import NEAR, Check, CheckKind, State, found_by
+from clacad.checks.light_kinds import FIELD, FRESNEL_NUMBER, ORDERS, RESIDUAL
+from clacad.design.keys import PAIR
+from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.own_steps import highest_step
+from clacad.sheet.representative_cells import representative_cells
+from clacad.sheet.vignetting import order_steps
+from clacad.sheet.window import Window
 from clacad.verification.design.process_rules import Built
-from clacad.verification.limit_sources import DEFAULT
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -8,15 +8,14 @@ from collections.abc import Iterator
 from math import inf
 from typing import TYPE_CHECKING
 
+from clacad.checks.check import DESIGN_FILE, NEAR, Check, CheckKind, from_profile
+from clacad.checks.design_kinds import PART_HEIGHT, PART_WIDTH, WORKABLE
 from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
 from clacad.sheet.volume_and_extent import body_extent
 from clacad.sheet.window import Window
-from clacad.verification.check_kinds.process import PART_HEIGHT, PART_WIDTH, WORKABLE
-from clacad.verification.checks import NEAR, Check, CheckKind
 from clacad.verification.design.process_rules import Built
-from clacad.verification.limit_sources import DESIGN_FILE, from_profile
 
 if TYPE_CHECKING:
     from clacad.design import Design

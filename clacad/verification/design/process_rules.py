@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from math import degrees, inf, pi
 from typing import TYPE_CHECKING
 
+from clacad.checks.check import DESIGN_FILE, Check, CheckKind, LimitSource, from_profile
+from clacad.checks.design_kinds import ASPECT, DRAFT, LAYER, SLOPE, TOOL, UNDERCUT, VOXEL, WALL
 from clacad.design.process_profiles import ProcessProfile, profile
 from clacad.sheet.feasibility import Feasibility
 from clacad.sheet.feasibility.process_features import (
@@ -24,18 +26,6 @@ from clacad.sheet.feasibility.process_features import (
     wall,
 )
 from clacad.sheet.window import Window
-from clacad.verification.check_kinds.process import (
-    ASPECT,
-    DRAFT,
-    LAYER,
-    SLOPE,
-    TOOL,
-    UNDERCUT,
-    VOXEL,
-    WALL,
-)
-from clacad.verification.checks import Check, CheckKind
-from clacad.verification.limit_sources import DESIGN_FILE, LimitSource, from_profile
 
 if TYPE_CHECKING:
     from clacad.design import Design

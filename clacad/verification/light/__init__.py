@@ -1,4 +1,4 @@
 """Checks by light through the exact surfaces: law, bias, spread, confocality, ghosts, foci, convergence.
 
-Light through files is in `verification.files`.
+Light through files is in `clacad.judging`.
 """

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.judging.cell_triangles import Cell, CellFacets, Gatherer, telescopelet
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle, launched, middle_direction
@@ -42,7 +43,6 @@ from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace, trace_sequence
 from clacad.tracing.triangles.telescopelet_facets import trace_facets
-from clacad.verification.files.cell_triangles import Cell, CellFacets, Gatherer, telescopelet
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,11 +13,14 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Progress
+from clacad.checks.check import Check, derived
+from clacad.checks.file_kinds import CONVERGENCE
 from clacad.exporting.formats.registry import formats
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import size_text
 from clacad.exporting.quads_and_roles import Needed, masters
 from clacad.exporting.tessellations import Meshes
+from clacad.judging.cell_triangles import Gatherer, telescopelet
 from clacad.light.compare import Comparison, rms_between
 from clacad.light.measure import Light, measure
 from clacad.optics.law import difference_of_laws
@@ -29,10 +32,6 @@ from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.tracing.triangles.telescopelet_facets import trace_facets
-from clacad.verification.check_kinds.file_light import CONVERGENCE
-from clacad.verification.checks import Check
-from clacad.verification.files.cell_triangles import Gatherer, telescopelet
-from clacad.verification.limit_sources import derived
 
 if TYPE_CHECKING:
     from clacad.design import Design

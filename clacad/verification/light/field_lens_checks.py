@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.checks.check import Check
+from clacad.checks.light_kinds import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, PUPIL
 from clacad.light.measure import Light
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, Interface, trace_sequence
@@ -23,8 +25,6 @@ from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import aperture_slope, half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
-from clacad.verification.check_kinds.light import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, PUPIL
-from clacad.verification.checks import Check
 from clacad.verification.light.confocality import axis_start, field_onto_axis
 from clacad.verification.light.law_checks import Lit
 

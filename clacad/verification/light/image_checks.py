@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Pair2
+from clacad.checks.check import Check
+from clacad.checks.light_kinds import IMAGE_POINT, SPOT
 from clacad.imaging.image_by_rays import image, lens_plane
 from clacad.optics.law.imaging import spot_widths
 from clacad.sheet.window import Window
-from clacad.verification.check_kinds.light import IMAGE_POINT, SPOT
-from clacad.verification.checks import Check
 from clacad.verification.light.law_checks import Lit
 
 if TYPE_CHECKING:

@@ -14,15 +14,8 @@ import numpy as np
 
 from clacad.base.text import digits
 from clacad.base.types import Floats
-from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
-from clacad.optics.rays import Fate
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import bundle, field_points
-from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
-from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
-from clacad.sheet.vignetting import fresnel_numbers, share, thin_cells
-from clacad.sheet.window import Window
-from clacad.verification.check_kinds.light import (
+from clacad.checks.check import Check, CheckKind, other
+from clacad.checks.light_kinds import (
     ACCOUNTING,
     CONFOCALITY,
     DELTA,
@@ -33,9 +26,15 @@ from clacad.verification.check_kinds.light import (
     THROUGHPUT,
     TILT,
 )
-from clacad.verification.checks import Check, CheckKind
+from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
+from clacad.optics.rays import Fate
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import bundle, field_points
+from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
+from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
+from clacad.sheet.vignetting import fresnel_numbers, mean_share, share, thin_cells
+from clacad.sheet.window import Window
 from clacad.verification.light.confocality import confocality
-from clacad.verification.limit_sources import other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -51,7 +50,6 @@ WORTH_SAYING = 0.005
 """Smallest on-axis share of light lost to diffraction that is reported with the traced share."""
 
 POINT_RAYS = 4096
-SHARE_DIRECTIONS = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,7 +325,7 @@ def throughput(lit: Lit) -> Iterator[Check]:
     window, seen = lit.like, lit.optics
     cells = thin_cells(window)
     alive = seen.main.share
-    mean = float(share(cells, seen.main.lit.rays.direction[:SHARE_DIRECTIONS]).mean())
+    mean = mean_share(cells, seen.main.lit.rays.direction)
     middle, closed_form = seen.points[0].share, float(seen.closed_form[0])
     ratios = [a / b if b > 0.0 else np.nan for a, b in ((middle, closed_form), (alive, mean))]
     value = float(np.nanmin(ratios)) if not np.isnan(ratios).all() else np.nan

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.checks.check import Check, found_by
+from clacad.checks.light_kinds import DELTA, ETA, TILT
 from clacad.light.measure import Light
 from clacad.optics.rays import Rays
 from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import SeenCell, through_all, tried_cells, worst_of
-from clacad.verification.check_kinds.light import DELTA, ETA, TILT
-from clacad.verification.checks import Check, found_by
 from clacad.verification.light.law_checks import (
     FIT_SCALE,
     POINT_RAYS,

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from clacad.checks.check import Check
+from clacad.checks.light_kinds import VIEWED
 from clacad.design.sections import AimedAt
-from clacad.verification.check_kinds.light import VIEWED
-from clacad.verification.checks import Check
 from clacad.verification.light.law_checks import Lit
 from clacad.verification.light.viewed import viewed, viewer_of
 

@@ -1,0 +1,1 @@
+"""Checks and their kinds: each kind is declared once, with its code, unit, limit, explanation and levers."""

@@ -1,0 +1,386 @@
+"""Wholeness of a mesh file: closed, with the designed pieces and size; or an open measured surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.arrays import distinct
+from clacad.base.text import count_text
+from clacad.base.types import Floats
+from clacad.checks.check import Check, State
+from clacad.checks.file_kinds import CLOSED, PIECES, SCALE
+from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes, welded
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
+from clacad.judging.cell_triangles import CellFacets
+from clacad.sheet.feasibility import body_facts
+from clacad.sheet.pieces_and_holes import connect
+from clacad.sheet.volume_and_extent import whole_extent
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+COUNTED_FACETS = 1_000_000
+"""Facets up to which vertices are welded and edges and holes counted (0.4 GB per million); larger files are
+streamed."""
+
+COUNTED_PIECES = 30_000_000
+"""Facets in a file up to which connected pieces are counted: 0.2 s and 20 MB per million."""
+
+FULL = 0.6
+"""Largest used share of a hash table."""
+
+
+def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
+    """Contents of a mesh file for a workshop: `words`, and the numbers in them.
+
+    Parameters
+    ----------
+    mesh : FileMesh
+    shells : int or None
+        Closed surfaces with every instance counted; None where they were not counted.
+    """
+    objects, places = len(mesh.parts), sum(len(part.places) for part in mesh.parts)
+    if places > objects:
+        words = f"{places:,} instances of {objects} object{'s' * (objects != 1)}"
+    else:
+        words = f"{objects} object{'s' * (objects != 1)}"
+    if shells is not None and shells != places:
+        words += f", {shells:,} closed shell{'s' * (shells != 1)}"
+    words += f", {mesh.facet_count:,} facets"
+    if mesh.stored_count != mesh.facet_count:
+        words += f" ({mesh.stored_count:,} in the file)"
+    return {
+        "words": words,
+        "objects": objects,
+        "placements": places,
+        "shells": shells,
+        "facets": mesh.facet_count,
+        "facets_stored": mesh.stored_count,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class PartCount:
+    """Counts of a part at all of its places (its copies may touch), and at one of them.
+
+    Parameters
+    ----------
+    pieces : int
+        Connected pieces, at all places.
+    holes : float
+        Half the sum of the missing Euler numbers, at all places.
+    crowded : int
+        Edges shared by a number of facets other than two, at one place.
+    """
+
+    pieces: int
+    holes: float
+    crowded: int
+
+    @classmethod
+    def of(cls, part: Part) -> PartCount:
+        """Count a part that fits in memory."""
+        vertices, facets = part.welded()
+        pieces = len(distinct(connect(len(vertices), facets[:, [0, 1, 0, 2]].reshape(-1, 2))))
+        edges, times = edge_times(facets), len(part.places)
+        euler = len(vertices) - len(edges) + len(facets)
+        return cls(pieces * times, (pieces - euler / 2) * times, crowded_edges(edges))
+
+
+def part_counts(mesh: FileMesh) -> list[PartCount] | None:
+    """Counts of every part; None for a file with more than `COUNTED_FACETS` facets."""
+    return [PartCount.of(part) for part in mesh.parts] if mesh.stored_count <= COUNTED_FACETS else None
+
+
+def closed_check(
+    found: Measure,
+    gathered: CellFacets,
+    mesh: FileMesh,
+    name: str,
+    holds: Mapping[str, Any],
+    counts: Sequence[PartCount] | None,
+) -> Check:
+    """Judge whether the surface is closed and consistently wound, and locate a fault.
+
+    holds : from `holding`, goes into the check's detail
+    counts : from `part_counts`
+    """
+    common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
+    if found.facets == 0:
+        return CLOSED.check("fail", "the file holds no triangles", **common)
+    facts: dict[str, Any] = {
+        "facets": found.facets,
+        "walls": gathered.walls,
+        "degenerate": gathered.degenerate,
+        "holds": dict(holds),
+    }
+    if found.closed:
+        sentence = f"every edge of {found.facets} facets is met once in each direction"
+        if counts is not None:
+            crowded = sum(count.crowded for count in counts)
+            facts["crowded_edges"] = crowded
+            if crowded:
+                sentence += (
+                    f"; {crowded} edges are shared by four facets, where steps of both signs meet in a corner"
+                )
+        return CLOSED.check("pass", sentence, 0.0, detail=facts, **common)
+    sentence = "the surface is not closed or not consistently wound"
+    value = None
+    if found.facets > COUNTED_FACETS >= mesh.stored_count:
+        counted = [_open_edges(part.corners(0, part.facet_count)) for part in mesh.parts]
+        value, place = max(counted, key=lambda one: one[0])
+        at = ", ".join(f"{v:.6g}" for v in place)
+        sentence += f": {value} edges of one instance have no partner, one at ({at}) in its own frame"
+    elif found.facets <= COUNTED_FACETS:
+        value, place = _open_edges(np.concatenate(list(mesh.chunks())))
+        at = ", ".join(f"{v:.6g}" for v in place)
+        sentence += f": {value} edges have no partner, one at ({at}) in file units"
+    return CLOSED.check("fail", sentence, value, detail=facts, **common)
+
+
+def _open_edges(corners: Floats) -> tuple[int, Floats]:
+    """Count directed edges without a partner, and return the middle of one."""
+    vertices, facets = welded(corners)
+    start = facets.ravel()
+    end = np.roll(facets, -1, axis=1).ravel()
+    size = np.int64(len(vertices))
+    forward, times = np.unique(start * size + end, return_counts=True)
+    backward, answers = np.unique(end * size + start, return_counts=True)
+    both = np.concatenate([forward, backward])
+    sign = np.concatenate([times, -answers])
+    keys, place = np.unique(both, return_inverse=True)
+    balance = np.bincount(place, weights=sign)
+    open_keys = keys[balance != 0]
+    if not len(open_keys):
+        return 0, np.zeros(3)
+    a, b = divmod(int(open_keys[0]), int(size))
+    # an unmatched edge is found once from each of its ends
+    return int(np.abs(balance).sum() / 2), 0.5 * (vertices[a] + vertices[b])
+
+
+def pieces_check(
+    window: Window,
+    found: Measure,
+    mesh: FileMesh,
+    name: str,
+    stated: Mapping[str, Any],
+    counts: Sequence[PartCount] | None,
+    counted: PieceCount | None = None,
+) -> list[Check]:
+    """Judge the number of connected pieces and holes of the file; `counted` was counted while measuring
+    facets.
+    """
+    common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
+    if found.facets == 0:
+        return [PIECES.not_run("the file holds no triangles", **common)]
+    if mesh.stored_count > COUNTED_PIECES:
+        why = (
+            f"not counted and not required: {mesh.stored_count} facets in the file, and pieces are counted up"
+            f" to {COUNTED_PIECES}; one_piece says what the design gives"
+        )
+        return [PIECES.not_run(why, **common)]
+    bodies = [body_facts(window, body) for body in window.bodies]
+    expected = {sum(b.pieces for b in bodies), len(bodies) * window.lattice.cell_count}
+    if "solids" in stated:
+        expected = {int(stated["solids"])}
+    wanted = " or ".join(str(n) for n in sorted(expected))
+    holes: float | None = None
+    if counts is not None:
+        pieces, holes = sum(count.pieces for count in counts), sum(count.holes for count in counts)
+        sentence = (
+            f"{count_text(pieces, 'connected piece')} with {count_text(holes, 'hole')}; {wanted} expected"
+        )
+    else:
+        pieces = counted.pieces if counted else sum(connected(p) * len(p.places) for p in mesh.parts)
+        sentence = f"{count_text(pieces, 'connected piece')}; {wanted} expected"
+    state: State = "pass" if pieces in expected else "fail"
+    return [PIECES.check(state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
+
+
+def connected(part: Part) -> int:
+    """Connected pieces of a part at one of its places, in one pass."""
+    count = PieceCount(part.facet_count)
+    for start in range(0, part.facet_count, CHUNK):
+        count.add(part.corners(start, start + CHUNK))
+    return count.pieces
+
+
+class PieceCount:
+    """Connected pieces of a stream of triangles; corners are one vertex where their hashes agree.
+
+    The hash table is sized for a closed surface of `facets` facets, which has half as many vertices; it
+    grows for more.
+    """
+
+    def __init__(self, facets: int) -> None:
+        expected = facets // 2 + 3 * min(facets, CHUNK)
+        size = 1 << max(16, int(expected / FULL).bit_length())
+        self._table, self._number = np.zeros(size, dtype=np.uint64), np.zeros(size, dtype=np.int32)
+        self._parent = np.zeros(expected, dtype=np.int32)
+        self._vertices = self._joins = 0
+
+    @property
+    def pieces(self) -> int:
+        """Number of pieces among the facets added."""
+        return self._vertices - self._joins
+
+    def add(self, corners: Floats) -> None:
+        """Add facets (k, 3, 3)."""
+        from clacad.judging.compiled_pieces import join, rehash
+
+        keys = vertex_hashes(corners)
+        most = self._vertices + keys.size
+        while most > FULL * len(self._table):
+            size = 2 * len(self._table)
+            larger = np.zeros(size, dtype=np.uint64), np.zeros(size, dtype=np.int32)
+            rehash(self._table, self._number, *larger)
+            self._table, self._number = larger
+        if most > len(self._parent):
+            more = np.zeros(max(len(self._parent), keys.size), dtype=np.int32)
+            self._parent = np.concatenate([self._parent, more])
+        self._vertices, joins = join(keys, self._table, self._number, self._parent, self._vertices)
+        self._joins += joins
+
+
+def counted_on_the_way(mesh: FileMesh) -> PieceCount | None:
+    """Counter of the pieces of a file for use while its facets are measured; None where that is not
+    needed.
+    """
+    one = len(mesh.parts) == 1 and not mesh.parts[0].repeated
+    return (
+        PieceCount(mesh.stored_count)
+        if one and COUNTED_FACETS < mesh.stored_count <= COUNTED_PIECES
+        else None
+    )
+
+
+def scale_check(design: Design, window: Window, found: Measure, name: str) -> Check:
+    """Compare the file's extent with the design's, axis by axis."""
+    x0, x1, y0, y1 = whole_extent(window)
+    z0, z1 = window.z_range
+    want = np.array([x1 - x0, y1 - y0, z1 - z0])
+    got = np.subtract(found.high, found.low)
+    ratio = got / want
+    if not np.isfinite(ratio).all() or found.facets == 0:
+        return SCALE.not_run("the file has no extent", where="file", subject=name)
+    # x and y alone show a uniform shrink; facets cut a little off the top of a lens in z
+    lateral = ratio[:2]
+    value = float(np.abs(lateral - 1.0).max())
+    sentence = "extent over the design's: " + ", ".join(
+        f"{axis} {r:.6g}" for axis, r in zip("xyz", ratio, strict=True)
+    )
+    return SCALE.judge(
+        value,
+        design.check.scale,
+        sentence,
+        subject=name,
+        detail={"ratio": ratio},
+    )
+
+
+SECTORS = 36
+"""Number of sectors around the part's middle."""
+
+AROUND = 0.8
+"""Least share of sectors in which an open surface has its boundary at the rim."""
+
+AT_RIM = 0.8
+"""Distance from the middle, over that to the rim, beyond which a boundary edge lies at the rim."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rims:
+    """Edges of a mesh without a second facet.
+
+    count : int
+        Directed edges without a partner.
+    place : (3,) lengths, file unit
+        Middle of one of them; NaN where there are none.
+    middles : (count, 3)
+        Middles of all of them.
+    closed_pieces : int
+        Connected pieces without such an edge: closed shells.
+    corners : (v, 3)
+        All vertices.
+    """
+
+    count: int
+    place: Floats
+    middles: Floats
+    closed_pieces: int
+    corners: Floats
+
+
+def rims(mesh: FileMesh) -> Rims:
+    """Find the boundary of a mesh, and the number of pieces without a boundary."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    corners, facets = welded(np.concatenate(list(mesh.chunks())))
+    start, end = facets.ravel(), np.roll(facets, -1, axis=1).ravel()
+    size = np.int64(len(corners))
+    same = start == end  # a facet without area has no such edge
+    low, high = np.minimum(start, end)[~same], np.maximum(start, end)[~same]
+    keys, back = np.unique(low * size + high, return_inverse=True)
+    balance = np.bincount(back, np.where((start < end)[~same], 1.0, -1.0))
+    open_keys = keys[balance != 0.0]
+    links = coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(len(corners), len(corners)))
+    number, piece = connected_components(links, directed=False)
+    is_open = np.zeros(number, dtype=bool)
+    is_open[piece[open_keys // size]] = True
+    used = np.zeros(number, dtype=bool)
+    used[piece[facets.ravel()]] = True
+    middles = 0.5 * (corners[open_keys // size] + corners[open_keys % size])
+    count = int(np.abs(balance).sum())
+    place = middles[0] if len(middles) else np.full(3, np.nan)
+    return Rims(count, place, middles, int((used & ~is_open).sum()), corners)
+
+
+def is_open_surface(found: Rims, turn: Floats | None = None) -> bool:
+    """Whether a mesh is a surface without a volume, such as a scan, rather than an incomplete solid.
+
+    Parameters
+    ----------
+    found : Rims
+    turn : (3, 3) or None
+        File → sheet frame: the rim lies around the third axis.
+
+    Notes
+    -----
+    Facets connected by edges are a piece (union-find over vertices). A piece whose every edge is used once
+    in each
+    direction is a closed shell. It has a volume, however small, so the file is meant as a solid; any open
+    edge next
+    to it is a fault. Where no piece is closed, the boundary decides. A measured surface ends at the rim of
+    the part:
+    seen along the sheet's normal, boundary edges lie at the rim all around it (in four fifths of 36 sectors,
+    in the
+    outer fifth of the way). A solid without a facet, a patch or a whole side wall has its boundary around
+    the gap
+    only. A soup whose facets share no corner is open at every edge and also counts as a surface.
+    """
+    if found.count == 0 or found.closed_pieces:
+        return False
+    axes = np.eye(3) if turn is None else turn
+    flat, edges = found.corners @ axes[:2].T, found.middles @ axes[:2].T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * np.where(high > low, high - low, 1.0)
+    reach = _farthest((flat - middle) / half)
+    rim = _farthest((edges - middle) / half)
+    known = reach > 0.0
+    return bool((rim[known] >= AT_RIM * reach[known]).mean() >= AROUND)
+
+
+def _farthest(points: NDArray[np.float64]) -> Floats:
+    """Largest distance from the origin of points (n, 2) in each sector, (SECTORS,)."""
+    sector = ((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64)
+    found = np.zeros(SECTORS)
+    np.maximum.at(found, np.clip(sector, 0, SECTORS - 1), np.hypot(points[:, 0], points[:, 1]))
+    return found

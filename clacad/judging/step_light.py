@@ -1,0 +1,285 @@
+"""Light through the faces of a file of solids, for the checks of a master.
+
+The faces are those OCC reads, in a worker that has read the file already. Where the file is too large for
+OCC, the
+lens patches of its text are used. A body the file lacks is taken from the design.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.types import Floats
+from clacad.base.units import millimetres
+from clacad.judging.file_light import FileLight, measure_light
+from clacad.light.measure import Light, Send
+from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import Bundle, bundle
+from clacad.sheet.vignetting import share, thin_cells
+from clacad.sheet.window import Body, Face, Window, optical_tile
+from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, trace_facets
+from clacad.tracing.worst_cell import tried_cells, worst_of
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.storage.worker import Worker
+
+
+FACE_RAYS = 1024
+"""Rays of the main bundle through faces: OCC needs half a millisecond per ray."""
+
+POINT_RAYS = 256
+"""Rays of each of the nine field points; four times as many where little light is transmitted."""
+
+CELL_RAYS = 64
+"""Rays of each further cell of a non-uniform sheet; a cell that transmits less than a quarter of them is
+lost."""
+
+MARGIN = 0.1
+"""Pitches around a telescopelet within which faces are searched."""
+
+SECONDS = 600.0
+OCC_RAYS, PATCH_RAYS = (
+    "clacad.formats.step.occ_rays:follow_rays",
+    "clacad.formats.step.patch_rays:follow_patches",
+)
+
+
+def point_rays(window: Window) -> int:
+    """Rays of each field point, so that enough of them are transmitted."""
+    middle = np.array([[0.0, 0.0, 1.0]])
+    return POINT_RAYS if float(share(thin_cells(window), middle)[0]) > 0.5 else 4 * POINT_RAYS
+
+
+def light_of_cells(
+    design: Design, window: Window, send: Send, rays: int
+) -> tuple[FileLight, list[float], list[tuple[int, int]]]:
+    """Light through the cell by which a sheet is judged; in a non-uniform sheet through other cells too.
+
+    Parameters
+    ----------
+    design, window
+    send : callable
+        Bundle → TraceResult through the file.
+    rays : int
+        Of the main bundle.
+
+    Returns
+    -------
+    light : FileLight
+        Of the cell whose light through the exact surfaces leaves farthest from the law; of the central cell
+        of a
+        uniform sheet.
+    rms : list of float, radians
+        Of that cell, then of the other measured cells.
+    cells : list of (i, j)
+    """
+    if window.uniform:
+        return measure_light(design, window, send, rays, point_rays(window)), [], []
+    tried = tried_cells(window, design.check.field)
+    worst = worst_of(tried, design.check.field)
+    light = measure_light(
+        design, worst.like, lambda lit: send(worst.placed(lit)), rays, POINT_RAYS, exact=worst.send
+    )
+    rms, cells = [light.light.rms], [(int(worst.cell[0]), int(worst.cell[1]))]
+    for one in tried:
+        if one is worst:
+            continue
+        lit = bundle(one.like, CELL_RAYS, design.check.field)
+        found = Light(lit, send(one.placed(lit)), RequestedLaw.of(one.like), fewest=CELL_RAYS // 4)
+        rms.append(np.inf if found.rms != found.rms else found.rms)
+        cells.append((int(one.cell[0]), int(one.cell[1])))
+    return light, rms, cells
+
+
+@dataclass(frozen=True, eq=False)
+class FaceTracer:
+    """Traces bundles through the faces of one file.
+
+    worker : Worker
+        Worker that has read the file.
+    path : str
+    window : Window
+    held : names of the bodies the file holds
+    by_occ : bool
+        Whether the faces are those OCC reads, else the patches of the text.
+    z : float, mm
+        Height of the sheet's own z = 0 in the file.
+    """
+
+    worker: Worker
+    path: str
+    window: Window
+    held: Sequence[str]
+    by_occ: bool
+    z: float = 0.0
+
+    def __call__(self, lit: Bundle) -> TraceResult:
+        """Trace a bundle.
+
+        ALIVE: in and out of every body through lens faces of one telescopelet, and onwards. GHOST: through
+        lenses of
+        several telescopelets. LAND: through a face that is no lens. WALL: at a wall, or where no face was
+        hit.
+        """
+        state = _State(lit.rays)
+        for inside, bodies in groupby(self.window.bodies, lambda body: body.name in self.held):
+            if inside:
+                self._through_file(state, lit, tuple(bodies))
+            else:
+                _through_design(state, self.window, lit, tuple(bodies))
+        return state.closed()
+
+    def _through_file(self, state: _State, lit: Bundle, bodies: tuple[Body, ...]) -> None:
+        """Trace the bodies of the file through its own faces; the state continues behind them."""
+        live = state.alive()
+        scale = millimetres(self.window.unit)
+        low, high = column(self.window, lit.cell, bodies)
+        numbers = [
+            2 * k + side for k, body in enumerate(self.window.bodies) if body in bodies for side in (0, 1)
+        ]
+        up = np.array([0.0, 0.0, self.z])
+        function, more = (
+            (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (raised(self.window, self.z / scale), numbers))
+        )
+        found = self.worker.run(
+            function,
+            self.path,
+            state.position[live] * scale + up,
+            state.direction[live],
+            [body.index for body in bodies],
+            (low * scale).tolist(),
+            (high * scale).tolist(),
+            *more,
+            timeout=SECONDS,
+        )
+        hits = (np.array(found["hits"]).reshape(len(live), -1, 3) - up) / scale
+        end, many = np.array(found["end"], dtype=int), np.array(found["crossings"], dtype=int)
+        lens = np.array(found["curved"], dtype=bool).reshape(len(live), -1)
+        state.position[live] = (np.array(found["position"]).reshape(-1, 3) - up) / scale
+        state.direction[live] = np.array(found["direction"]).reshape(-1, 3)
+        state.surface[live] += many.astype(np.int32)
+        state.fate[live] = np.choose(end, [Fate.ALIVE, Fate.WALL, Fate.WALL, Fate.TIR]).astype(np.uint8)
+        faces = [face for body in bodies for face in (body.front, body.back)]
+        for step, face in enumerate(faces):
+            if face.array is None:
+                continue
+            met = many > step
+            aside = ~lens[:, step] if self.by_occ else ~on_lens(self.window, face, hits[:, step])
+            state.aside[live[met & aside]] = True
+            state.see(live[met], face.array, self.window, hits[met, step])
+
+
+def raised(window: Window, z: float) -> Window:
+    """Window with all faces moved up by `z` (length)."""
+
+    def up(face: Face) -> Face:
+        x, y, height = face.vertex
+        return replace(face, vertex=(x, y, height + z), land=None if face.land is None else face.land + z)
+
+    if z == 0.0:
+        return window
+    return replace(
+        window, bodies=tuple(replace(b, front=up(b.front), back=up(b.back)) for b in window.bodies)
+    )
+
+
+def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:
+    """Whether points (n, 3) of a lens patch lie where the lens is above its land, in its optical zone."""
+    _, x, y = window.locate(face.array, place[:, 0], place[:, 1])
+    room = 1e-9 * min(window.lattice.pitch)
+    proud = np.ones(len(place), dtype=bool)
+    if face.land is not None:
+        proud = (face.land - place[:, 2]) * face.side >= -room
+    if window.land.seam > 0.0:
+        corners = optical_tile(window, face.array)
+        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            edge = end - start
+            proud &= edge[0] * (y - start[1]) - edge[1] * (x - start[0]) >= -room * float(np.hypot(*edge))
+    return proud
+
+
+def column(window: Window, cell: tuple[int, int], bodies: Sequence[Body]) -> tuple[Floats, Floats]:
+    """Bounding column in x and y, low (2,) and high (2,), of a telescopelet, with a margin."""
+    arrays = {face.array for body in bodies for face in (body.front, body.back) if face.array is not None}
+    corners = np.concatenate(
+        [window.lattice_of(array).tile() + window.centres(array, np.array(cell)) for array in sorted(arrays)]
+    )
+    room = MARGIN * min(window.lattice.pitch)
+    return corners.min(axis=0) - room, corners.max(axis=0) + room
+
+
+def _through_design(state: _State, window: Window, lit: Bundle, bodies: tuple[Body, ...]) -> None:
+    """Trace the bodies that the file lacks as the design has them."""
+    live = state.alive()
+    cell = np.array(lit.cell)
+
+    def exact(face: Any) -> ExactFace:
+        centre = window.centres(0 if face.array is None else face.array, cell)
+        return ExactFace(window.in_cell(face, cell), np.append(centre, 0.0))
+
+    pieces = tuple(FacetBody(exact(body.front), exact(body.back), body.index) for body in bodies)
+    found = trace_facets(pieces, Rays(state.position[live], state.direction[live]))
+    state.position[live], state.direction[live], state.fate[live] = (
+        found.position,
+        found.direction,
+        found.fate,
+    )
+    state.surface[live] += found.surface + 1
+    array = bodies[-1].back.array if bodies[-1].back.array is not None else bodies[-1].front.array
+    if array is not None:
+        through = found.fate == Fate.ALIVE
+        state.see(live[through], array, window, found.position[through])
+
+
+class _State:
+    """State of the rays during a trace."""
+
+    def __init__(self, rays: Rays) -> None:
+        many = len(rays)
+        self.position = rays.position.copy()
+        self.direction = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
+        self.fate = np.full(many, Fate.ALIVE, dtype=np.uint8)
+        self.surface = np.full(many, -1, dtype=np.int32)
+        self.aside = np.zeros(many, dtype=bool)
+        self.stray = np.zeros(many, dtype=bool)
+        self.cell = np.full((many, 2), NO_CELL, dtype=np.int32)
+
+    def alive(self) -> NDArray[np.intp]:
+        """Rows of the rays that are still ALIVE."""
+        return np.flatnonzero(self.fate == Fate.ALIVE)
+
+    def see(self, rows: NDArray[np.intp], array: int, window: Window, place: Floats) -> None:
+        """Record the cells of an array that rays crossed; cells of one telescopelet have one number."""
+        index, _, _ = window.locate(array, place[:, 0], place[:, 1])
+        known = self.cell[rows, 0] != NO_CELL
+        self.stray[rows[known]] |= (self.cell[rows[known]] != index[known]).any(axis=1)
+        self.stray[rows] |= ~window.lattice.contains(index)
+        self.cell[rows[~known]] = index[~known]
+
+    def closed(self) -> TraceResult:
+        """The trace result; exit directions count only for rays that were transmitted."""
+        through = self.fate == Fate.ALIVE
+        self.fate[through & (self.direction[:, 2] <= 0.0)] = Fate.BACKWARD
+        self.fate[(self.fate == Fate.ALIVE) & self.aside] = Fate.LAND
+        self.fate[(self.fate == Fate.ALIVE) & self.stray] = Fate.GHOST
+        many = len(self.fate)
+        unknown = np.full((many, 2), NO_CELL, dtype=np.int32)
+        surface = np.where(self.surface < 0, NO_CELL, self.surface).astype(np.int32)
+        return TraceResult(
+            self.position,
+            self.direction,
+            self.fate,
+            np.zeros(many),
+            self.cell,
+            unknown,
+            surface,
+            np.ones(many),
+        )
