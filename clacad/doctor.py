@@ -245,7 +245,7 @@ def _fonts() -> Iterator[Diagnosis]:
 
 
 def _memory() -> Iterator[Diagnosis]:
-    from clacad.exporting.limits import free_memory
+    from clacad.storage.worker import free_memory
 
     free = free_memory()
     low = free < LEAST_MEMORY

@@ -123,9 +123,9 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType(
         "stl-ascii": Budget("ASCII STL", GIGABYTE, 20_000_000, "facets"),
         "3mf": Budget("3MF, unpacked", GIGABYTE, 60_000_000, "vertices, triangles and components"),
         "ply": Budget(
-            "binary PLY", 10 * GIGABYTE, 100_000_000, "vertices and facets", seconds_per_megabyte=0.5
+            "binary PLY", 10 * GIGABYTE, 100_000_000, "vertices and facets", 60.0, 0.5, 3 * GIGABYTE, 10
         ),
-        "ply-ascii": Budget("ASCII PLY", GIGABYTE, 100_000_000, "numbers"),
+        "ply-ascii": Budget("ASCII PLY", GIGABYTE, 100_000_000, "numbers", 60.0, 2.0, 3 * GIGABYTE, 30),
         "glb": Budget("GLB", 4 * GIGABYTE, 60_000_000, "vertices, corners and places"),
         "obj": Budget("OBJ", GIGABYTE, 20_000_000, "vertices, normals and triangles"),
         "step": Budget("STEP, by the CAD kernel", 24 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),

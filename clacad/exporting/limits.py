@@ -6,7 +6,6 @@ Every refusal gives the number, the limit and two ways to stay below it.
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from clacad.exporting.formats.registry import format_of, formats
 from clacad.storage.errors import LimitRefused
+from clacad.storage.worker import MEMORY_SHARE, free_memory
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -30,7 +30,6 @@ MOST_CELLS = 10_000_000
 """Largest number of lenslets of one array; below it, formats that list cells one by one finish within
 minutes.
 """
-MEMORY_SHARE = 0.8
 QUADS = (64, 32, 16, 8, 4)
 """Facet grids per cell side from which "auto" chooses, finest first."""
 
@@ -225,30 +224,6 @@ def _smaller(row: Forecast, window: Window) -> str:
             f" {window.lattice.count[1]}"
         )
     return f"use fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}, or format table"
-
-
-def free_memory() -> int:
-    """Bytes of available memory; a container's limit is respected."""
-    available = 1 << 62
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                available = int(line.split()[1]) * 1024
-    except (OSError, ValueError, IndexError):
-        if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-            available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    try:
-        limit = int(Path("/sys/fs/cgroup/memory.max").read_text())
-        used = int(Path("/sys/fs/cgroup/memory.current").read_text())
-        available = min(available, max(0, limit - used))
-    except (OSError, ValueError):
-        pass
-    return available
-
-
-def worker_memory() -> int:
-    """Address space of a worker, bytes: the free memory, but never less than OCC itself maps."""
-    return max(4_000_000_000, int(MEMORY_SHARE * free_memory()))
 
 
 def free_disk(folder: Path) -> int:

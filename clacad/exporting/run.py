@@ -31,7 +31,7 @@ from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes
 from clacad.storage.atomic import MANIFEST, Stage, read_manifest, require_folder, safe_name, translated
 from clacad.storage.errors import ExportError, ExportIncomplete, FileDisagrees, NotPossible, WorkerDied
-from clacad.storage.worker import Worker, ended_by_signals
+from clacad.storage.worker import Worker, ended_by_signals, worker_memory
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -73,7 +73,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     made = design if request.cells is None else design.with_cells(request.cells)
     _refuse_by_count(made, formats, request)
     began, used = time.monotonic(), time.process_time()
-    with ended_by_signals(), Worker(memory=limits.worker_memory(), preload=CAD_MODULES) as worker:
+    with ended_by_signals(), Worker(memory=worker_memory(), preload=CAD_MODULES) as worker:
         if any(format_of(name).kernel for name in formats):
             worker.start()  # OCC loads while the design is prescribed and forecast
         report("forecast", 0.0)
@@ -137,7 +137,7 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
     meshes = Meshes(_prescribed(made), request.saddle_bevel, request.fused)
     if out is None:
         return _forecast(made, meshes, formats, request, None)
-    with ended_by_signals(), Worker(memory=limits.worker_memory()) as worker:
+    with ended_by_signals(), Worker(memory=worker_memory()) as worker:
         return _forecast(made, meshes, formats, request, (out, worker))
 
 
@@ -152,7 +152,7 @@ def refuse_impossible(design: Design, request: Request) -> None:
     made = design if request.cells is None else design.with_cells(request.cells)
     formats = _formats(request)
     _refuse_by_count(made, formats, request)
-    with ended_by_signals(), Worker(memory=limits.worker_memory()) as worker:
+    with ended_by_signals(), Worker(memory=worker_memory()) as worker:
         _impossible(made, _prescribed(made), formats, request, worker).complete()
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.types import Pair2, Progress, Rung, silent
 from clacad.base.units import millimetres
-from clacad.exporting.limits import refuse_uncountable, worker_memory
+from clacad.exporting.limits import refuse_uncountable
 from clacad.exporting.manifest import FORMAT, FileRecord, Manifest
 from clacad.formats.step.step_mode import Mode
 from clacad.sheet.stack import BadStack, Stack, stacked
@@ -22,7 +22,7 @@ from clacad.stacking.stack_light import StackLight, measure_light
 from clacad.storage.atomic import MANIFEST, Stage, canonical_json, file_hash, require_folder
 from clacad.storage.errors import UnknownFormat
 from clacad.storage.staging import flush
-from clacad.storage.worker import Worker, ended_by_signals
+from clacad.storage.worker import Worker, ended_by_signals, worker_memory
 from clacad.tracing.through_stack import StackTracer
 
 if TYPE_CHECKING:

@@ -49,13 +49,18 @@ class Spending:
         The file has more bytes than the reader's budget.
     OSError
         The file does not exist.
+
+    Attributes
+    ----------
+    size : int
+        Bytes of the file, unpacked.
     """
 
     def __init__(self, reader: str, path: str | os.PathLike[str], size: int | None = None) -> None:
         self.name = Path(path).name
         self.budget = BUDGETS[reader]
         self.items = 0
-        self._size = 0
+        self.size = 0
         self._began, self._worked = time.thread_time(), 0.0
         self.unpacked(os.stat(path).st_size if size is None else size)
 
@@ -66,7 +71,7 @@ class Spending:
         ------
         OverBudget
         """
-        self._size = max(self._size, size)
+        self.size = max(self.size, size)
         if size > self.budget.bytes:
             raise self._refusal(f"{size:,} bytes{of} are more than the {self.budget.bytes:,} that are read")
 
@@ -106,10 +111,10 @@ class Spending:
         self._hold(self._worked, at)
 
     def _hold(self, seconds: float, at: str) -> None:
-        most = self.budget.seconds_for(self._size)
+        most = self.budget.seconds_for(self.size)
         if seconds > most:
             raise self._refusal(
-                f"reading its {self._size / MEGABYTE:.3g} MB took more than {most:.3g} s of processor time"
+                f"reading its {self.size / MEGABYTE:.3g} MB took more than {most:.3g} s of processor time"
                 f"{at and ', ' + at}"
             )
 

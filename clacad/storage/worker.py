@@ -21,6 +21,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import clacad
@@ -29,6 +30,7 @@ from clacad.storage.errors import WorkerDied
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress
+    from clacad.storage.reading import Spending
 
 
 def module_path() -> list[str]:
@@ -57,6 +59,50 @@ _BOOT = (
     "import json,sys;sys.path[:]=json.loads(sys.argv[1]);from clacad.storage.worker import"
     " serve;serve(int(sys.argv[2]),int(sys.argv[3]),*json.loads(sys.argv[4]))"
 )
+
+
+MEMORY_SHARE = 0.8
+"""Share of the free memory that one process may use."""
+
+WAITS, START = 3, 60.0
+"""Seconds to wait per second of processor time, and a constant in addition: other programs run too."""
+
+
+def free_memory() -> int:
+    """Bytes of available memory; a container's limit is respected."""
+    available = 1 << 62
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                available = int(line.split()[1]) * 1024
+    except (OSError, ValueError, IndexError):
+        if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+            available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    try:
+        limit = int(Path("/sys/fs/cgroup/memory.max").read_text())
+        used = int(Path("/sys/fs/cgroup/memory.current").read_text())
+        available = min(available, max(0, limit - used))
+    except (OSError, ValueError):
+        pass
+    return available
+
+
+def worker_memory() -> int:
+    """Address space of a worker, bytes: the free memory, but never less than OCC itself maps."""
+    return max(4_000_000_000, int(MEMORY_SHARE * free_memory()))
+
+
+def limited_worker(spent: Spending) -> Worker:
+    """Worker that may read one untrusted file: memory and processor time limited by its reader's budget."""
+    most = worker_memory()
+    allowed = spent.budget.memory_for(spent.size)
+    seconds = spent.budget.seconds_for(spent.size)
+    return Worker(memory=most if allowed is None else min(most, allowed), cpu=max(1, int(seconds)))
+
+
+def longest_wait(spent: Spending) -> float:
+    """Seconds after which a worker that has not answered is ended."""
+    return START + WAITS * spent.budget.seconds_for(spent.size)
 
 
 _LIVE: set[int] = set()

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from noworker import without_worker
 
 from clacad.formats.mesh import threemf
 from clacad.formats.mesh.closed_stream import crowded_edges, edge_times, measure, welded
@@ -504,6 +505,12 @@ def test_a_ply_whose_header_lies_is_refused(tmp_path: Path, old: bytes, new: byt
         read_mesh(path)
 
 
+@pytest.fixture
+def no_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_worker(monkeypatch)
+
+
+@pytest.mark.usefixtures("no_worker")
 @pytest.mark.parametrize("suffix", FORMATS)
 @settings(
     max_examples=25,
@@ -542,3 +549,59 @@ def test_numbers_that_others_write_beside_a_face_are_skipped(tmp_path, encoding)
     (part,) = read_ply(path).parts
     np.testing.assert_array_equal(part.triangles, box.faces)
     np.testing.assert_allclose(part.vertices, box.vertices, atol=1e-7)
+
+
+PLY_HEAD = (
+    "ply\nformat {} 1.0\ncomment TextureFile /etc/passwd\nelement vertex 5\nproperty float x\nproperty uchar red\n"
+    "property double y\nproperty float z\nelement face 2\nproperty short first\nproperty list uchar uint vertex_index\n"
+    "property float u\nend_header\n"
+)
+PLY_POINTS = [(0, 9, 0, 0), (2, 9, 0, 0), (2, 9, 3, 0), (0, 9, 3, 0), (1, 9, 4, 0)]
+PLY_FACES = [[0, 1, 2, 3], [3, 2, 4]]
+
+
+def ply_text(faces: list[list[int]]) -> str:
+    rows = [" ".join(map(str, point)) for point in PLY_POINTS]
+    return "\n".join([*rows, *(f"-1 {len(f)} {' '.join(map(str, f))} 0.5" for f in faces), ""])
+
+
+@pytest.mark.usefixtures("no_worker")
+@pytest.mark.parametrize("order", "<>")
+def test_a_binary_ply_of_either_byte_order_and_of_polygons_is_read(tmp_path, order):
+    path = tmp_path / "x.ply"
+    head = PLY_HEAD.format("binary_little_endian" if order == "<" else "binary_big_endian").encode()
+    rows = b"".join(struct.pack(order + "fBdf", *point) for point in PLY_POINTS)
+    quads = [[0, 1, 2, 3], [3, 2, 4, 0]]
+    path.write_bytes(head + rows + b"".join(struct.pack(order + "hB4If", -1, 4, *f, 0.5) for f in quads))
+    (part,) = read_ply(path).parts
+    np.testing.assert_array_equal(part.vertices, np.array(PLY_POINTS, float)[:, [0, 2, 3]])
+    np.testing.assert_array_equal(part.triangles, [[0, 1, 2], [3, 2, 4], [2, 3, 0], [4, 0, 3]])
+    path.write_bytes(
+        head + rows + b"".join(struct.pack(f"{order}hB{len(f)}If", -1, len(f), *f, 0.5) for f in PLY_FACES)
+    )
+    with pytest.raises(UnreadableFile, match=r"^x\.ply: "):
+        read_ply(path)  # rows of different lengths cannot be told apart
+
+
+def test_an_ascii_ply_of_triangles_and_polygons_is_read(tmp_path):
+    path = tmp_path / "x.ply"
+    path.write_text(PLY_HEAD.format("ascii") + ply_text(PLY_FACES))
+    (part,) = read_ply(path).parts
+    corners = np.array(PLY_POINTS, float)[:, [0, 2, 3]][part.triangles]
+    areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    np.testing.assert_allclose(np.sort(areas), [1.0, 3.0, 3.0])
+
+
+@pytest.mark.usefixtures("no_worker")
+@pytest.mark.parametrize(("old", "new"), [
+    ("2 9 3 0", "2 9 3 nan"), ("2 9 3 0", "2 9 3"), ("2 9 3 0", "2 9 3 0 0"), ("2 9 3 0", "2 9 three 0"),
+    ("0 1 2 3", "0 1 2 5"), ("0 1 2 3", "0 1 2 -1"), ("0 1 2 3", "0 1 2 1e30"), ("-1 3", "-1 2"), ("-1 3", "-1 4"),
+    ("4 0.5", "4 0.5 1"),
+])  # fmt: skip
+def test_an_ascii_ply_that_trimesh_would_take_is_refused_by_its_name(tmp_path, old, new):
+    path = tmp_path / "x.ply"
+    text = ply_text(PLY_FACES)
+    assert old in text
+    path.write_text(PLY_HEAD.format("ascii") + text.replace(old, new))
+    with pytest.raises(UnreadableFile, match=r"^x\.ply: "):
+        read_ply(path)

@@ -17,6 +17,7 @@ import pytest
 from fuzz.bytes_of import CORPUS, SUFFIX, corpus, mutated, mutations, read, repacked
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
+from noworker import without_worker
 
 KINDS = list(SUFFIX)
 SECONDS = float(os.environ.get("CLACAD_FUZZ_SECONDS", "60"))
@@ -28,6 +29,11 @@ QUIET = settings(
     suppress_health_check=list(HealthCheck),
     phases=[Phase.generate, Phase.shrink],
 )
+
+
+@pytest.fixture(autouse=True)
+def _no_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_worker(monkeypatch)
 
 
 @pytest.mark.timeout(60)

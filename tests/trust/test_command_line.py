@@ -213,7 +213,7 @@ def test_a_kernel_without_memory_is_70_in_one_sentence_and_the_other_files_are_w
 ) -> None:
     """The real export of a solid, in a worker that may have less than the kernel needs to begin."""
     out = tmp_path / "out"
-    starved = "from clacad.exporting import limits; limits.worker_memory = lambda: 600_000_000"
+    starved = "from clacad.storage import worker; worker.worker_memory = lambda: 600_000_000"
     ended = clacad("export", design, "-o", out, "-q", "--format", "step,stl", "--quads", "2", before=starved)
     assert (ended.status, ended.out) == (70, "")
     (sentence,) = talk(ended)

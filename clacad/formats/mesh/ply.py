@@ -1,43 +1,36 @@
-"""PLY: indexed triangles with exact vertex normals, binary, double precision."""
+"""PLY: indexed triangles with exact vertex normals; written binary in double precision, read by trimesh.
+
+trimesh reads an untrusted file in a worker process, with a header rewritten from the checked one: it accepts
+damaged headers, cut rows and words that are not numbers.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+import shutil
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece
-from clacad.storage.errors import UnreadableFile
+from clacad.storage.atomic import scratch_folder
+from clacad.storage.errors import OverBudget, UnreadableFile, WorkerDied
 from clacad.storage.reading import Spending
+from clacad.storage.worker import limited_worker, longest_wait
 
-_TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
+_TYPES = frozenset(
+    (
+        "char uchar short ushort int uint float double int8 uint8 int16 uint16 int32 uint32 float32 float64"
+    ).split()
+)
 _LONGEST_HEADER = 1 << 16
-_LONGEST_WORD = 1000
-_BLOCK = 1 << 20
 FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
@@ -112,17 +105,18 @@ class _Element:
 
 
 def read_ply(path: Path) -> FileMesh:
-    """Read a PLY file of triangles: ASCII or binary, with or without normals; other numbers of a face are
-    skipped.
+    """Read a PLY file: ASCII or binary of either byte order, with or without normals.
+
+    Polygons are divided into triangles; other numbers of a vertex or face are skipped.
 
     Raises
     ------
     UnreadableFile
     OverBudget
-        More bytes, numbers or seconds than are read.
+        More bytes, numbers, seconds or memory than are read.
     """
-    data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
-    head = bytes(data[:_LONGEST_HEADER])
+    with path.open("rb") as stream:
+        head = stream.read(_LONGEST_HEADER)
     end = re.search(rb"\nend_header\r?\n", head)
     if not re.match(rb"ply\r?\n", head) or end is None:
         raise UnreadableFile(f"{path.name}: not a PLY file (no header)")
@@ -135,15 +129,23 @@ def read_ply(path: Path) -> FileMesh:
         raise UnreadableFile(f"{path.name}: faces must have one list and vertices plain numbers")
     vertex, face = elements
     columns = _columns(path, vertex)
-    body = data[end.end() :]
     if form == "ascii":
-        vertices, triangles = _ascii_body(Spending("ply-ascii", path), body, vertex, face)
-        vertices = vertices[:, [[name for name, _ in vertex.scalars].index(name) for name in columns]]
+        spent = Spending("ply-ascii", path)
+        spent.count(len(vertex.scalars) * vertex.count + (4 + len(face.scalars)) * face.count)
     else:
-        Spending("ply", path).count(vertex.count + face.count)
-        rows, triangles = _binary_body(path, body, "<" if "little" in form else ">", vertex, face)
-        vertices = np.stack([rows[name].astype(np.float64) for name in columns], axis=1)
-    return _checked(path, vertices, triangles, comments)
+        spent = Spending("ply", path)
+        spent.count(vertex.count + face.count)
+    plain = _plain_header(form, vertex, face, columns)
+    with scratch_folder() as folder, limited_worker(spent) as worker:
+        wait = longest_wait(spent)
+        try:
+            worker.run(f"{__name__}:load", path, end.end(), plain, spent, folder, timeout=wait)
+        except WorkerDied as error:
+            raise (OverBudget if error.over_budget else UnreadableFile)(f"{path.name}: {error}") from error
+        values, triangles = (np.load(folder / f"{name}.npy") for name in ("vertices", "triangles"))
+    if len(values) != vertex.count:
+        raise UnreadableFile(f"{path.name}: {len(values)} vertices; its header promises {vertex.count}")
+    return _checked(path, values, triangles, comments)
 
 
 def _columns(path: Path, vertex: _Element) -> list[str]:
@@ -169,11 +171,11 @@ def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], s
                 form = words[1]
             elif words[0] == "element":
                 elements.append(_Element(words[1], int(words[2]), [], []))
-            elif words[:2] == ["property", "list"]:
-                elements[-1].lists.append((words[4], _TYPES[words[2]], _TYPES[words[3]]))
+            elif words[:2] == ["property", "list"] and {*words[2:4]} <= _TYPES:
+                elements[-1].lists.append((words[4], words[2], words[3]))
                 elements[-1].before = len(elements[-1].scalars)
-            elif words[0] == "property":
-                elements[-1].scalars.append((words[2], _TYPES[words[1]]))
+            elif words[0] == "property" and words[1] in _TYPES:
+                elements[-1].scalars.append((words[2], words[1]))
             else:
                 raise KeyError(words[0])
         except (IndexError, KeyError, ValueError) as error:
@@ -189,66 +191,76 @@ def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], s
     return form, elements, comments
 
 
-def _binary_body(
-    path: Path, body: NDArray[np.uint8], order: str, vertex: _Element, face: _Element
-) -> tuple[NDArray[np.void], Ints]:
-    """Vertices (v,) as records and corners of facets (t, 3) of a binary file."""
-    row = np.dtype([(name, order + kind) for name, kind in vertex.scalars])
-    _, count_kind, index_kind = face.lists[0]
-    fields: list[Any] = [(f"scalar {k}", order + kind) for k, (_, kind) in enumerate(face.scalars)]
-    fields[face.before : face.before] = [("count", order + count_kind), ("corners", order + index_kind, 3)]
-    triangle = np.dtype(fields)
-    need = row.itemsize * vertex.count + triangle.itemsize * face.count
-    if need != len(body):
-        raise UnreadableFile(
-            f"{path.name}: holds {len(body)} bytes of data; its header promises {need} for triangles"
-        )
-    rows = np.frombuffer(body, dtype=row, count=vertex.count)
-    faces = np.frombuffer(body, dtype=triangle, count=face.count, offset=row.itemsize * vertex.count)
-    if (faces["count"] != 3).any():
-        raise UnreadableFile(f"{path.name}: a face that is not a triangle")
-    return rows, np.asarray(faces["corners"], dtype=np.int64)
+def _plain_header(form: str, vertex: _Element, face: _Element, columns: Sequence[str]) -> bytes:
+    """Header for trimesh: known names only, so that it finds neither colours, textures nor file names."""
+    ascii = form == "ascii"
+    rows = [
+        (name if name in columns else f"unused{k}", kind) for k, (name, kind) in enumerate(vertex.scalars)
+    ]
+    listed = " ".join(("int64", "int64") if ascii else face.lists[0][1:])
+    faces = [f"{'double' if ascii else kind} unused{k}" for k, (_, kind) in enumerate(face.scalars)]
+    faces[face.before : face.before] = [f"list {listed} vertex_indices"]
+    lines = [
+        "ply",
+        f"format {form} 1.0",
+        f"element vertex {vertex.count}",
+        *(f"property {'double' if ascii else kind} {name}" for name, kind in rows),
+        f"element face {face.count}",
+        *(f"property {one}" for one in faces),
+        "end_header",
+        "",
+    ]
+    return "\n".join(lines).encode("ascii")
 
 
-def _ascii_body(
-    spent: Spending, body: NDArray[np.uint8], vertex: _Element, face: _Element
-) -> tuple[Floats, Ints]:
-    """All numbers of the vertices (v, k) and corners of facets (t, 3) of an ASCII file."""
-    width, row = len(vertex.scalars), 4 + len(face.scalars)
-    promised = width * vertex.count + row * face.count
-    spent.count(promised)
-    numbers = np.concatenate([np.zeros(0), *_words(spent, body, promised)])
-    if len(numbers) != promised:
-        raise UnreadableFile(
-            f"{spent.name}: {len(numbers)} numbers are not what its header promises for triangles"
-        )
-    faces = numbers[width * vertex.count :].reshape(-1, row)[:, face.before : face.before + 4]
-    if (faces[:, 0] != 3).any() or not (np.abs(faces) < 1 << 31).all():
-        raise UnreadableFile(f"{spent.name}: a face that is not a triangle")
-    return numbers[: width * vertex.count].reshape(-1, width), faces[:, 1:].astype(np.int64)
+def load(path: Path, start: int, header: bytes, spent: Spending, folder: Path) -> None:
+    """Read, in the worker, the data from byte `start` on; save vertices and triangles in `folder`."""
+    from trimesh.exchange.ply import load_ply
+    from trimesh.geometry import triangulate_quads
 
-
-def _words(spent: Spending, body: NDArray[np.uint8], most: int) -> Iterator[Floats]:
-    """Numbers of a text, a block at a time, until there are more than `most`; a block's end may cut a
-    word.
-    """
-    found, rest = 0, b""
-    for start in range(0, len(body), _BLOCK):
-        spent.look(f"at byte {start:,} of its data")
-        text = rest + bytes(body[start : start + _BLOCK])
-        ended = start + _BLOCK >= len(body) or text[-1:].isspace()
-        words = text.split()
-        rest = b"" if ended or not words else words.pop()
-        if len(rest) > _LONGEST_WORD:
-            raise UnreadableFile(f"{spent.name}: a word in the data that is no number")
+    source = BytesIO()
+    source.write(header)
+    ascii = b"\nformat ascii" in header
+    with path.open("rb") as stream, spent.working(), warnings.catch_warnings():
+        stream.seek(start)
+        shutil.copyfileobj(stream, source)
+        source.seek(0)
+        warnings.simplefilter("error", DeprecationWarning)  # numpy reports words that are not numbers
+        warnings.simplefilter("error", RuntimeWarning)  # and numbers that do not fit their type
         try:
-            numbers = np.array(words, dtype=np.float64)
-        except ValueError as error:
-            raise UnreadableFile(f"{spent.name}: a word in the data that is no number") from error
-        yield numbers
-        found += len(numbers)
-        if found > most:
-            return
+            found = load_ply(source, skip_materials=True)
+            elements = found["metadata"]["_ply_raw"]
+            _check_rows(spent.name, elements, source.getvalue()[len(header) :] if ascii else b"")
+            triangles = np.asarray(triangulate_quads(found["faces"]), dtype=np.int64)
+            kept = [found["vertices"], *([found["vertex_normals"]] if "vertex_normals" in found else [])]
+            vertices = np.concatenate(kept, axis=1, dtype=np.float64)
+        except (UnreadableFile, MemoryError):
+            raise
+        except Exception as error:  # the loader documents no type
+            raise UnreadableFile(f"{spent.name}: its data are not those of its header ({error})") from error
+    np.save(folder / "vertices.npy", vertices)
+    np.save(folder / "triangles.npy", triangles)
+
+
+def _check_rows(name: str, elements: Mapping[str, Any], text: bytes) -> None:
+    """Check what trimesh skips: corner counts, and words of an ASCII text that belong to no row."""
+    listed = elements["face"]["data"]["vertex_indices"]
+    if not text:
+        stated, read = listed["f0"], np.full(len(listed), listed["f1"].shape[1])
+    else:
+        read = np.array([len(one) for one in listed])
+        before = [*elements["face"]["properties"]].index("vertex_indices")
+        pattern = re.compile(rb"^[ \t]*(?:\S+[ \t]+){%d}(\S+)" % before, re.MULTILINE)
+        ends = np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == ord("\n"))
+        faces = int(ends[elements["vertex"]["length"] - 1]) + 1
+        stated = np.array([int(found[1]) for found in pattern.finditer(text, faces)])
+        rows = [len(element["properties"]) * element["length"] for element in elements.values()]
+        blank = np.frombuffer(text, dtype=np.uint8) <= ord(" ")
+        words = int(np.count_nonzero(~blank[1:] & blank[:-1])) + int(not blank[0])
+        if words != sum(rows) + read.sum():
+            raise UnreadableFile(f"{name}: {words} numbers; its header promises {sum(rows) + read.sum()}")
+    if not np.array_equal(stated, read) or read.min() < 3:
+        raise UnreadableFile(f"{name}: a face has more or fewer corners than it states, or fewer than 3")
 
 
 def _checked(path: Path, values: Floats, triangles: Ints, comments: str) -> FileMesh:
