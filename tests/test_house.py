@@ -15,7 +15,7 @@ MOST = {
     "lines over 110 characters": 0,
     "# fmt: skip": 0,
     "function lines, most, compiled": 72,
-    "methods of the largest class": 28,
+    "methods of the largest class": 27,
     "parameters, most": 18,
     "class names twice": 5,
     "rings of imports": 0,

@@ -10,7 +10,7 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, CellLevels, cluster, shortest
 from clacad.sheet.grid_steps import Steps
-from clacad.sheet.lattice import Step
+from clacad.sheet.pattern import Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,8 @@ from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
 from clacad.mesh.prototile import Prototile
 from clacad.mesh.step_walls import Column, Ring, strip
-from clacad.sheet.lattice import Lattice, node_cells
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.pattern import node_cells
 
 Offset = tuple[int, int]
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import Biconic, Quadric, as_quadric, sag
-from clacad.sheet.lattice import Step
+from clacad.sheet.pattern import Step
 from clacad.sheet.window import Body, Surface, Window, lens_height
 from clacad.topology.borders import roots_between
 from clacad.topology.complex_parts import CellComplex, Tiling, linked

@@ -17,7 +17,7 @@ from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import settle_inside
 from clacad.mesh.integer_heights import NONE, VOID, CellLevels, shortest
-from clacad.sheet.turn import turned
+from clacad.sheet.pattern import turned
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
 

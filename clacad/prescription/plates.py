@@ -23,9 +23,9 @@ from clacad.design.keys import BODY, LATTICE
 from clacad.prescription.cell_heights import face_range
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.pattern import held_when_turned
 from clacad.sheet.plate import Hole, Plate, counter_clockwise, plate_of_circle, plate_of_rectangle
 from clacad.sheet.plate_edges import Vertex, edge_gaps, inside
-from clacad.sheet.turn import held_when_turned
 from clacad.sheet.window import Body, Window
 
 MOST_CELLS = 10_000_000

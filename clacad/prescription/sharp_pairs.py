@@ -36,7 +36,7 @@ from clacad.prescription.radii import (
     thin_pair,
 )
 from clacad.sheet.cell_places import CellLaws, CellPlacement
-from clacad.sheet.turn import cosine_and_sine
+from clacad.sheet.pattern import cosine_and_sine
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy as np
 from clacad.base.drawn_figure import drawn, no_formula
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.feasibility.as_rows import length_unit
-from clacad.sheet.lattice import relocate
+from clacad.sheet.pattern import relocate
 from clacad.sheet.window import Window, column, face_height
 from clacad.tracing.trace import trace
 

@@ -31,7 +31,7 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.law import Law
 from clacad.optics.law.focusing import Gradient, VaryingLaw, ratios_of, refract_each, with_ratios
 from clacad.sheet.lattice import Lattice
-from clacad.sheet.turn import turned_pairs
+from clacad.sheet.pattern import turned_pairs
 
 DIRECTIONS = 64
 """Number of directions in which the farthest lenses are searched."""

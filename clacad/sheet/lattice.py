@@ -1,35 +1,20 @@
-"""The pattern of cells: which cell contains a point, and where in the cell the point lies.
+"""The finite pattern of cells of a sheet: which cells exist, which contains a point, and where in it.
 
 This is the reference for cell-of-point; `test_trace_kernels` compares the compiled counterparts of
-`Lattice.locate` and `relocate` with it bit for bit. Positions inside a cell are relative to the cell's centre
-and formed with an exact product (Dekker's TwoProduct). A point a billion pitches away therefore keeps all
-accuracy of its coordinate. A turned pattern is the same pattern in its own rotated axes; local coordinates in
-a cell stay along the sheet's axes.
+`Lattice.locate` and `relocate` with it bit for bit. A point a billion pitches away keeps all accuracy of its
+coordinate in its cell.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
-from typing import Literal
 
 import numpy as np
 
-from clacad.base.pairs import Pair, two_product, two_sum
+from clacad.base.pairs import two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints
+from clacad.sheet.pattern import Kind, Pattern, in_hexagon, turned, turned_pairs
 from clacad.sheet.plate import Plate
-from clacad.sheet.turn import turned, turned_pairs
-
-Kind = Literal["square", "rectangular", "hexagonal"]
-
-Step = tuple[int, int]
-"""Index step (di, dj) from one cell to another."""
-
-NodeCells = tuple[tuple[Step, int], ...]
-"""Cells around a node, counter-clockwise: index step from the first cell,
-and index of the tile's corner at the node.
-"""
 
 
 def polygon_area(points: Floats) -> float:
@@ -106,7 +91,7 @@ def _half_sizes(outline: Outline) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Lattice:
+class Lattice(Pattern):
     """A finite pattern of identical cells whose mean centre is the origin.
 
     Parameters
@@ -129,96 +114,15 @@ class Lattice:
     turn: float = 0.0
 
     @property
-    def a1(self) -> tuple[float, float]:
-        """First lattice vector (length)."""
-        return self._turned_step((self.pitch[0], 0.0))
-
-    @property
-    def a2(self) -> tuple[float, float]:
-        """Second lattice vector (length)."""
-        return self._turned_step((0.5 * self.pitch[0] if self.hexagonal else 0.0, self.row_height))
-
-    @property
-    def row_height(self) -> float:
-        """Distance between the centre lines of adjacent rows of cells (length)."""
-        return 0.5 * sqrt(3.0) * self.pitch[0] if self.hexagonal else self.pitch[1]
-
-    @property
     def straight(self) -> Lattice:
         """The pattern in its own axes, without rotation."""
         return replace(self, turn=0.0) if self.turn else self
-
-    def _turned_step(self, step: tuple[float, float]) -> tuple[float, float]:
-        if not self.turn:
-            return step
-        x, y = turned(np.array(step), self.turn)
-        return float(x), float(y)
-
-    @property
-    def hexagonal(self) -> bool:
-        """Whether cells are hexagons."""
-        return self.kind == "hexagonal"
-
-    @property
-    def steps(self) -> tuple[tuple[int, int], ...]:
-        """Index steps (di, dj) across each border of a cell, counter-clockwise from +x."""
-        if self.hexagonal:
-            return ((1, 0), (0, 1), (-1, 1), (-1, 0), (0, -1), (1, -1))
-        return ((1, 0), (0, 1), (-1, 0), (0, -1))
-
-    @property
-    def cell_area(self) -> float:
-        """Area of one cell, length²."""
-        (ax, ay), (bx, by) = self.straight.a1, self.straight.a2
-        return ax * by - ay * bx
-
-    @property
-    def half_widths(self) -> tuple[float, ...]:
-        """Distance of each border of a cell from its centre (lengths), in the order of `steps`."""
-        own = self.straight
-        return tuple(0.5 * hypot(*own.offset(di, dj)) for di, dj in self.steps)
-
-    @property
-    def circumradius(self) -> float:
-        """Distance of the farthest corner of a cell from its centre (length)."""
-        return float(np.max(np.hypot(*self.straight.tile().T)))
-
-    def offset(self, di: int, dj: int) -> tuple[float, float]:
-        """Displacement (x, y) to the cell `di`, `dj` index steps away (lengths)."""
-        (ax, ay), (bx, by) = self.a1, self.a2
-        return (di * ax + dj * bx, di * ay + dj * by)
-
-    def tile(self) -> Floats:
-        """Corners of one cell relative to its centre, counter-clockwise, (4 or 6, 2), lengths.
-
-        Edge k runs from corner k to corner k + 1 and is crossed by `steps[k]`.
-        """
-        if self.turn:
-            return turned(self.straight.tile(), self.turn)
-        if self.hexagonal:
-            p = self.pitch[0]
-            edge = p / sqrt(3.0)
-            half = 0.5 * p
-            return np.array(
-                [
-                    (half, -0.5 * edge),
-                    (half, 0.5 * edge),
-                    (0.0, edge),
-                    (-half, 0.5 * edge),
-                    (-half, -0.5 * edge),
-                    (0.0, -edge),
-                ]
-            )
-        hx, hy = 0.5 * self.pitch[0], 0.5 * self.pitch[1]
-        return np.array([(hx, -hy), (hx, hy), (-hx, hy), (-hx, -hy)])
 
     def with_count(self, count: tuple[int, int]) -> Lattice:
         """Return a lattice of the same kind and pitch with another count and no outline,
         centred on the origin.
         """
         return Lattice(self.kind, self.pitch, count)
-
-    # -- cells that exist -------------------------------------------------------------------
 
     def contains(self, index: Ints) -> Bools:
         """Whether each index (..., 2) names a kept cell, (...) bool."""
@@ -229,27 +133,15 @@ class Lattice:
         if self.outline is None:
             return np.asarray(inside)
         if isinstance(self.outline, Plate):
-            held = self._on_plate(self.outline)
+            held = _on_plate(self, self.outline)
             rows, columns = np.where(inside, j, 0), np.where(inside, i - first, 0)
             return np.asarray(inside & held[rows, columns])
         corners = self.centres(index)[..., None, :] + self.tile()
         return np.asarray(inside & inside_outline(self.outline, corners).all(axis=-1))
 
-    def _on_plate(self, plate: Plate) -> Bools:
-        """Which cells a plate holds, (n2, n1), each row from its first cell; computed once per pattern."""
-        key = (self.kind, self.pitch, self.count)
-        if key not in plate.kept:
-            j, i = np.divmod(np.arange(self.count[0] * self.count[1]), self.count[0])
-            first = -(j // 2) if self.hexagonal else np.zeros_like(j)
-            centres = self.centres(np.stack([i + first, j], axis=-1))
-            held = plate.holds(self.tile(), centres, plate.room(self.pitch))
-            plate.kept[key] = held.reshape(self.count[1], self.count[0])
-        found: Bools = plate.kept[key]
-        return found
-
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""
-        rows = [row for j in self._rows() if len(row := self.row(j))]
+        rows = [row for j in _rows(self) if len(row := self.row(j))]
         return np.concatenate(rows) if rows else np.empty((0, 2), dtype=np.int64)
 
     def row(self, j: int) -> Ints:
@@ -271,44 +163,22 @@ class Lattice:
         """Number of kept cells."""
         if self.outline is None:
             return self.count[0] * self.count[1]
-        return sum(len(self.row(j)) for j in self._rows())
-
-    def _rows(self) -> range:
-        """Rows within the outline's reach; all rows without an outline."""
-        if self.outline is None:
-            return range(self.count[1])
-        middle, reach = 0.5 * (self.count[1] - 1), _half_sizes(self.outline)[1] / self.row_height + 1.0
-        low, high = (int(max(0, min(self.count[1], end))) for end in (middle - reach, middle + reach + 1.0))
-        return range(low, high)
+        return sum(len(self.row(j)) for j in _rows(self))
 
     @property
     def holds_a_cell(self) -> bool:
         """Whether any cell is kept."""
         if isinstance(self.outline, Plate):
-            return bool(self._on_plate(self.outline).any())
-        return bool(self.contains(self._middle()).any())
+            return bool(_on_plate(self, self.outline).any())
+        return bool(self.contains(_middle(self)).any())
 
     def least_outline(self) -> Circle | Rectangle:
         """Return the smallest outline of the lattice's kind that contains the cell nearest to the centre."""
-        corners = np.abs(self.centres(self._middle())[:, None, :] + self.tile())
+        corners = np.abs(self.centres(_middle(self))[:, None, :] + self.tile())
         nearest = corners[np.argmin(np.hypot(corners[..., 0], corners[..., 1]).max(axis=1))]
         if isinstance(self.outline, Rectangle):
             return Rectangle(*(2.0 * nearest.max(axis=0)).tolist())
         return Circle(2.0 * float(np.hypot(nearest[:, 0], nearest[:, 1]).max()))
-
-    def _middle(self) -> Ints:
-        """List the cells, kept or not, next to the centre, at most nine, (n, 2).
-
-        The outlines here are mirror-symmetric about both axes. A cell or a row farther out lies like one of
-        these, only farther from an axis. If any cell is kept, one of these is.
-        """
-        (n1, n2), middle = self.count, self.count[1] // 2
-        found = []
-        for j in range(max(middle - 1, 0), min(middle + 2, n2)):
-            first = -(j // 2) if self.hexagonal else 0
-            near = round(-float(self.centres(np.array([[0, j]]))[0, 0]) / self.pitch[0])
-            found += [(min(max(i, first), first + n1 - 1), j) for i in (near - 1, near, near + 1)]
-        return np.unique(np.array(found, dtype=np.int64), axis=0)
 
     def extent(self) -> tuple[float, float, float, float]:
         """Bounding box (x_min, x_max, y_min, y_max) of the kept cells' footprints (lengths)."""
@@ -321,8 +191,6 @@ class Lattice:
         corners = self.centres(index)[:, None, :] + self.tile()
         low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         return float(low[0]), float(high[0]), float(low[1]), float(high[1])
-
-    # -- cell of a point --------------------------------------------------------------------
 
     @property
     def first_centre(self) -> tuple[float, float]:
@@ -369,9 +237,11 @@ class Lattice:
             along the sheet's axes too, and rounded once more.
         """
         if self.turn:
-            return self._locate_turned(
-                (x, np.broadcast_to(x_low, x.shape)), (y, np.broadcast_to(y_low, y.shape))
-            )
+            whole = (x, np.broadcast_to(x_low, x.shape)), (y, np.broadcast_to(y_low, y.shape))
+            (u, u_low), (v, v_low) = turned_pairs(*whole, -self.turn)
+            index, u, v = self.straight.locate(u, v, u_low, v_low)
+            inside = turned(np.stack([u, v], axis=-1), self.turn)
+            return index, inside[:, 0], inside[:, 1]
         if not self.hexagonal:
             i, local_x = _locate_axis(x, x_low, self.pitch[0], self.count[0])
             j, local_y = _locate_axis(y, y_low, self.pitch[1], self.count[1])
@@ -382,13 +252,7 @@ class Lattice:
             along = _minus_multiple(x, x_low, i + 0.5 * j, pitch, x0)
             return along, _minus_multiple(y, y_low, j, row, y0)
 
-        return _in_hexagon(self, local, x - x0, y - y0)
-
-    def _locate_turned(self, x: Pair, y: Pair) -> tuple[Ints, Floats, Floats]:
-        (u, u_low), (v, v_low) = turned_pairs(x, y, -self.turn)
-        index, u, v = self.straight.locate(u, v, u_low, v_low)
-        local = turned(np.stack([u, v], axis=-1), self.turn)
-        return index, local[:, 0], local[:, 1]
+        return in_hexagon(self, local, x - x0, y - y0)
 
     def over_cell(self, unit_square: Floats) -> Floats:
         """Points (n, 2) spread uniformly over a cell, relative to its centre (lengths).
@@ -403,102 +267,41 @@ class Lattice:
         return np.column_stack([x, y])
 
 
-def relocate(lattice: Lattice, local: Floats) -> tuple[Ints, Floats]:
-    """Whole lattice steps (m, 2) and remaining local coordinates (m, 2) of points relative to a cell's
-    centre, lengths.
+def _on_plate(lattice: Lattice, plate: Plate) -> Bools:
+    """Which cells a plate holds, (n2, n1), each row from its first cell; computed once per pattern."""
+    key = (lattice.kind, lattice.pitch, lattice.count)
+    if key not in plate.kept:
+        j, i = np.divmod(np.arange(lattice.count[0] * lattice.count[1]), lattice.count[0])
+        first = -(j // 2) if lattice.hexagonal else np.zeros_like(j)
+        centres = lattice.centres(np.stack([i + first, j], axis=-1))
+        held = plate.holds(lattice.tile(), centres, plate.room(lattice.pitch))
+        plate.kept[key] = held.reshape(lattice.count[1], lattice.count[0])
+    found: Bools = plate.kept[key]
+    return found
 
-    The rule is that of `Lattice.locate`: a border belongs to the cell above it. Multiples of the lattice
-    vectors are formed exactly and the difference is rounded once.
+
+def _rows(lattice: Lattice) -> range:
+    """Rows within the outline's reach; all rows without an outline."""
+    if lattice.outline is None:
+        return range(lattice.count[1])
+    middle, reach = 0.5 * (lattice.count[1] - 1), _half_sizes(lattice.outline)[1] / lattice.row_height + 1.0
+    low, high = (int(max(0, min(lattice.count[1], end))) for end in (middle - reach, middle + reach + 1.0))
+    return range(low, high)
+
+
+def _middle(lattice: Lattice) -> Ints:
+    """List the cells, kept or not, next to the centre, at most nine, (n, 2).
+
+    The outlines here are mirror-symmetric about both axes. A cell or a row farther out lies like one of
+    these, only farther from an axis. If any cell is kept, one of these is.
     """
-    if lattice.turn:
-        steps, own = relocate(lattice.straight, turned(local, -lattice.turn))
-        return steps, np.where(steps.any(axis=-1, keepdims=True), turned(own, lattice.turn), local)
-    x, y = local[:, 0], local[:, 1]
-    if not lattice.hexagonal:
-        column, local_x = _relocate_axis(x, lattice.pitch[0])
-        line, local_y = _relocate_axis(y, lattice.pitch[1])
-        return np.stack([column, line], axis=-1).astype(np.int64), np.stack([local_x, local_y], axis=-1)
-    pitch, row = lattice.pitch[0], lattice.row_height
-
-    def left(i: Floats, j: Floats) -> tuple[Floats, Floats]:
-        return less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
-
-    index, local_x, local_y = _in_hexagon(lattice, left, x, y)
-    return index, np.stack([local_x, local_y], axis=-1)
-
-
-def less_steps(lattice: Lattice, local: Floats, steps: Ints) -> Floats:
-    """Local coordinates (m, 2), lengths, relative to the cell `steps` (m, 2) away."""
-    if not steps.any():
-        return local
-    if lattice.turn:
-        own = less_steps(lattice.straight, turned(local, -lattice.turn), steps)
-        return np.where(steps.any(axis=-1, keepdims=True), turned(own, lattice.turn), local)
-    i, j = steps[:, 0].astype(np.float64), steps[:, 1].astype(np.float64)
-    along, row = (i + 0.5 * j, lattice.row_height) if lattice.hexagonal else (i, lattice.pitch[1])
-    x = less_multiple(local[:, 0], along, lattice.pitch[0])
-    return np.stack([x, less_multiple(local[:, 1], j, row)], axis=-1)
-
-
-def node_cells(lattice: Lattice) -> tuple[NodeCells, ...]:
-    """List each class of nodes (points where corners of cells coincide) as the cells around it.
-
-    Square and rectangular: one class, corner 1 (+x, +y) of its first cell. Hexagonal: two classes, corner 1
-    (upper right) and corner 2 (top) of the first cell.
-    """
-    if lattice.hexagonal:
-        # Walking counter-clockwise about a corner, a cell's corner index advances by two.
-        return (
-            (((0, 0), 1), ((1, 0), 3), ((0, 1), 5)),
-            (((0, 0), 2), ((0, 1), 4), ((-1, 1), 0)),
-        )
-    return ((((0, 0), 1), ((1, 0), 2), ((1, 1), 3), ((0, 1), 0)),)
-
-
-def less_multiple(x: Floats, k: Floats, step: float) -> Floats:
-    """Return x − k·step (n,), lengths, without rounding the product."""
-    high, low = two_product(k, step)
-    return np.asarray((x - high) - low)
-
-
-def _in_hexagon(
-    lattice: Lattice, local: Callable[[Floats, Floats], tuple[Floats, Floats]], x: Floats, y: Floats
-) -> tuple[Ints, Floats, Floats]:
-    """Cells (n, 2) that contain points, and the points relative to their centres, by steps across borders
-    from a guess.
-
-    local : callable
-        Indices i, j (n,) each → the points relative to those cells' centres.
-    x, y : (n,) lengths
-        Points relative to the centre of cell (0, 0), rounded: for the guess.
-    """
-    pitch, row = lattice.pitch[0], lattice.row_height
-    j: Floats = np.rint(y / row)
-    i: Floats = np.rint(x / pitch - 0.5 * j)
-    half, slant = 0.5 * pitch, row / pitch
-    local_x, local_y = local(i, j)
-    for _ in range(4):  # a nearest-row guess is at most one border off; corners settle in two
-        moved = np.zeros(np.shape(i), dtype=np.bool_)
-        for (di, dj), (ux, uy) in zip(
-            lattice.steps[:3], ((1.0, 0.0), (0.5, slant), (-0.5, slant)), strict=True
-        ):
-            across = ux * local_x + uy * local_y
-            step = np.where(moved, 0.0, 1.0 * (across >= half) - (across < -half))
-            i, j = i + step * di, j + step * dj
-            moved |= step != 0
-        if not moved.any():
-            break
-        local_x, local_y = local(i, j)
-    return np.stack([i, j], axis=-1).astype(np.int64), local_x, local_y
-
-
-def _relocate_axis(x: Floats, pitch: float) -> tuple[Floats, Floats]:
-    """Whole steps and remainder along one axis of a rectangular lattice."""
-    half = 0.5 * pitch
-    k = np.floor(x / pitch + 0.5)
-    local = less_multiple(x, k, pitch)
-    k = k + (local >= half) - (local < -half)
-    return k, less_multiple(x, k, pitch)
+    (n1, n2), middle = lattice.count, lattice.count[1] // 2
+    found = []
+    for j in range(max(middle - 1, 0), min(middle + 2, n2)):
+        first = -(j // 2) if lattice.hexagonal else 0
+        near = round(-float(lattice.centres(np.array([[0, j]]))[0, 0]) / lattice.pitch[0])
+        found += [(min(max(i, first), first + n1 - 1), j) for i in (near - 1, near, near + 1)]
+    return np.unique(np.array(found, dtype=np.int64), axis=0)
 
 
 def _locate_axis(x: Floats, x_low: Floats | float, pitch: float, count: int) -> tuple[Floats, Floats]:

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.types import Bools, Ints
-from clacad.sheet.lattice import Lattice, Step, node_cells
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.pattern import Step, node_cells
 
 
 class BorderJoint(NamedTuple):

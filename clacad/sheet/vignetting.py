@@ -30,7 +30,8 @@ from clacad.base.arrays import distinct
 from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
-from clacad.sheet.lattice import Lattice, polygon_area, polygon_areas, relocate
+from clacad.sheet.lattice import Lattice, polygon_area, polygon_areas
+from clacad.sheet.pattern import relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
 LEAST_SHARE = 1e-3

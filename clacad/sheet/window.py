@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -27,11 +26,9 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, resized, upright_sag
 from clacad.sheet.cell_places import CellLaws, CellPlacement, LensPlaces, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle, grown
-from clacad.sheet.turn import turned
+from clacad.sheet.pattern import turned
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from clacad.optics.law import Law
     from clacad.optics.material.material import Material
 
@@ -319,29 +316,6 @@ class Window:
             f"Window({self.name!r}, {self.form}, {lattice.count[0]} x {lattice.count[1]} {lattice.kind} cells"
             f" of {pitch:g} mm, {count} {'body' if count == 1 else 'bodies'})"
         )
-
-    def _repr_html_(self) -> str:
-        from clacad import as_html  # at run time only: the module that makes pictures imports this one
-
-        return str(as_html(self))
-
-    def plot(self) -> Figure:
-        """Draw a section with rays, and exit slope against incident slope; see `clacad.plot`."""
-        from clacad import plot
-
-        drawn: Figure = plot(self)
-        return drawn
-
-    @cached_property
-    def kept(self) -> dict[str, Any]:
-        """Cache for results that other modules compute from this window;
-        neither copied nor pickled with it.
-        """
-        return {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all attributes except the cache."""
-        return {name: value for name, value in self.__dict__.items() if name != "kept"}
 
     @property
     def faces(self) -> tuple[Face, ...]:

@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice, NodeCells, Step, node_cells
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.pattern import NodeCells, Step, node_cells
 from clacad.solid.edge_classes import Levels, linked_levels
 from clacad.solid.outline_path import Path
 from clacad.solid.repeated_cell import Cell

@@ -15,8 +15,9 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.sheet.grid_steps import one_tiling
-from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle, Step
+from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle
 from clacad.sheet.need_window import need_window
+from clacad.sheet.pattern import Step
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window
 from clacad.solid.face_pattern import SNAP, Kind

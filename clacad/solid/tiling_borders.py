@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice, Step
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.pattern import Step
 from clacad.solid.edge_classes import Post, SegmentClass, segment_class
 from clacad.solid.node_sectors import Corner, Nodes, State
 from clacad.solid.outline_path import Path

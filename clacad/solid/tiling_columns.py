@@ -7,7 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice, Step
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.pattern import Step
 from clacad.solid.edge_classes import Levels, Plane, Post, SegmentClass, linked_levels, segment_class
 from clacad.solid.face_pattern import Region
 from clacad.solid.node_sectors import Touch

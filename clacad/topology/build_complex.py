@@ -17,7 +17,7 @@ from clacad.base.arrays import unique_rows
 from clacad.base.roots import bisect
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.grid_steps import one_tiling
-from clacad.sheet.lattice import node_cells
+from clacad.sheet.pattern import node_cells
 from clacad.sheet.pieces_and_holes import count_together
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import column_line, make_border

@@ -28,7 +28,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.sheet.lattice import NodeCells
+from clacad.sheet.pattern import NodeCells
 from clacad.sheet.window import Body, Face, Window, lens_height
 
 Side = Literal["front", "back"]

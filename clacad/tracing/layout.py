@@ -7,7 +7,6 @@ with the size of the sheet or its distance from the origin.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from math import cos, isfinite, nan, pi
 from typing import Any, NamedTuple
 
@@ -16,10 +15,10 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import sharpest_bend
 from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, LensPlaces, VertexChange
-from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
+from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.pattern import relocate, turned
 from clacad.sheet.plate import Plate
 from clacad.sheet.representative_cells import outermost_cells
-from clacad.sheet.turn import turned
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 
 SAMPLES = 49
@@ -159,17 +158,27 @@ class Layout:
         """Length below which a stretch of a ray decides nothing: 1e-12 of a cell, far above rounding."""
         return 1e-12 * float(self.halves.max())
 
-    @cached_property
-    def kept(self) -> dict[str, Any]:
-        """Cache of data that other modules derived from this layout, with its lifetime."""
-        return {}
+
+class Prepared(dict[str, Any]):
+    """Data derived from an object, by name; it is neither pickled nor copied with the object."""
+
+    def __reduce__(self) -> tuple[type[Prepared], tuple[()]]:
+        return Prepared, ()
+
+
+def prepared(thing: Window | Layout) -> Prepared:
+    """Data derived from a window or a layout. They end with it: a layout refers to its window, so that a map
+    of weak references would hold both forever.
+    """
+    found: Prepared = thing.__dict__.setdefault("_prepared", Prepared())
+    return found
 
 
 def lay_out(window: Window) -> Layout:
     """Prepare a window for tracing (a few thousand heights are sampled); kept with the window."""
-    kept: Layout | None = window.kept.get("layout")
+    kept: Layout | None = prepared(window).get("layout")
     if kept is None:
-        kept = window.kept["layout"] = _laid_out(window)
+        kept = prepared(window)["layout"] = _laid_out(window)
     return kept
 
 

@@ -28,7 +28,7 @@ design
 window = clacad.prescribe(design)
 lens = window.faces[0].surface
 print(window, "front face:", lens)
-window.plot()
+clacad.plot(window)
 
 # %% [markdown]
 # Any key may be changed; the new design is checked as a file would be, and every mistake is told with its place.

@@ -170,8 +170,8 @@ MUTATIONS = [
     # -- cells
     Mutation("cell: rounded product", "clacad/sheet/lattice.py", "high, low = two_product(k, step)\n    a, lost_a", "high, low = k * step, 0.0\n    a, lost_a"),
     Mutation("cell: floor alone", "clacad/sheet/lattice.py", "guess = guess + (local >= half) - (local < -half)", "guess = guess + 0.0 * half"),
-    Mutation("cell: hexagons by rounding alone", "clacad/sheet/lattice.py", "for _ in range(4):  # a nearest-row", "for _ in range(0):  # a nearest-row", LATTICE),
-    Mutation("cell: relative to the sheet's centre", "clacad/sheet/lattice.py", "high, low = two_product(k, step)\n    return np.asarray((x - high) - low)", "return np.asarray(((x + 1024.0) - k * step) - 1024.0)", SHEETS),
+    Mutation("cell: hexagons by rounding alone", "clacad/sheet/pattern.py", "for _ in range(4):  # a nearest-row", "for _ in range(0):  # a nearest-row", LATTICE),
+    Mutation("cell: relative to the sheet's centre", "clacad/sheet/pattern.py", "high, low = two_product(k, step)\n    return np.asarray((x - high) - low)", "return np.asarray(((x + 1024.0) - k * step) - 1024.0)", SHEETS),
     # -- law
     Mutation("law: t - δ rounded", MODEL, "m = total + (total_error - product_error)", "m = total"),
     Mutation("law: slopes without scaling", MODEL, "shift = _HEADROOM - np.frexp(np.where(answered, largest, 1.0))[1]", "shift = 0 * np.frexp(np.where(answered, largest, 1.0))[1]"),

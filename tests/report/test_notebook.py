@@ -17,7 +17,7 @@ DESIGNS = Path(__file__).parents[2] / "designs"
 def test_a_picture_shows_the_law_and_what_was_traced():
     design = clacad.load(DESIGNS / "window-100mm.toml")
     window = clacad.prescribe(design)
-    left, right = window.plot().axes
+    left, right = clacad.plot(window).axes
     law, traced = right.lines[0], right.lines[1]
     assert law.get_ydata() == pytest.approx(-law.get_xdata(), abs=1e-12)  # eta = -1
     seen = np.isfinite(traced.get_ydata())

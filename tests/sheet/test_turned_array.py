@@ -13,7 +13,7 @@ from clacad.optics.rays import Fate
 from clacad.sheet.cell_places import CellPlacement, centre_pairs
 from clacad.sheet.feasibility.as_rows import zone_of
 from clacad.sheet.lattice import Lattice
-from clacad.sheet.turn import MOST_TURN, cosine_and_sine, held_when_turned
+from clacad.sheet.pattern import MOST_TURN, cosine_and_sine, held_when_turned
 from clacad.sheet.vignetting import partner_share
 
 BASE = {

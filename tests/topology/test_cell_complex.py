@@ -15,7 +15,8 @@ from clacad.base.roots import sign_changes
 from clacad.mesh import mesh_body
 from clacad.mesh.integer_heights import VOID
 from clacad.sheet.feasibility import body_facts
-from clacad.sheet.lattice import Lattice, node_cells
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.pattern import node_cells
 from clacad.sheet.window import column, lens_height, optical_tile
 from clacad.solid.solids import layers
 from clacad.solid.wall_segments import column_of_side

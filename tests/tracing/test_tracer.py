@@ -17,6 +17,7 @@ import clacad
 from clacad.formats.mesh import stl
 from clacad.optics.rays import Rays, TraceResult
 from clacad.tracing import tracer as tracers
+from clacad.tracing.layout import prepared
 from clacad.tracing.triangles import tiles as meshes
 from clacad.tracing.triangles import triangle_soup as soups
 
@@ -96,8 +97,8 @@ def test_a_file_of_triangles_is_read_once_until_it_changes(monkeypatch: pytest.M
 def test_a_window_and_all_that_was_laid_out_for_it_end_together():
     window, mesh = slab(count=(3, 3)), clacad.tessellate(slab(count=(3, 3)), quads=4)
     clacad.trace(window, beam(window), "mesh", mesh=mesh)
-    ends = [ref(window), ref(window.kept["layout"]), ref(window.kept["facets"][2])]
-    assert "kept" not in pickle.loads(pickle.dumps(window)).__dict__
+    ends = [ref(window), ref(prepared(window)["layout"]), ref(prepared(window)["facets"][2])]
+    assert not prepared(pickle.loads(pickle.dumps(window)))
     del window, mesh
     gc.collect()
     assert [end() for end in ends] == [None, None, None]

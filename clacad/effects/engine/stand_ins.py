@@ -24,6 +24,7 @@ from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells, rows_through_outermost
 from clacad.sheet.vignetting import aperture_slope, focal_ratio
 from clacad.sheet.window import Body, Face, Window, column, face_height, optical_tile
+from clacad.tracing.layout import prepared
 
 RAYS = 512
 """Number of rays through each cell that is tried."""
@@ -152,7 +153,7 @@ def mean_thickness(window: Window, body: Body) -> float:
 
 def _over_cells(window: Window, number: int) -> float:
     """Mean thickness of a body over cells spread over the sheet; kept with the window."""
-    kept: dict[int, float] = window.kept.setdefault("mean_thickness", {})
+    kept: dict[int, float] = prepared(window).setdefault("mean_thickness", {})
     if number not in kept:
         likes = [like_cell(window, cell, widest=False) for cell in representative_cells(window, "sample")]
         kept[number] = float(np.mean([mean_thickness(like, like.bodies[number]) for like in likes]))

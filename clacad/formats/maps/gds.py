@@ -21,7 +21,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.formats.maps.sag import HeightMap, outward_height, plain_map, range_of_cell
-from clacad.sheet.lattice import relocate
+from clacad.sheet.pattern import relocate
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Face, Window, column, face_height
 from clacad.storage.errors import NotPossible

@@ -11,19 +11,19 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.packing import OwnCells, Packed, lattice_row, pack_array_1
-from clacad.tracing.layout import FacePlan, Layout
+from clacad.tracing.layout import FacePlan, Layout, prepared
 
 
 def pack_own(layout: Layout) -> Packed:
     """Pack the layout of a non-uniform sheet, with the indices of the design's wavelength; kept with the
     layout.
     """
-    made: Packed | None = layout.kept.get("packed_own")
+    made: Packed | None = prepared(layout).get("packed_own")
     if made is None:
         sheet = pack_array_1(layout)
         bodies = sheet.bodies.copy()
         bodies[:, slot.QUICK] = 0.0  # the short cut of the walk assumes one lens for all cells
-        made = layout.kept["packed_own"] = sheet._replace(
+        made = prepared(layout)["packed_own"] = sheet._replace(
             bodies=bodies, lattices=_lattices(layout), own=_own_cells(layout)
         )
     return made

@@ -12,7 +12,7 @@ from clacad.optics.surface import EvenPolynomial, Quadric
 from clacad.sheet.edge_columns import EDGE_NUMBERS
 from clacad.sheet.lattice import runs
 from clacad.sheet.need_window import need_equal_cells
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, prepared
 
 # Columns of a face's row.
 BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)
@@ -119,12 +119,12 @@ def pack_array_1(layout: Layout) -> Packed:
     """Pack a layout as `pack` does; non-uniform sheets get the lattice of array 1 and the lens positions of
     its middle.
     """
-    kept: Packed | None = layout.kept.get("packed")
+    kept: Packed | None = prepared(layout).get("packed")
     if kept is not None:
         return kept
     faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
     lattice = lattice_row(layout)
-    layout.kept["packed"] = made = Packed(
+    prepared(layout)["packed"] = made = Packed(
         faces=np.array(faces),
         bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
         lattice=lattice,

@@ -56,7 +56,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     lane,
     lanes,
 )
-from clacad.tracing.layout import Layout
+from clacad.tracing.layout import Layout, prepared
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.thin import thin_layout, thin_patches
 
@@ -82,7 +82,7 @@ def trace_thin_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -
 
 def thin_pair(layout: Layout) -> tuple[Packed, Floats]:
     """The lenses (2, LENS_NUMBERS), and a sheet whose two bodies enclose them; kept with the layout."""
-    kept: tuple[Packed, Floats] | None = layout.kept.get("thin pair")
+    kept: tuple[Packed, Floats] | None = prepared(layout).get("thin pair")
     if kept is not None:
         return kept
     thin = thin_layout(layout)
@@ -94,7 +94,7 @@ def thin_pair(layout: Layout) -> tuple[Packed, Floats]:
         lens[FLAT] = float(even and layout.window.outline is None)
         body[slot.LEVEL], body[slot.BODY_LOW] = patch.level, patch.low
     sheet = pack(thin)._replace(faces=np.zeros((2, slot.FACE_NUMBERS)), bodies=bodies, indices=np.ones(2))
-    layout.kept["thin pair"] = sheet, lenses
+    prepared(layout)["thin pair"] = sheet, lenses
     return sheet, lenses
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints, Rows
-from clacad.sheet.lattice import less_steps
+from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate_edges import next_crossing
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots

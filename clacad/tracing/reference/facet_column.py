@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Rows
-from clacad.sheet.lattice import less_steps
+from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate_edges import next_crossing
 from clacad.tracing.layout import BodyPlan, Layout
 from clacad.tracing.reference.column import (

@@ -15,7 +15,7 @@ from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.sequence import unit_directions
 from clacad.sheet.cell_places import centre_pairs
-from clacad.sheet.lattice import less_steps, relocate
+from clacad.sheet.pattern import less_steps, relocate
 from clacad.tracing.layout import BodyPlan, Layout, sheet_position
 
 

@@ -16,7 +16,8 @@ from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
-from clacad.sheet.lattice import Circle, Rectangle, less_steps
+from clacad.sheet.lattice import Circle, Rectangle
+from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
 from clacad.tracing.layout import Layout, array_numbers, sheet_position
 from clacad.tracing.ledger import Ledger

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from weakref import ref
 
 from clacad.sheet.window import Window
-from clacad.tracing.layout import Layout
+from clacad.tracing.layout import Layout, prepared
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
@@ -54,11 +54,11 @@ def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) ->
     if isinstance(mesh, Facets):
         return mesh
     key = _identity(mesh)
-    kept: tuple[Callable[[], object], Normals, Facets] | None = window.kept.get("facets")
+    kept: tuple[Callable[[], object], Normals, Facets] | None = prepared(window).get("facets")
     if kept is not None and kept[0]() == key() and kept[1] == normals:
         return kept[2]
     facets = _laid_out(window, mesh, normals)
-    window.kept["facets"] = key, normals, facets
+    prepared(window)["facets"] = key, normals, facets
     return facets
 
 

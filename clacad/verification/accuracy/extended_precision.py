@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, resized
 from clacad.sheet.cell_places import VertexChange
-from clacad.sheet.turn import cosine_and_sine
+from clacad.sheet.pattern import cosine_and_sine
 from clacad.sheet.window import Face, Window
 
 Ints = NDArray[np.integer]
