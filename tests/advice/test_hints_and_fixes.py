@@ -64,6 +64,7 @@ def by_all_rays(design):
     return {(c.id, c.subject): c for c in (*light, *design_checks(design, judged.window, judged.facts))}
 
 
+@pytest.mark.slow
 def test_check_says_of_every_check_what_verify_says(too_close):
     for design in (load(too_close), load(too_close, ("pair.separation=10",))):
         mine, theirs = {(c.id, c.subject): c for c in judge(design).checks}, by_all_rays(design)
@@ -230,7 +231,7 @@ def test_shipped_templates_are_said_to_pass_or_fail_as_recorded():
     assert judge(load(folder / "paper-a-covered.toml")).passes
 
 
-@pytest.mark.daily_cases("slab-1.2")
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "better"), [("window-100mm", 5.0), ("slab", 1.2)])
 def test_a_slab_of_ellipsoids_is_told_of_the_conic_constant_that_costs_nothing(name, better):
     design = load(Path(__file__).parents[2] / "designs" / f"{name}.toml")

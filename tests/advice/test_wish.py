@@ -300,6 +300,7 @@ def test_a_wish_that_cannot_come_true_names_what_binds_and_a_wish_that_does():
     assert design_for(words | parse_wish([word])).judged.passes
 
 
+@pytest.mark.slow
 def test_a_search_ends_by_the_work_done_and_not_by_the_clock(monkeypatch):
     """A tilted wish with work for two judgements: two designs are judged, however fast the machine is."""
     wish = read_wish({"eta": -1, "width": 5, "form": "slab", "euler": [10, 3, 0], "process": "none"})
@@ -377,6 +378,7 @@ def test_the_commands_named_next_are_complete(tmp_path):
 # --- the command --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_new_for_a_wish_writes_the_design_and_the_schema_beside_it(tmp_path):
     ended = clacad("new", "w", "--for", "eta=.5, width=20, process=moulding", "--json", cwd=tmp_path)
     assert ended.status == 0, ended.err

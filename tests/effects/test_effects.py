@@ -742,15 +742,14 @@ def test_blocks_written_in_place_by_several_threads_are_the_blocks_traced_one_by
 
 
 @pytest.mark.daily_cases(
-    "setting0-paper-a-covered",
-    "setting0-plano",
-    "setting0-hexagonal",
-    "setting0-galilean",
     "setting1-slab",
-    "setting1-paper-a-covered",
-    "setting1-plano",
     "setting1-hexagonal",
     "setting1-galilean",
+    "setting0-hexagonal",
+    "setting1-paper-a-covered",
+    "setting1-plano",
+    "setting0-galilean",
+    "setting0-plano",
 )
 @pytest.mark.parametrize("name", ["slab", "paper-a-covered", "plano", "hexagonal", "galilean"])
 @pytest.mark.parametrize("setting", [Setting(), Setting(coating="quarter-wave", extinction=1e-7)])

@@ -66,6 +66,7 @@ def literals(path: Path) -> set[str]:
     return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
 
 
+@pytest.mark.daily_cases("depth_of_field", "polarisation", "tir_paths")
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in OTHER_MEANINGS])
 def test_the_name_of_an_effect_is_written_in_its_module_and_in_the_list_alone(name: str) -> None:
     found = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if name in literals(path)}

@@ -62,6 +62,7 @@ def test_what_a_command_makes_is_explained_by_the_commands_name(command):
     assert f"see clacad {command} " in explain(command).do
 
 
+@pytest.mark.slow
 def test_every_word_sends_to_a_key_that_there_is_or_to_a_command():
     for entry in entries().values():
         if entry.do.startswith("see ") and entry.do.endswith(" of the design file"):

@@ -153,6 +153,7 @@ def test_what_no_field_lens_is_made_beside_takes_the_switch_away(chromium, tmp_p
     assert page.design().pair.field_lens is False
 
 
+@pytest.mark.slow
 def test_moved_sliders_are_in_the_design_file_that_check_reads(page, tmp_path, capsys):
     from clacad.cli import main
 
@@ -288,6 +289,7 @@ def test_where_there_can_be_no_field_lens_the_page_says_why(page, moved, why):
 # -- pictures --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_preset_looks_as_it_did(chromium, tmp_path):
     """Saved by `python tests/explore/save_pictures.py`; at most 1 % of the pixels differ by more than 8 of 255."""
     from PIL import Image

@@ -449,6 +449,7 @@ def test_the_mesh_of_another_design_is_caught(good: tuple[Any, Any, Promise], ov
         held(corners, other, promise)
 
 
+@pytest.mark.slow
 def test_one_format_that_fails_does_not_stop_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -222,6 +222,7 @@ def write_all(folder: Path) -> None:
     pose_table.write_table_json(w, folder / "t.json", scale(w))
 
 
+@pytest.mark.slow
 def test_the_same_bytes_in_another_process_with_another_hash_seed_and_locale(tmp_path: Path) -> None:
     ours, theirs = tmp_path / "a", tmp_path / "b"
     ours.mkdir()

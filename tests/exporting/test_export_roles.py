@@ -294,6 +294,7 @@ def test_declared_roles_stand_in_the_manifest_and_are_carried_over(tmp_path):
     assert {"forecast_law_rms", "master_quads", "master_bytes"} <= kept.keys()
 
 
+@pytest.mark.slow
 def test_a_declared_preview_of_which_nothing_else_is_said_is_coarse_while_masters_meet_the_slope_error(
     tmp_path,
 ):
@@ -372,6 +373,7 @@ def test_bytes_of_a_glb_whose_cells_are_one_node_are_forecast(tmp_path):
     assert row.bytes == pytest.approx(manifest.path("glb").stat().st_size, rel=0.05)
 
 
+@pytest.mark.slow
 def test_bytes_of_a_whole_sheet_of_repeated_cells_are_forecast_within_a_fifth(tmp_path):
     from clacad.formats.mesh.glb import write_glb
     from clacad.formats.mesh.threemf import write_threemf

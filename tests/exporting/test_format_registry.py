@@ -154,6 +154,7 @@ def test_every_map_is_recognised_by_its_ending_and_compared_with_the_design(kind
     assert kind.reading.face or kind.reading.sheet
 
 
+@pytest.mark.slow
 def test_a_format_that_is_one_module_is_offered_explained_forecast_written_and_verified(
     tmp_path: Path,
 ) -> None:

@@ -27,6 +27,7 @@ def tags(path):
     return found
 
 
+@pytest.mark.slow
 def test_a_fused_3mf_is_one_mesh_a_body_with_the_volume_of_the_repeated_one(tmp_path):
     design = clacad.load(DESIGN).with_cells((3, 2))
     bodies = len(clacad.prescribe(design).bodies)

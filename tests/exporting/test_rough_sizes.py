@@ -52,6 +52,7 @@ def test_rough_sizes_are_near_the_close_ones(name: str) -> None:
         )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_check_loads_no_mesher_no_solids_and_no_writer() -> None:
     program = (
         "import json, sys; from clacad.cli.check_command import Check, run; from clacad.cli.console import Console; "

@@ -205,6 +205,7 @@ def test_what_an_error_costs_is_taken_from_the_study_of_this_very_design(tmp_pat
         assert all(entry["tolerance_study"] is shown for entry in manifest.files)
 
 
+@pytest.mark.slow
 def test_the_same_design_gives_the_same_bytes_and_a_false_dimension_is_refused(tmp_path):
     from clacad.formats.drawing.dxf import check_drawing_dxf
 
@@ -351,6 +352,7 @@ def test_no_quarter_of_a_sheet_is_empty_and_views_have_scales_of_iso_5455(paper,
                 assert min(abs(on_paper / step - 1.0) for step in steps) < 1e-9
 
 
+@pytest.mark.slow
 def test_the_frame_has_zones_centring_marks_and_a_title_block(tmp_path):
     design = part("slab", (4, 4))
     export(design, tmp_path / "x", ("drawing",), paper="a4")
@@ -373,6 +375,7 @@ def test_the_frame_has_zones_centring_marks_and_a_title_block(tmp_path):
         assert words in said
 
 
+@pytest.mark.slow
 def test_the_drawing_says_the_finish_that_the_design_states_and_leaves_the_rest_to_be_agreed(tmp_path):
     for number, (overrides, lens) in enumerate(
         [(["tolerances.roughness='5 nm'"], "Rq 5 nm"), ([], "to be agreed")]

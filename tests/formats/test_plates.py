@@ -48,6 +48,7 @@ def land_thickness(body):
     return back - front
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("base", "corners", "lost"), [
     (PLANO, {"chamfer": 1.5}, 2 * 1.5**2),
     pytest.param(SLAB, {"round": 1.5}, (4 - pi) * 1.5**2, marks=pytest.mark.slow),

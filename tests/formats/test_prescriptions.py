@@ -84,6 +84,7 @@ def millimetres(window):
     return window.unit * 1e3
 
 
+@pytest.mark.daily_cases("slab-biconics", "galilean", "plano", "slab")
 @pytest.mark.parametrize("name", TILTED)
 def test_a_plain_reader_finds_radii_conics_indices_decentres_and_tilts_of_the_zmx(tmp_path, name):
     design = tilted(name)

@@ -78,6 +78,7 @@ def test_an_exact_pair_is_afocal_as_its_matrix_says(name):
             assert abs(float(m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) - 1) < 1e-40
 
 
+@pytest.mark.daily_cases("eta0")
 @pytest.mark.parametrize("eta", [(-1.0, -1.0), (-0.5, -2.0)])
 def test_a_column_holds_the_volume_that_thirty_digits_say(eta):
     window = window_of({"law.eta": list(eta), "lattice.count": [1, 1]})
@@ -187,6 +188,7 @@ def walked(window, rays, monkeypatch):
         return trace(window, rays, path="numpy")
 
 
+@pytest.mark.daily_cases("clear-numpy", "opaque-numba", "clear-numba")
 @pytest.mark.parametrize("path", ["numpy", "numba"])
 @pytest.mark.parametrize("land", ["opaque", "clear"])
 def test_the_straight_path_does_not_pass_over_a_seam_that_the_walk_meets(land, path, monkeypatch):

@@ -38,6 +38,7 @@ def test_light_along_z_that_all_strays_is_told_of_light_along_the_tilted_axes(ti
     assert found.instead.share > 0.8
 
 
+@pytest.mark.slow
 def test_an_answer_without_an_image_holds_no_nan_and_a_way_to_go_on(capsys):
     sheet = [str(TILTED), "--set", "law.euler=[45,6,0]", "--rays", "2000"]
     assert main(["image", *sheet, "--object", "0,0,-inf", "--json"]) == 0

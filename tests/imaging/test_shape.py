@@ -30,6 +30,7 @@ def test_few_cells_go_the_shortest_ways_of_all():
     )
 
 
+@pytest.mark.slow
 def test_many_cells_go_ways_hardly_longer_each_to_a_place_of_its_own_and_the_same_every_time():
     rng = np.random.default_rng(1)
     cells, places = rng.uniform(size=(1200, 2)), rng.uniform(size=(1200, 2)) ** 2
@@ -102,6 +103,7 @@ def test_points_are_read_with_or_without_weights_and_refused_at_their_place(tmp_
         of_points(path)
 
 
+@pytest.mark.slow
 def test_light_of_each_cell_of_the_written_table_arrives_where_it_was_sent(tmp_path):
     design = clacad.Design.from_dict({
         "format": 1, "name": "s", "unit": "mm", "law": {"eta": [-1.0, -0.5]},
@@ -163,6 +165,7 @@ def test_a_hundred_cells_square_send_four_fifths_of_the_light_within_one_blur_of
 TINY = 'format = 1\nname = "t"\nunit = "mm"\n[law]\neta = [-1.0, -1.0]\n[law.varying]\nf_image = 100\n[pair]\nform = "slab"\nseparation = 10\nmaterial = "PMMA"\n[lattice]\npitch = 0.5\ncount = [8, 8]\n'
 
 
+@pytest.mark.slow
 def test_the_command_image_tells_and_draws_what_its_twin_finds(tmp_path, capsys):
     (tmp_path / "t.toml").write_text(TINY)
     words = ["image", str(tmp_path / "t.toml"), "--object", "0,0,-inf", "--rays", "512"]
@@ -191,6 +194,7 @@ def test_the_command_image_tells_and_draws_what_its_twin_finds(tmp_path, capsys)
     assert main([*words, "-o", str(tmp_path / "f.pdf")]) == 2
 
 
+@pytest.mark.slow
 def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_where_it_cannot(
     tmp_path, capsys
 ):
@@ -292,6 +296,7 @@ def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_w
     assert not (tmp_path / "x.cells.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_shaped_design_whose_table_was_exchanged_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -83,6 +83,7 @@ def test_formats_of_equal_cells_are_refused_by_one_code_before_any_work(tmp_path
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_heights_of_the_steps_between_neighbours_are_named_and_fail_a_diamond_tool():
     from clacad.advice import judge
 

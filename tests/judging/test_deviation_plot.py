@@ -22,6 +22,7 @@ def mapped(faces):
     return DeviationMap("mm", -box, box, maps, np.zeros(2, dtype=np.int64), 1e-3, steps=(0.5, 0.5))
 
 
+@pytest.mark.daily_cases("part.stl-1", "scan of the second sheet of the third delivery, turned over.stl-1")
 @pytest.mark.parametrize("faces", [1, 2, 4])
 @pytest.mark.parametrize(
     "name", ["part.stl", "scan of the second sheet of the third delivery, turned over.stl"]

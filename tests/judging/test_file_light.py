@@ -244,7 +244,7 @@ def maps(tmp_path_factory):
     return made
 
 
-@pytest.mark.daily_cases("*back.u16.tiff", "*front.u16.png", "*back.xyz", "*front.cell.dat")
+@pytest.mark.daily_cases("*back.xyz", "*front.cell.dat", "*front.u16.png")
 @pytest.mark.parametrize(
     "pattern", ["*front.f32.tiff", "*back.u16.tiff", "*front.u16.png", "*back.xyz", "*front.cell.dat"]
 )

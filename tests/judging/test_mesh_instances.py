@@ -258,6 +258,7 @@ def in_rows(tmp_path, monkeypatch):
     return written(tmp_path, "3mf")
 
 
+@pytest.mark.slow
 def test_rows_of_cells_are_not_written_out_and_get_the_verdict_of_cells(in_rows, tmp_path, monkeypatch):
     mesh = read_mesh(in_rows)
     assert all((len(part.places.outer), len(part.places.inner)) == (4, 4) for part in mesh.parts)
@@ -386,6 +387,7 @@ def test_a_sheet_of_40_000_cells_is_read_and_judged_without_expanding_it(large, 
     assert checks["volume"].detail["volume"] == pytest.approx(exact, rel=5e-4)
 
 
+@pytest.mark.slow
 def test_an_export_reads_40_000_cells_back_without_expanding_them(large, monkeypatch):
     window = prescribe(LARGE)
     promise = Meshes(window).at(64).promise(True, False)
@@ -397,6 +399,7 @@ def test_an_export_reads_40_000_cells_back_without_expanding_them(large, monkeyp
     assert counter.facets < 20 * promise.facets // 40_000
 
 
+@pytest.mark.slow
 def test_what_walks_all_facets_is_refused_and_even_samples_and_the_box_are_not(large, monkeypatch):
     mesh = read_mesh(large)
     with pytest.raises(UnreadableFile, match="facets"):
@@ -490,6 +493,7 @@ def test_wrong_stored_normals_fail(tmp_path, suffix, what):
     assert faults(checks) == {"file_normals"}
 
 
+@pytest.mark.slow
 def test_a_stored_normal_that_is_no_number_fails(tmp_path):
     checks, _ = judged(normals_of(written(tmp_path, "glb"), _first_is_nan))
     assert faults(checks) == {"file_normals"}
@@ -506,6 +510,7 @@ def test_stored_normals_are_judged_by_their_angle_to_the_sphere(tmp_path):
     assert check.value == pytest.approx(np.deg2rad(3.0), rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_file_without_normals_is_not_asked_for_them(tmp_path):
     assert "file_normals" not in judged(written(tmp_path, "3mf"))[0]
 
@@ -589,6 +594,7 @@ def test_pieces_of_a_stream_are_counted_to_the_last_one():
     assert connected(Part("", soup=np.concatenate([soup, bridge]))) == 39_998
 
 
+@pytest.mark.slow
 def test_a_large_stl_is_read_once_for_its_hash_its_sums_its_facets_and_its_pieces(tmp_path, monkeypatch):
     path, read = stl(tmp_path, DESIGN, QUADS), []
     small, _ = judged(path)

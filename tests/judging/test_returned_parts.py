@@ -100,6 +100,7 @@ def test_a_copy_of_an_exported_mesh_lies_as_it_was_written(tmp_path, which):
         assert not {check.id for check in found if check.state in ("fail", "warn")} - set(coarse), suffix
 
 
+@pytest.mark.slow
 def test_a_dent_in_a_symmetric_sheet_is_named_where_it_is(tmp_path):
     made = design(*SYMMETRIC)
     window = prescribe(made)
@@ -261,6 +262,7 @@ def test_a_drilled_piece_is_recognised_and_its_hole_named(tmp_path, motion):
         assert (hole["x_mm"], hole["y_mm"]) == pytest.approx((0.25, -0.25), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_hole_over_a_corner_of_cells_takes_all_four(tmp_path):
     whole = design(*SLAB)
     _, checks, _ = judged(tmp_path, whole, drilled(facets(design(*PIECE)), 0.02, 0.01, 0.3))
@@ -268,6 +270,7 @@ def test_a_hole_over_a_corner_of_cells_takes_all_four(tmp_path):
     assert hole["cells"] == [[1, 1], [1, 2], [2, 1], [2, 2]]
 
 
+@pytest.mark.slow
 def test_what_is_engraved_in_a_border_is_named_and_fails_nothing(tmp_path):
     made = design("plano", "lattice.count=[4,4]", "body.border=1.0")
     window = prescribe(made)
@@ -378,6 +381,7 @@ def test_faces_alone_are_a_scan(tmp_path):
     assert evidence.facts["noise"] == pytest.approx(evidence.forecast.max())
 
 
+@pytest.mark.slow
 def test_a_declared_scan_may_have_gaps_anywhere(tmp_path):
     made = design("slab", "lattice.count=[3,3]")
     triangles = np.delete(facets(made), 500, axis=0) + [0.0, 0.0, 50.0]

@@ -143,7 +143,7 @@ EVERY = [
 ]
 
 
-@pytest.mark.daily_cases("INCH-one-assembly")
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "bodies", "structure"), EVERY)
 def test_a_good_part_written_again_passes_as_an_optical_master_in_any_unit_and_structure(
     written, tmp_path, unit, bodies, structure

@@ -74,6 +74,7 @@ LIGHT = {
 }
 
 
+@pytest.mark.slow
 def test_a_coarse_file_that_is_the_design_is_a_shape_only(tmp_path, soup):
     report = judged(tmp_path, soup)
     assert report.word == "shape only"
@@ -137,6 +138,7 @@ def test_a_spoilt_file_fails_by_name(tmp_path, soup, spoil, culprit):
     assert culprit in failed(report)
 
 
+@pytest.mark.daily_cases("emptied", "cut short")
 @pytest.mark.parametrize("spoil", [
     pytest.param(lambda b: b[: len(b) // 2], id="cut short"),
     pytest.param(lambda b: b[:-1] + bytes([b[-1] ^ 1]), id="one bit"),
@@ -183,6 +185,7 @@ def test_a_cut_file_without_manifest_cannot_be_read_and_nothing_after_it_is_gree
     assert report.exit_status == 1
 
 
+@pytest.mark.slow
 def test_a_manifest_of_another_design_is_said_and_the_files_are_still_judged(tmp_path, soup):
     write_stl(tmp_path / "part.stl", soup * MM)
     with_manifest(tmp_path, DESIGN.replace({"name": "other"}))
@@ -191,6 +194,7 @@ def test_a_manifest_of_another_design_is_said_and_the_files_are_still_judged(tmp
     assert report.passed
 
 
+@pytest.mark.daily_cases("0.03937007874015748-in")
 @pytest.mark.parametrize(("unit", "word"), [(1.0, "mm"), (1e-3, "m"), (1.0 / 25.4, "in")])
 def test_unit_and_cells_are_found_without_a_manifest(tmp_path, soup, unit, word):
     from clacad.formats.mesh.readers import read_mesh
@@ -226,6 +230,7 @@ def test_one_body_of_two_is_judged_against_that_body(tmp_path):
     assert "array1 taken from the design" in next(c.sentence for c in report.checks if c.id == "readable")
 
 
+@pytest.mark.slow
 def test_every_required_check_that_does_not_run_fails_the_report(tmp_path, soup):
     report = judged(tmp_path, soup, role="preview")
     assert passed(report.checks)

@@ -217,6 +217,7 @@ def test_optical_vertices_lie_on_the_exact_surfaces(name):
             assert np.nanmax(np.abs(off)) <= 4 * body.step
 
 
+@pytest.mark.slow
 def test_front_facets_look_down_back_facets_up_and_walls_stand():
     body = tessellate(window(**FORMS["turned web"]), quads=5).bodies[1]
     corners = np.concatenate(list(body.rows()))

@@ -82,6 +82,7 @@ def cases():
     ]
 
 
+@pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize("changes", cases())
 def test_bodies_of_cells_that_differ_are_closed_and_enclose_what_the_faces_do(changes):
     window = built(**changes)
@@ -149,6 +150,7 @@ def test_the_mesh_of_cells_that_differ_is_the_same_every_time_and_in_any_order()
     assert abs(first.bodies[0].facets_about / first.bodies[0].facet_count - 1.0) < 0.1
 
 
+@pytest.mark.slow
 def test_the_mesh_of_equal_cells_made_cell_by_cell_is_that_of_one_cell_repeated():
     """A change that changes nothing: every cell is made by itself, and all come out alike."""
     from dataclasses import replace

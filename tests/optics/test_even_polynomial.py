@@ -215,6 +215,7 @@ def test_the_compiled_twin_misses_where_the_base_has_ended():
     assert np.isnan(compiled(surface, start, np.array([[0.0, 0.0, 1.0]] * 4))).all()
 
 
+@pytest.mark.daily_cases("2")
 @pytest.mark.parametrize(
     "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.long) for k in range(3, 30))]
 )

@@ -78,6 +78,7 @@ def test_a_quarter_turn_keeps_tiny_components_as_well(quarter):
     np.testing.assert_allclose(out[:2], expected, rtol=4 * ULP, atol=0)
 
 
+@pytest.mark.slow
 def test_random_laws_of_every_size_agree_with_two_thin_lenses():
     rng = np.random.default_rng(7)
     worst, answered = 0.0, 0

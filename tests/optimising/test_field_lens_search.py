@@ -75,6 +75,7 @@ def test_the_word_field_frees_the_field_faces_alone(window):
         chosen(prescribe(load(DESIGNS / "window-100mm.toml")), ("field",))
 
 
+@pytest.mark.slow
 def test_a_search_of_the_lenses_leaves_the_field_lens_and_its_light(window):
     """Measured for the design: radii and conics of two plates reach .0087 mrad over 1° at a share of .9993."""
     design = load(DESIGNS / "window-100mm.toml").replace("pair.field_lens", True)

@@ -78,6 +78,7 @@ ERRORS = (
 )
 
 
+@pytest.mark.slow
 def test_the_expected_error_is_that_of_parts_drawn_at_random():
     """To first order, so a few per cent; without errors it is that of the perfect part."""
     design = load(PAPER, (*ERRORS, "lattice.count=[5, 5]", "pair.separation=0.1"))
@@ -125,6 +126,7 @@ def test_a_micrometre_is_told_from_what_no_face_can_take_away():
 # -- seconds -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_field_of_too_few_rays_is_refused_with_one_of_enough():
     """At 40° a handful of rays get to their partner: faces bent to these alone are worse than the spheres."""
     design = load(WINDOW)
@@ -138,6 +140,7 @@ def test_a_field_of_too_few_rays_is_refused_with_one_of_enough():
     assert found.after[1].law_rms < found.before[1].law_rms
 
 
+@pytest.mark.slow
 def test_seconds_end_a_search_with_the_best_so_far_and_say_so(monkeypatch):
     """A clock that goes on by a second an evaluation."""
     clock = count()
@@ -151,6 +154,7 @@ def test_seconds_end_a_search_with_the_best_so_far_and_say_so(monkeypatch):
     assert Design.from_dict(tomllib.loads(design_text(found))) == found.design
 
 
+@pytest.mark.slow
 def test_seconds_that_were_enough_change_no_byte():
     design = load(WINDOW)
     assert design_text(optimise(design, ("radii",), seconds=1e4)) == design_text(optimise(design, ("radii",)))

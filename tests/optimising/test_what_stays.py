@@ -143,7 +143,7 @@ def _radii(face):
 EVERY_TIME = (("plano", "both", "conic"), ("slab", "offset", "a4"))
 
 
-@pytest.mark.daily_cases("plano-both-conic")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pair", "law", "word"),
     [
@@ -253,6 +253,7 @@ def test_a_search_whose_only_gains_cost_light_writes_nothing_and_says_so(tmp_pat
         optimise(start, ("radii",))
 
 
+@pytest.mark.slow
 def test_a_search_from_its_own_result_writes_no_second_file(tmp_path, better):
     (tmp_path / "one.toml").write_text(design_text(better[1]))
     ended = run("optimise", "one.toml", "-o", "two.toml", "--free", "radii", cwd=tmp_path)

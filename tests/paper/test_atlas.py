@@ -376,13 +376,7 @@ def test_render_writes_a_picture_says_how_and_refuses_to_overwrite(tmp_path):
     assert "overwrite" in again.stderr
 
 
-@pytest.mark.daily_cases(
-    "arguments1-cannot read the scene",
-    "arguments2-is a design, which has no camera",
-    "arguments3-camera.frame",
-    "arguments4-there is no preset",
-    "arguments5-PHOTO",
-)
+@pytest.mark.daily_cases("arguments4-there is no preset", "arguments5-PHOTO")
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -161,6 +161,7 @@ def test_the_window_from_400_mm_before_and_after_aiming():
         assert spread <= 0.75e-3
 
 
+@pytest.mark.slow
 def test_traced_vertices_send_the_mean_of_each_cells_light_where_the_law_asks():
     from clacad.prescription.traced_vertices import RAYS, _cell_points
 

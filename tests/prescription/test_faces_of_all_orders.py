@@ -134,6 +134,7 @@ def test_a_tool_path_programmer_finds_every_coefficient(tmp_path):
         check_table(window, tmp_path / "t.json", tmp_path / "t.csv", 1.0, count)
 
 
+@pytest.mark.slow
 def test_tables_for_people_show_every_order():
     design = DESIGNS["skew"]
     window = prescribe(design)

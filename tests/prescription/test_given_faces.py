@@ -113,16 +113,15 @@ def light(window, field, count):
 
 
 @pytest.mark.daily_cases(
-    "numpy-window-100mm as designed",
-    "numpy-window-100mm R free, sphere @1.0",
     "numpy-window-100mm R,K @1.0",
-    "numpy-paper-a-covered bending + A4",
-    "numba-window-100mm as designed",
-    "numba-window-100mm R free, sphere @1.0",
-    "numba-window-100mm R,K @1.0",
-    "numba-paper-a-covered radii + conics, both faces of a lens alike",
     "numba-paper-a-covered bending + A4",
     "numba-paper-a-covered paraboloid, bending + A4",
+    "numpy-window-100mm R free, sphere @1.0",
+    "numba-paper-a-covered radii + conics, both faces of a lens alike",
+    "numpy-window-100mm as designed",
+    "numba-window-100mm R free, sphere @1.0",
+    "numba-window-100mm as designed",
+    "numba-window-100mm R,K @1.0",
 )
 @pytest.mark.parametrize("case", GOLDEN, ids=[case["name"] for case in GOLDEN])
 @pytest.mark.parametrize("path", ["numpy", "numba"])

@@ -187,6 +187,7 @@ def test_a_turned_array_is_refused_by_formats_that_do_not_hold_it(format, tmp_pa
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_price_is_said_before_work_to_the_byte(tmp_path, capsys):
     design, changes = DESIGNS["aimed"]
     asked = [

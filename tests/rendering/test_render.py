@@ -609,6 +609,7 @@ def test_a_tint_takes_its_part_of_each_colour_seen_through_the_sheet_and_of_noth
     assert plain[through].max() > 0.1
 
 
+@pytest.mark.slow
 def test_exact_surfaces_with_a_tint_are_drawn_alike_by_both_ways():
     seen = scene({"kind": "checker", "height": -0.6}, camera={"pixels": [24, 24]}, sheet={"rung": "surfaces", "tint": [0.4, 0.6, 0.9]})  # fmt: skip
     reference, compiled = (view_through(seen, compiled=way).light for way in (False, True))

@@ -48,6 +48,7 @@ def test_a_design_that_cannot_be_built_says_why_instead():
         design.plot()
 
 
+@pytest.mark.slow
 def test_a_report_shows_the_curves_that_it_holds():
     report = clacad.verify(clacad.load(DESIGNS / "window-100mm.toml"), rays=1024)
     (_, right) = report.plot().axes

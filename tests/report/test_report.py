@@ -219,6 +219,7 @@ def test_numbers_are_shown_in_milliradians_and_missing_ones_as_a_dash():
     assert number(float("inf")) == "none"
 
 
+@pytest.mark.slow
 def test_figures_use_no_global_state_of_matplotlib(report):
     import matplotlib as mpl
 
@@ -381,6 +382,7 @@ def test_waves_stand_in_the_page_where_an_effect_or_coherent_light_calls_for_the
     assert told.evidence.to_dict()["waves"]["share"] == found.share
 
 
+@pytest.mark.slow
 def test_a_design_in_coherent_light_has_its_waves_measured(monkeypatch):
     evidence = importlib.import_module("clacad.verification.evidence")
     monkeypatch.setattr(evidence, "climb", lambda *_: None)  # the ladder is another's
@@ -400,6 +402,7 @@ def test_the_first_screen_has_the_share_and_the_view_of_the_viewer(report, page)
         assert image.size == (200, 200)
 
 
+@pytest.mark.slow
 def test_the_view_is_that_of_the_stated_viewer_and_none_of_one_behind_the_sheet():
     design = Design.from_dict(TEXT)
     window = prescribe(design)

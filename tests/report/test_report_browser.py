@@ -183,6 +183,7 @@ def test_without_webgl_there_is_a_picture_and_no_complaint(address):
         plain.close()
 
 
+@pytest.mark.slow
 def test_on_a_telephone_nothing_is_wider_than_the_screen(chromium, address):
     chromium.ask(
         "Emulation.setDeviceMetricsOverride", width=400, height=900, deviceScaleFactor=1, mobile=True

@@ -134,6 +134,7 @@ def test_numbers_and_words_of_a_table_stay_as_they_are(cell: str) -> None:
     assert harmless_cell(cell) == cell
 
 
+@pytest.mark.slow
 def test_a_sweep_over_words_writes_no_formula(tmp_path: Path) -> None:
     path = tmp_path / "t.json"
     path.write_text(json.dumps({key: value for key, value in TEXT.items() if key not in ("notes", "check")}))

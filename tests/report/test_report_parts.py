@@ -65,6 +65,7 @@ def lines(shown):
 # -- the table ------------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("galilean", "biconvex", "plano", "slab")
 def test_volume_and_mass_are_those_of_the_triangles(made):
     table, mesh = lines(made), tessellate(made.window, quads=16)
     for body in mesh.bodies:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 from types import SimpleNamespace
 
+import pytest
+
 import clacad
 from clacad.checks.light_kinds import LAW_RMS
 from clacad.report.plots import varying
 
 
+@pytest.mark.slow
 def test_a_sheet_of_differing_cells_is_drawn_with_its_worst_cell_and_one_of_equal_cells_is_not():
     asked = clacad.Design.from_dict({
         "format": 1, "name": "g", "unit": "mm", "law": {"eta": [-1.0, -1.0], "varying": {"f_image": 200}},

@@ -265,6 +265,7 @@ def test_the_highest_step_is_found_where_radii_differ(tmp_path):
     )  # what tables say of the body, not of its middle cell
 
 
+@pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize(
     "form",
     [form if form in ("slab", "biconvex") else pytest.param(form, marks=pytest.mark.slow) for form in FORMS],

@@ -73,6 +73,7 @@ def test_the_thickness_that_covers_a_cell_is_the_published_one(eta, lens, expect
     assert found.corner == pytest.approx(0.0005 - found.least_thickness, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_lens_exactly_as_thick_as_told_covers_and_a_little_less_does_not():
     thin = window_of({"law.euler": [30.0, 2.0, 10.0], "pair.thickness": [0.0006, 0.0009]})
     needed = [lens.least_thickness for lens in feasibility(thin).lenses]
@@ -162,6 +163,7 @@ def test_a_hexagonal_sheet_without_corners_has_a_hole_at_every_inner_node():
     assert (body.pieces, body.holes) == (1, nodes)
 
 
+@pytest.mark.slow
 def test_tilt_makes_steps_of_the_pitch_times_its_tangent():
     window = window_of({"law.euler": [0.0, 1.0, 0.0], "pair.thickness": 0.0012, "law.eta": [-1.0, -1.0]})
     along = feasibility(window).bodies[0].borders[1]  # across y: the axis leans to -y
@@ -308,6 +310,7 @@ def test_the_rows_for_a_person_carry_the_numbers(paper):
     assert rows["array2", "pieces, holes"].value == "200, 0"
 
 
+@pytest.mark.slow
 def test_derived_numbers_that_need_it_say_what_they_mean(paper, capsys):
     from clacad.cli import main
 

@@ -71,6 +71,7 @@ def test_arcs_of_any_angle_have_their_area_and_box(bulge):
     assert (y0, y1) == pytest.approx((min(0, low.min()), 8.0), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_insides_agree_with_another_library_and_with_the_plain_words():
     from matplotlib.path import Path
 
@@ -140,6 +141,7 @@ def test_cells_of_a_displaced_array_lie_inside_too():
     assert 0 < len(both) < len(here)
 
 
+@pytest.mark.slow
 def test_edges_ahead_of_a_ray_are_where_inside_turns_to_outside():
     rng = np.random.default_rng(1)
     start, way = rng.uniform(-7, 7, (400, 2)), rng.normal(size=(400, 2))
@@ -188,6 +190,7 @@ def test_outlines_that_are_none_are_named(vertices, words):
     assert words in found
 
 
+@pytest.mark.slow
 def test_ten_thousand_corners_are_looked_at_in_seconds_and_one_crossing_found():
     turn = 2 * np.pi * np.arange(10_000) / 10_000
     star = np.stack([np.cos(turn), np.sin(turn)], axis=1) * (1 + 0.2 * (np.arange(10_000) % 2))[:, None]

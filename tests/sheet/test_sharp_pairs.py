@@ -149,6 +149,7 @@ def test_light_is_held_to_the_law_less_what_the_focus_was_asked_to_do():
     assert np.abs(RequestedLaw.of(window).without_focus(points, out) - asked).max() < 1e-14
 
 
+@pytest.mark.slow
 def test_a_sharp_sheet_passes_its_checks_and_another_focus_fails():
     asked = design()
     found, _ = judge_light(asked, clacad.prescribe(asked), 2048, 512)
@@ -225,6 +226,7 @@ def test_paraxial_light_of_every_cell_of_thick_lenses_meets_where_it_was_asked_t
             assert max(met) - min(met) < 1e-11
 
 
+@pytest.mark.slow
 def test_tolerances_of_a_sharp_pair_are_those_of_its_checks():
     """The requested focus spreads parallel light over a cell by far more than the error; it is no error."""
     made = design()

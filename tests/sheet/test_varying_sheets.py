@@ -100,6 +100,7 @@ def test_thin_images_are_those_of_rays_lens_by_lens():
     assert found.found.spot == pytest.approx((width / np.sqrt(12), width / np.sqrt(12)), rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_mean_light_of_every_cell_of_the_exact_lenses_leaves_as_its_law_asks():
     window = built(lattice__count=[40, 3], law__varying={"f_image": 80})
     lattice, rng = window.lattice, np.random.default_rng(2)
@@ -120,6 +121,7 @@ def test_the_mean_light_of_every_cell_of_the_exact_lenses_leaves_as_its_law_asks
         )
 
 
+@pytest.mark.slow
 def test_a_glens_focuses_where_it_shall_and_paraxial_vertices_do_not():
     small = {"lattice__count": [100, 1], "law__varying": {"f_image": 200}}
     for offset, low, high, spot in (("traced", 199.6, 200.2, 0.13), ("paraxial", 193.0, 196.0, 0.6)):

@@ -85,6 +85,7 @@ TILTED = {
 }
 
 
+@pytest.mark.daily_cases("on a web", "closed")
 @pytest.mark.parametrize("name", TILTED)
 def test_a_fitted_rim_lies_on_the_true_one_within_the_error_it_states(name):
     changes, landed = TILTED[name]
@@ -283,7 +284,7 @@ def check_step(name, path):
         assert found["open_edges"] == found["dangling"] == 0
 
 
-@pytest.mark.daily_cases("plano")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_rimmed_forms_are_valid_solids_in_memory_and_as_step_files_read_again(name, tmp_path):
     check_step(name, tmp_path / "x.step")
@@ -409,6 +410,7 @@ def test_the_web_that_a_refusal_names_holds_the_rim_and_less_leaves_an_overhang(
         assert [is_valid(solid) for solid in solids] == [True]
 
 
+@pytest.mark.slow
 def test_more_thickness_is_the_other_way_out_of_a_web_that_a_rim_leaves():
     sheet = window(law__euler=[20.0, 8.0, 0.0], pair__web=2e-4, pair__thickness="auto")
     for body in sheet.bodies:

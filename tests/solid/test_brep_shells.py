@@ -135,7 +135,7 @@ TOUCHING = {
 }
 
 
-@pytest.mark.daily_cases("one cell in its circle", "circle through lattice points")
+@pytest.mark.daily_cases("one cell in its circle")
 @pytest.mark.parametrize("name", TOUCHING)
 def test_cells_that_touch_the_outline_leave_no_sliver_of_land(name):
     window = biconvex(web=0.03, thickness=0.09, euler=(20.0, 2.0, 0.0), **TOUCHING[name])

@@ -222,6 +222,7 @@ def test_a_forecast_writes_nothing_and_refuses_what_the_real_thing_would(
     assert command("stack", FILE, FILE, "--gap", "5", "-o", tmp_path / "file", "--dry-run", *SMALL) == 4
 
 
+@pytest.mark.slow
 def test_forecast_bytes_are_those_that_are_written(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The STEP text is drawn up for it; a sheet that stands twice counts once."""
     line = (

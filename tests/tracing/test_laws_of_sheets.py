@@ -203,6 +203,7 @@ def test_the_mirrored_sheet_shows_the_mirrored_answer(data, seed, axis):
         same(one, other, map_back=mirror)
 
 
+@pytest.mark.slow
 @given(st.floats(1.3, 2.0), st.integers(0, 10**6), st.sampled_from(["square", "hexagonal"]))
 @FINITE
 def test_light_sent_back_through_a_symmetric_sheet_comes_back(index, seed, kind):
@@ -259,6 +260,7 @@ ANY = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @given(designs(), st.integers(0, 10**6), st.integers(0, 2), st.floats(0.0, 0.1))
 @FINITE
 def test_a_sheet_conserves_energy(data, seed, order, dark):
@@ -274,6 +276,7 @@ def test_a_sheet_conserves_energy(data, seed, order, dark):
     assert all((share[met] >= -1e-15).all() for share in shares.values())
 
 
+@pytest.mark.slow
 @given(designs(), st.integers(0, 10**6), st.sampled_from(["thin", "surfaces"]))
 @FINITE
 def test_a_sheet_conserves_etendue(data, seed, rung):

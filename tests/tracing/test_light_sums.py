@@ -39,6 +39,7 @@ def close(one: float, other: float, part: float) -> bool:
     return abs(one - other) <= part * abs(other)
 
 
+@pytest.mark.daily_cases("tilted-numpy", "biconvex-numpy", "slab-numpy", "tilted-numba", "slab-numba")
 @pytest.mark.parametrize("path", ["numpy", "numba"])
 @pytest.mark.parametrize("name", WINDOWS)
 def test_sums_are_those_of_the_rows_of_the_trace(name: str, path: Any) -> None:
@@ -56,6 +57,7 @@ def test_sums_are_those_of_the_rows_of_the_trace(name: str, path: Any) -> None:
     assert np.abs(found.mean_direction - mean).max() < 2e-16
 
 
+@pytest.mark.daily_cases("slab-numpy", "biconvex-numba", "tilted-numba", "slab-numba")
 @pytest.mark.parametrize("path", ["numpy", "numba"])
 @pytest.mark.parametrize("name", WINDOWS)
 def test_the_law_that_sums_settle_on_is_the_one_fitted_to_the_rays(name: str, path: Any) -> None:

@@ -246,6 +246,7 @@ def test_rays_come_out_the_same_however_many_are_traced_with_them():
                 np.testing.assert_array_equal(getattr(whole, column)[part], getattr(some, column), column)
 
 
+@pytest.mark.slow
 def test_sheets_of_equal_cells_load_nothing_of_those_that_differ():
     script = (
         "import sys, clacad, numpy as np\n"

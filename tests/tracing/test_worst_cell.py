@@ -46,6 +46,7 @@ def design(tmp_path_factory):
     return load(folder / "table.toml")
 
 
+@pytest.mark.slow
 def test_the_worst_cell_is_that_of_all_cells_of_the_sheet(design):
     window, field = prescribe(design), design.check.field
     errors = {}

@@ -98,6 +98,7 @@ def hold_by_hash(files: dict[str, bytes], folder: Path) -> set[str]:
     return {entry["format"] for entry in listed(files)}
 
 
+@pytest.mark.slow
 def test_any_bit_or_cut_of_any_format_fails_by_its_hash(
     made: dict[str, bytes], others: dict[str, bytes], tmp_path: Path
 ) -> None:

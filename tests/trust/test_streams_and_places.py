@@ -102,6 +102,7 @@ def test_a_design_of_more_than_a_megabyte_is_refused_unread(
         read_regular(path, 1000)
 
 
+@pytest.mark.slow
 def test_a_design_of_just_under_a_megabyte_is_read(tmp_path: Path) -> None:
     path = tmp_path / "long.toml"
     path.write_text(TINY + "#" * (2**20 - len(TINY)))
@@ -127,7 +128,7 @@ def shell(words: str, streams: str, folder: Path, **changes: str) -> subprocess.
     )  # fmt: skip
 
 
-@pytest.mark.daily_cases("<&- >&- 2>&-")
+@pytest.mark.slow
 @pytest.mark.parametrize("line", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_closed_stream_changes_no_status(tmp_path: Path, line: str) -> None:
     assert shell("check t.toml", line, tmp_path).returncode == 0

@@ -364,6 +364,7 @@ def test_a_mesh_that_is_faster_than_exact_faces_is_said_to_be_worth_its_error():
     assert "A mesh is worth tracing for speed alone: 128 quads" in made_table(1.05).conclusion
 
 
+@pytest.mark.slow
 def test_no_label_of_the_plot_lies_on_another_or_on_a_curve_and_legends_lie_beside_the_panels():
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -77,6 +77,7 @@ def test_a_file_exported_for_a_target_is_found_within_it_by_verification(tmp_pat
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["export", "verify"])
 def test_below_the_floor_one_sentence_names_it_and_what_is_not(tmp_path, capsys, command):
     where = ("-o", tmp_path / "x", "--format", "stl")
@@ -145,6 +146,7 @@ def test_a_rung_that_is_not_within_the_target_is_refused_with_its_error():
         within_target(scene, 1e-9)
 
 
+@pytest.mark.slow
 def test_a_picture_through_facets_takes_the_coarsest_within_its_target():
     scene = load_scene(SCENE).replace({"sheet.rung": "mesh"})
     coarse, fine = (within_target(scene, target).sheet.quads for target in (4e-2, 1e-2))

@@ -181,6 +181,7 @@ SMALL = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_check_of_one_module_is_verified_explained_reported_and_advised(toy, tmp_path, capsys):
     design = Design.from_dict(SMALL)
     report = verify(design, rays=2048)

@@ -121,6 +121,7 @@ def test_rows_of_the_sheet_itself_are_measured_on_the_rays_given():
     assert surfaces.law_rms == pytest.approx(law.model_rms, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_study_of_tolerances_is_of_the_worst_cell_and_names_it():
     study = tolerance(DESIGN, samples=4, rays=64, farm=Farm(1))
     seen = worst_cell(clacad.prescribe(DESIGN), DESIGN.check.field)
@@ -140,6 +141,7 @@ def test_a_study_of_tolerances_is_of_the_worst_cell_and_names_it():
     assert study.change("image_shift").max() > 1.1 * same.change("image_shift").max()
 
 
+@pytest.mark.slow
 def test_a_sweep_names_the_worst_cell_of_each_point():
     found = sweep(DESIGN, [("lattice.aperture", ("centred", {"point": [-40, 10, -400]}))], 64, Farm(1))
     centred, aimed = found.rows

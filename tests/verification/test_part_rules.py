@@ -107,6 +107,7 @@ def test_the_height_of_a_sheet_whose_cells_differ_is_that_of_all_its_cells():
     assert found["part_width"].value >= 4.0
 
 
+@pytest.mark.slow
 def test_check_and_verify_fail_a_part_that_cannot_be_made(tmp_path, capsys):
     path = tmp_path / "glass.toml"
     path.write_text(

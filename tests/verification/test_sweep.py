@@ -101,6 +101,7 @@ def test_parquet_holds_the_same_table(table):
     assert found[2]["state"] == "error"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("texts", [
     ["law.eta.0=-0.5,-1", "law.delta.0=0:0.01:2"],
     pytest.param(["law.eta.0=-0.5:-1:2"], marks=pytest.mark.long),
@@ -148,6 +149,7 @@ def test_the_beam_of_a_sweep_has_the_orders_and_the_exit_slope_of_thin_rays(inci
     )  # a 40th of the cone of a lens
 
 
+@pytest.mark.slow
 def test_a_beam_along_the_normal_misses_the_partner_of_offset_lenses_that_a_field_follows(tmp_path, capsys):
     path = tmp_path / "sheet.json"
     path.write_text(json.dumps(SHEET | {"law": {"eta": [-0.9, -1.0], "delta": [0.02, 0.0]}}))

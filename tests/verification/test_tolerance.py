@@ -232,6 +232,7 @@ def test_yield_counts_the_sheets_that_keep_every_limit(study):
     assert 0.0 <= low < good.mean() < high <= 1.0
 
 
+@pytest.mark.slow
 def test_own_limits_of_the_table_are_limits_too():
     made = design(**TOLERANCES, image_shift="0.001 mrad", moire_period="1000 m")
     found = tolerance(made, samples=4, rays=64, farm=Farm(1))
@@ -424,6 +425,7 @@ CORNERED = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_study_says_which_cell_its_law_error_is_of_and_names_every_contributor():
     """A turn of array 2 by α moves lens 2 of a corner cell by α r, and its light by α r/f2; decentres move all cells alike."""
     study = tolerance(Design.from_dict(CORNERED), farm=Farm(1))

@@ -136,6 +136,7 @@ def remedies(design):
     return found, check.sentence
 
 
+@pytest.mark.daily_cases("offset")
 @pytest.mark.parametrize(
     ("data", "named"),
     [
@@ -167,6 +168,7 @@ def test_where_no_change_reaches_the_limit_the_check_says_so():
     assert "neither aimed cells nor a field lens nor a viewer farther away mends it alone" in sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check", "verify"])
 def test_the_share_is_on_the_second_line(command, tmp_path, capsys):
     path = tmp_path / "window.json"

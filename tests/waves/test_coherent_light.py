@@ -56,6 +56,7 @@ def test_light_is_part_of_a_design_only_where_it_is_said():
     assert clacad.Design.from_dict(coherent.to_dict()) == coherent
 
 
+@pytest.mark.slow
 def test_throughput_says_what_diffraction_may_take_besides_and_judges_as_it_did():
     found = verify(clacad.load(DESIGNS / "window-100mm.toml"), rays=1024)
     (said,) = (c for c in found.checks if c.id == "throughput")

@@ -13,6 +13,7 @@ from clacad.cli import main
 DESIGN = Path(__file__).parents[2] / "designs/window-100mm.toml"
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_python_and_the_picture_is_the_same_bytes(tmp_path, capsys):
     picture = tmp_path / "made" / "wave.png"
     line = ["wave", str(DESIGN), "--field", "0.2 deg,-3 mrad", "--wavelength", "633 nm", "-o", str(picture)]
@@ -37,6 +38,7 @@ def test_the_table_says_which_way_holds_and_what_coherent_light_does(capsys):
     assert "orders λ/p = 1.1, 1.1 mrad apart: the law is met to ± half of that" in told
 
 
+@pytest.mark.slow
 def test_a_dry_run_says_grid_and_seconds_and_writes_nothing(tmp_path, capsys):
     picture = tmp_path / "wave.svg"
     assert main(["wave", str(DESIGN), "-o", str(picture), "--dry-run", "--json"]) == 0

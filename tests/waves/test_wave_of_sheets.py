@@ -156,6 +156,7 @@ def test_above_fresnel_number_20_the_exact_surfaces_waves_go_on_the_mean_where_t
         assert mean == pytest.approx(rays, abs=0.02 * slit)
 
 
+@pytest.mark.slow
 def test_with_the_field_lens_that_is_built_the_share_to_the_partner_rises_from_966_to_997_an_axis(capsys):
     """At Fresnel number 22.7; the figures are another program's."""
     shares = []
