@@ -14,7 +14,7 @@ if (
     getattr(sys, "argv", [])[:1] == ["-m"] and not sys.flags.safe_path
 ):  # some `python -m` looks for its module
     if sys.orig_argv[-len(sys.argv)].removeprefix("-m") == "clacad":
-        # The current folder stands first on the path: a json.py left there would be run. Before this not even
+        # The current folder is first on the path: a json.py left there would be run. Before this not even
         # __future__ may be imported. Should the package itself lie in that folder, it goes last.
         _here = sys.path.pop(0)
         if _here not in sys.path and __file__.startswith((f"{_here}/clacad", f"{_here}\\clacad")):

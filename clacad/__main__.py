@@ -15,7 +15,7 @@ def main() -> None:
         from clacad.cli.entry_point import main as run
 
         status = run()
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # all is done and said: nothing is left to interrupt
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # all is done and printed: nothing is left to interrupt
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), signal.SIG_IGN)
     except KeyboardInterrupt:  # while the lines above were read

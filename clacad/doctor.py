@@ -85,7 +85,7 @@ def examine(folder: str | os.PathLike[str] = ".") -> tuple[Diagnosis, ...]:
 
 
 def sound(findings: tuple[Diagnosis, ...]) -> bool:
-    """Tell whether nothing failed."""
+    """Return whether nothing failed."""
     return all(finding.state != "fail" for finding in findings)
 
 
@@ -161,7 +161,7 @@ def _installed(name: str) -> str | None:
 
 
 def satisfies(version: str, bounds: str) -> bool:
-    """Tell whether a version lies within bounds such as ">=1.3,<1.5"; only leading numbers count.
+    """Return whether a version lies within bounds such as ">=1.3,<1.5"; only leading numbers count.
 
     >>> satisfies("2.10.1", ">=2.9"), satisfies("1.5.0", ">=1.3,<1.5")
     (True, False)
@@ -315,7 +315,7 @@ def _disk(folder: Path) -> Iterator[Diagnosis]:
 def kernel_cache() -> tuple[Path | None, list[Path]]:
     """Folder that compiled kernels are kept in (None: nowhere), and the kernels there.
 
-    The order is that of the compiler: NUMBA_CACHE_DIR, beside the source, the user's own cache.
+    The order is that of the compiler: NUMBA_CACHE_DIR, next to the source, the user's own cache.
     """
     beside = Path(__file__).parent / "tracing" / "compiled" / "__pycache__"
     named = os.environ.get("NUMBA_CACHE_DIR")
@@ -380,7 +380,7 @@ def _rates() -> Iterator[Diagnosis]:
         )
     else:
         yield Diagnosis(
-            "rates", "seconds seen", "ok", str(rates.path), "kept for forecasts; delete it to start anew"
+            "rates", "seconds seen", "ok", str(rates.path), "kept for forecasts; delete it to start again"
         )
     yield Diagnosis(
         "rates", "machine", "ok", round(took / REFERENCE, 2), "times the reference machine's seconds"

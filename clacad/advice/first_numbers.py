@@ -94,7 +94,7 @@ def wanted_pitch(wish: Wish) -> PitchBound:
     if wish.object is not None:
         return PitchBound(
             sharpest_pitch(wish, wish.object),
-            f"least blur of what stands {wish.object:g} mm behind the sheet",
+            f"least blur of what is {wish.object:g} mm behind the sheet",
         )
     return PitchBound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.distance:g} mm")
 

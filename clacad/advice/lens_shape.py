@@ -163,8 +163,8 @@ class LensShapes:
             else "is not met: no light passes"
         )
         self.refused.append(
-            f"{variant.form}: in the middle of the field and along the axis ray the law {missed}, whatever"
-            " the conic constant and the separation; less offset or less tilt would help"
+            f"{variant.form}: in the middle of the field and along the axis ray the law {missed}, for any"
+            " conic constant and separation; less offset or less tilt would help"
         )
 
     def _compared(self, variant: Variant) -> dict[float | None, Faults]:

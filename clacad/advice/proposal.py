@@ -96,7 +96,7 @@ def not_met(wish: Wish, design: Design) -> Iterator[str]:
     cells = zip(("width", "height"), wish.size.size, design.lattice.count, design.lattice.pitch, strict=True)
     for name, asked, count, pitch in list(cells)[: 1 if wish.size.size[0] == wish.size.size[1] else 2]:
         if abs(count * pitch - asked) > 1e-9 * asked:
-            yield f"{name}: asked {asked:g} mm, {count} x {pitch:g} = {count * pitch:g} mm are whole cells"
+            yield f"{name}: requested {asked:g} mm, {count} x {pitch:g} = {count * pitch:g} mm"
 
 
 def _for_the_eye(found: Proposal) -> Iterator[str]:

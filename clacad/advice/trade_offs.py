@@ -176,8 +176,8 @@ def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
             "steps: none between neighbours"
             if own.step == 0.0
             else (
-                f"steps: neighbours stand up to {1e3 * own.step:.3g} um apart in height; tilt makes pitch x"
-                " tan(theta), light beside a lens's middle the rest"
+                f"steps: neighbours differ by up to {1e3 * own.step:.3g} um in height; tilt makes pitch x"
+                " tan(theta), decentred light the rest"
             )
         ),
     ]
@@ -185,7 +185,7 @@ def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
         best = sharpest_pitch(wish, wish.object)
         found.insert(
             1,
-            f"sharpness: what stands {wish.object:g} mm behind is least blurred at a pitch of {best:.3g} mm"
+            f"sharpness: what is {wish.object:g} mm behind is least blurred at a pitch of {best:.3g} mm"
             " (within a tenth)",
         )
     return tuple(found)

@@ -54,7 +54,7 @@ KEYS: Final[dict[str, Key]] = {
         LENGTH_ABOVE_0,
         "distance of the eye before the sheet; the eye's light is then judged over the whole sheet",
     ),
-    "object": Key(LENGTH_ABOVE_0, "distance behind the sheet of what shall be seen sharply"),
+    "object": Key(LENGTH_ABOVE_0, "distance behind the sheet of what must be seen sharply"),
     "process": Key(_CHECK["process"].kind, "who makes it: its limits", "diamond-turning"),
     "material": Key(
         _PAIR["material"].kind,
@@ -73,7 +73,7 @@ KEYS: Final[dict[str, Key]] = {
     "form": Key(Word(("any", "slab", "plano", "biconvex")), "how a lenslet pair is built", "any"),
     "kind": Key(Word(("square", "hexagonal")), "pattern of the cells", "square"),
     "field": Key(
-        _CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)
+        _CHECK["field"].kind, "half angle of the cone of light in which the law must hold", radians(1.0)
     ),
 }
 """Words of a wish, with reader, meaning and default of each."""

@@ -220,7 +220,7 @@ class Search:
                 return k
             best = max(best, share)
         self.refused.append(
-            fault if fault and not best else f"{variant}: {self._too_little(best)}, whatever the separation"
+            fault if fault and not best else f"{variant}: {self._too_little(best)}, for any separation"
         )
         return None
 
@@ -270,7 +270,7 @@ class Search:
     def _too_little(self, share: float) -> str:
         return (
             f"at most {100.0 * share:.3g} % of the light of an eye at {self.wish.distance:g} mm meets its"
-            f" partner lens ({100.0 * self.limit:.3g} % asked)"
+            f" partner lens ({100.0 * self.limit:.3g} % requested)"
         )
 
     def _built(self, variant: Variant, bound: PitchBound, ratio: float) -> Design:
@@ -373,7 +373,7 @@ def impossible(wish: Wish, limit: float) -> list[str]:
         found.append(
             f"eta = [{wish.eta[0]:g}, {wish.eta[1]:g}]: lens 1 spreads the light of an eye over more than its"
             f" partner where |eta| > 1, so that at most {100.0 * most:.3g} % obey the law from any distance"
-            f" ({100.0 * limit:.3g} % asked); --set check.viewed={most * 0.9:.2g} asks for what there is"
+            f" ({100.0 * limit:.3g} % requested); --set check.viewed={most * 0.9:.2g} asks for what there is"
         )
     return found
 

@@ -37,7 +37,7 @@ CODES: dict[str, str] = {
     "CL122": "a viewer too near to aim at",
     "CL123": "a lens of an aimed sheet used too far from its vertex",
     "CL124": "a table of cells that cannot be read",
-    "CL125": "a sheet whose cells differ beside what is not built with it",
+    "CL125": "a non-uniform sheet with a feature that cannot be combined with it",
     "CL126": "a field lens for a pair without a real common focus",
     "CL127": "a field lens in a form, lattice or tilt that it is not made for",
     "CL128": "a field lens too steep for its cell",

@@ -122,7 +122,7 @@ class TableFile:
         if twice.any():
             row = int(np.argmax(twice))
             rows.refuse(
-                f"cell ({i[row]}, {j[row]}) stands in the table twice",
+                f"cell ({i[row]}, {j[row]}) occurs twice in the table",
                 first + row,
                 lines[row],
                 0,

@@ -169,14 +169,16 @@ _ONE_WAY: Final = "lenses 2 are traced for light of one direction over the sheet
 _NODAL: Final = "its cells look at the nodal point"
 _CHIEF: Final = "its cells look along its chief rays"
 _ALONG: Final = "its radii are for light along the axis alone"
-_FIELD: Final = "field lenses would stand in every cell at a place of their own"
+_FIELD: Final = "field lenses would have a different place in every cell"
 _HEIGHTS: Final = (
-    "its lenses 2 stand in the middle of their cells in one plane, and tilted pairs would need them to rise"
+    "its lenses 2 are centred on their cells in one plane, and tilted pairs would need them to rise"
     " with their places"
 )
-_PATTERN: Final = "which cells a plate keeps is asked of one pattern, and array 2's is another"
+_PATTERN: Final = "the cells that a plate keeps are those of one pattern, and array 2 has another"
 _CHANNELS: Final = "the channels of a baffle are alike, and here each would lean its own way"
-_APART: Final = "its cells stand over their partners, and images of sharp pairs would not fall on one another"
+_APART: Final = (
+    "its cells are aligned with their partners, and images of sharp pairs would not fall on one another"
+)
 _FOLLOWS: Final = "the pitch of array 2 follows from the two planes"
 
 _OWN_ARRAY: Final[Mapping[str, str]] = {
@@ -184,8 +186,8 @@ _OWN_ARRAY: Final[Mapping[str, str]] = {
     "tilt where planes are imaged": _HEIGHTS,
     "aimed at a point": _NODAL,
     "steered": _NODAL,
-    "traced vertices": "its lenses stand in the middle of their own cells",
-    "law that varies": "where its lenses stand is its law",
+    "traced vertices": "its lenses are centred on their own cells",
+    "law that varies": "the places of its lenses are its law",
     "sharp pairs": _FOLLOWS,
     "confocal best": _ALONG,
     "plate with holes, corners or pins": _PATTERN,
@@ -197,11 +199,11 @@ _OWN_ARRAY: Final[Mapping[str, str]] = {
 
 _VARIED: Final[Mapping[str, str]] = {
     "tilt where planes are imaged": (
-        "cells of a sheet that leans against its lenses stand at many distances from a plane across them"
+        "cells of a sheet inclined to its lenses are at many distances from a plane across them"
     ),
     "aimed at a point": _ONE_WAY,
-    "other pitch": "its cells stand over their partners",
-    "turned array": "its cells stand over their partners",
+    "other pitch": "its cells are aligned with their partners",
+    "turned array": "its cells are aligned with their partners",
     "sharp pairs": _APART,
     "confocal best": _ALONG,
     "plate with holes, corners or pins": _PATTERN,
@@ -243,7 +245,7 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
         "tolerances": "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
         "aimed at a point": _CHIEF,
         "steered": _CHIEF,
-        "traced vertices": "its lenses stand in the middle of their own cells",
+        "traced vertices": "its lenses are centred on their own cells",
         "law that varies": _APART,
         "other pitch": _FOLLOWS,
         "turned array": _CHIEF,
@@ -251,7 +253,7 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
         "confocal best": "its radii are for parallel light along the axis",
         "plate with holes, corners or pins": _PATTERN,
         "plate with an outline of its own": _PATTERN,
-        "field lens": "there is no common focus for it to stand at",
+        "field lens": "there is no common focus at which it could be mounted",
         "baffle": _CHANNELS,
     },
 }

@@ -152,8 +152,8 @@ def _one_loop(entities: list[Entity], name: str) -> list[Vertex]:
         x, y, r = circles[0]
         raise Unfit(
             "CL141",
-            f"{name}: {len(circles)} circle{'s' * (len(circles) > 1)} beside the outline",
-            "one closed outline; holes are said in the design",
+            f"{name}: {len(circles)} circle{'s' * (len(circles) > 1)} next to the outline",
+            "one closed outline; holes are stated in the design",
             f"body.holes = [{{diameter = {2 * r:g}, at = [[{x:g}, {y:g}]]}}], and the outline alone on a"
             f" layer {LAYER}",
         )

@@ -119,7 +119,7 @@ class NumberRows:
                 (way for start, way in self.elsewhere for name in names if name.startswith(start)), ""
             )
             self.refuse(
-                "the header is not the one asked for",
+                "the header is not the required one",
                 1,
                 line,
                 wrong,

@@ -289,7 +289,7 @@ def faces_stand_alone(a: Asked) -> Iterator[Mistake]:
         if a.given(key):
             yield Mistake(
                 "CL112",
-                f"{key} and given faces exclude each other: the faces stand as they are",
+                f"{key} and given faces exclude each other: given faces are used as they are",
                 key,
                 found=a.says(key),
                 allowed="leave it out",
@@ -344,7 +344,7 @@ def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
             where = "there is none" if eta[i] == 1.0 else "it is virtual"
             yield Mistake(
                 "CL126",
-                f"eta_{axis} = {eta[i]:g}: a field lens stands at the common focus, and {where}",
+                f"eta_{axis} = {eta[i]:g}: a field lens is mounted at the common focus, and {where}",
                 PAIR.field_lens,
                 allowed="false, or eta < 0 in both x and y",
                 hint=f"eta_{axis} = {-eta[i]:g}, or pair.field_lens = false",
@@ -405,7 +405,7 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
             yield Mistake(
                 "CL127",
                 "eta_x and eta_y differ: between the two arrays of cylinders light would change its cell "
-                "inside the glass of their plate, where no wall of a baffle can stand",
+                "inside the glass of their plate, where a baffle can have no wall",
                 BODY.baffle,
                 allowed="false",
                 hint="eta_x = eta_y, or no baffle",

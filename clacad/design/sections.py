@@ -156,7 +156,7 @@ class PairSpec:
     wavelength: float = key(_WAVELENGTH, "design wavelength", 550e-9)
     prescription: Literal["derived", "given"] = key(
         Word(("derived", "given")),
-        "derived: faces follow from eta and delta; given: they stand in [[pair.face]]",
+        "derived: faces follow from eta and delta; given: they are listed in [[pair.face]]",
         "derived",
         later=True,
     )
@@ -168,8 +168,8 @@ class PairSpec:
     vertex: Pair2 | None = key(Several(LENGTH, _XY), "given: lens 2's offset (d_x, d_y) instead of delta f1")
     offset: Literal["paraxial", "traced"] | None = key(
         Word(("paraxial", "traced")),
-        "where lens 2 stands: by paraxial rays, or where the mean traced light of its cell obeys the law"
-        " (default where cells differ)",
+        "place of lens 2: by paraxial rays, or where the mean traced light of its cell obeys the law"
+        " (default for non-uniform sheets)",
     )
     search: SearchRecord | None = key(
         Record(SearchRecord),
@@ -254,7 +254,7 @@ class LatticeSpec:
     outline: Outline | None = key(OUTLINE, "outer shape of the cells; cells wholly inside are kept")
     aperture: Literal["centred", "aligned"] | Pair2 | AimedAt = key(
         WordOr(("centred", "aligned"), ListOrTable(Several(_SLOPE, _XY), Record(AimedAt))),
-        "where cell 2 of a telescopelet stands; point: where the light of a viewer there arrives",
+        "place of cell 2 of a telescopelet; point: where the light of a viewer there arrives",
         "centred",
     )
     land: Literal["clear", "opaque"] = key(

@@ -126,5 +126,5 @@ def shipped_designs() -> Path:
         if (folder / "scenes").is_dir():
             return folder
     raise FileNotFoundError(
-        f"{_PACKAGE / 'designs'}: the designs that come with clacad are not there; install it anew"
+        f"{_PACKAGE / 'designs'}: the designs that come with clacad are missing; install it again"
     )

@@ -309,9 +309,7 @@ def not_shown(design: Design, window: Window) -> tuple[str, ...]:
     ]
     if window.form != "biconvex":
         glass = "slab" if window.form == "slab" else "plano lenses"
-        found.append(
-            f"the glass of the {glass} between the lenses: light crosses the pair in air that it stands for"
-        )
+        found.append(f"the glass of the {glass} between the lenses: light crosses the equivalent pair in air")
     if design.pair.prescription == "given":
         found.append(
             "the faces as given: the design file keeps them until the law, the separation or the field lens"

@@ -109,6 +109,6 @@ def refuse_idle_fused(asked: Request) -> None:
     fusable = [one.word for one in formats() if one.fusable]
     if asked.fused and set(asked.formats) <= {one.word for one in formats() if not one.fusable}:
         raise BadRequest(
-            f"fused: it is said of {', '.join(fusable)}, and the formats asked for are"
+            f"fused: it applies to {', '.join(fusable)}, and the requested formats are"
             f" {', '.join(asked.formats)}; leave it out"
         )

@@ -220,7 +220,7 @@ class Request:
         Option(
             "--fused",
             "One solid a connected piece in STEP, one mesh a body in 3MF and GLB, however large; default:"
-            " STEP is fused up to 2,500 cells, 3MF and GLB repeat one cell where the sheet is equal cells.",
+            " STEP is fused up to 2,500 cells, 3MF and GLB repeat one cell where the sheet is uniform.",
             rare=True,
         ),
     )

@@ -138,8 +138,8 @@ def compare_step(
     if stand is not None:
         if not stand["lattice_error"] <= room or stand["missing"] or stand["doubled"]:
             raise FileDisagrees(
-                f"{name}: an instance stands {stand['lattice_error']:.3g} mm off the lattice,"
-                f" {stand['missing']} lenses are missing, {stand['doubled']} stand there twice"
+                f"{name}: an instance lies {stand['lattice_error']:.3g} mm off the lattice,"
+                f" {stand['missing']} lenses are missing, {stand['doubled']} lie there twice"
             )
         checks.append("placement")
     if exact is not None and found["kernel"]:

@@ -269,4 +269,4 @@ def joined(several: Sequence[Placements]) -> Placements:
 
 def _few(count: int) -> None:
     if count > MOST:
-        raise UnreadableFile(f"a part of its assembly stands more than {MOST} times")
+        raise UnreadableFile(f"a part of its assembly lies more than {MOST} times")

@@ -219,7 +219,7 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
             f" {min(window.z_range[0], 0.0):g}"
         )
     if rays < 64:
-        raise ValueError(f"{rays} rays tell of no image: at least 64")
+        raise ValueError(f"{rays} rays determine no image: at least 64")
     wrong = [rung for rung in rungs if rung not in RUNGS]
     if not rungs:
         raise ValueError('no rung is named; there are "law", "thin" and "surfaces"')

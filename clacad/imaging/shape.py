@@ -262,10 +262,10 @@ def _draw(figure: Any, seen: Rendered, name: str, unit: str) -> None:
     panels[1].imshow(seen.seen, cmap="gray", vmin=0.0, vmax=most, **both)
     panels[2].imshow(seen.seen - seen.target, cmap="RdBu_r", vmin=-most, vmax=most, **both)
     titles = (
-        "asked, as wide as a cell",
+        "requested, as wide as a cell",
         f"by rays: {100 * seen.within:.4g} % within one blur",
         (
-            f"by rays less asked: {100 * seen.difference:.3g} % elsewhere,\nof which lenses alone make"
+            f"by rays less requested: {100 * seen.difference:.3g} % elsewhere,\nof which lenses alone make"
             f" {100 * seen.by_lenses:.3g}"
         ),
     )

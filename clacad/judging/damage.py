@@ -87,7 +87,7 @@ class DamageFeature:
                 f" in {self.body}"
             )
         if not self.cells:
-            return f"{what}, beside the cells"
+            return f"{what}, next to the cells"
         some = ", ".join(str(c) for c in self.cells[:6]) + (" …" if len(self.cells) > 6 else "")
         return f"{what}, in {len(self.cells)} cell{'s' if len(self.cells) > 1 else ''}: {some}"
 

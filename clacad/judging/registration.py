@@ -230,7 +230,9 @@ def _placed(
     count = window.lattice.count
     cut = "" if trial.whole else "whole cells of a piece cut across cells, "
     whole_sheet = count == design.lattice.count and trial.whole
-    which = "all of the design" if whole_sheet else "which of the design's cannot be told, they are alike"
+    which = (
+        "all of the design" if whole_sheet else "which of the design's cannot be determined, they are alike"
+    )
     if not whole_sheet and cells_of is not None:
         which = _own_cells(cells_of, window, pose) or which
     note = f"read in {pose.unit}, {cut}{count[0]} x {count[1]} cells ({which})"

@@ -317,27 +317,27 @@ def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) 
     """
     at = found.get("placement")
     if at is None:
-        why = "no lens face was found whose cell could be told"
+        why = "no lens face was found whose cell could be determined"
         return PLACEMENT.not_run(why, required=False, unit="mm", **common)
     worst, repeated = float(at["lattice_error"]), int(at["instances"])
     body, cell = at["lattice_body"], tuple(at["lattice_cell"])
     wrong = []
     if not worst <= room.shape:
         wrong.append(
-            f"{at['moved']} of {repeated} instances stand off the lattice, {body} in cell {cell} by"
+            f"{at['moved']} of {repeated} instances lie off the lattice, {body} in cell {cell} by"
             f" {worst:.3g} mm"
         )
-    for name, word in (("missing", "is missing"), ("doubled", "stands there more than once")):
+    for name, word in (("missing", "is missing"), ("doubled", "lies there more than once")):
         if at[name]:
             body, *cells = at[f"{name}_cell"]
             wrong.append(
                 f"in {at[name]} of {at['lenses']} places a lens {word}, such as {body} in cell {tuple(cells)}"
             )
     sentence = (
-        f"{repeated} instances of repeated parts stand on their cells to {worst:.3g} mm, every cell holds its"
+        f"{repeated} instances of repeated parts lie on their cells to {worst:.3g} mm, every cell holds its"
         " lenses once"
         if repeated
-        else f"no part is repeated; each of {at['lenses']} lenses stands over its own cell"
+        else f"no part is repeated; each of {at['lenses']} lenses lies over its own cell"
     )
     check = PLACEMENT.judge(
         worst,
@@ -387,7 +387,7 @@ def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapp
     )
     if room.fitted:
         sentence += (
-            "; its faces are exact, as far as light can tell"
+            "; its faces are exact, as far as light can show"
             if max(slopes) <= DIRECTION_LIMIT
             else "; its faces were fitted again"
         )

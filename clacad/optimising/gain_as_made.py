@@ -86,7 +86,7 @@ class GainAsMade:
             f" {_mrad(before.made_rms)} before and {_mrad(after.made_rms)} mrad after, of which"
             f" {_mrad(after.shift)} mrad is the image aside, which no face can take away; parallel light"
             f" spreads by {_mrad(before.made_blur)} before and {_mrad(after.made_blur)} mrad after. At the"
-            f" corners of this sheet the turn alone moves the image by {_mrad(after.corner)} mrad, whatever"
+            f" corners of this sheet the turn alone moves the image by {_mrad(after.corner)} mrad, for any"
             " the faces."
         )
 

@@ -97,7 +97,7 @@ def _places(window: Window, *, traced: bool) -> Floats:
     return np.concatenate([(vertices[:, 2:] if traced else vertices).ravel(), np.ravel(window.shifts)])
 
 
-ALIKE = "a slope as lattice.aperture stands all cells alike"
+ALIKE = "a slope as lattice.aperture aims all cells alike"
 """Suggested input of a search for a non-uniform sheet."""
 
 

@@ -32,8 +32,8 @@ from clacad.sheet.window import Window
 WORDS = ("radii", "conic", "bending", "a4", "a6", "a8", "offset", "field")
 
 NEVER = {
-    "separation": "the error falls as the cube of pitch over separation, for ever",
-    "thickness": "the error falls as the cube of pitch over separation, for ever",
+    "separation": "the error falls as the cube of pitch over separation, without limit",
+    "thickness": "the error falls as the cube of pitch over separation, without limit",
 }
 
 CONICS = 10.0

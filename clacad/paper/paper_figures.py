@@ -104,7 +104,7 @@ def _squash(load: Loader) -> Iterator[AtlasFinding]:
         yield _share(label, found)
     for ratio, axis, expected in ((0.25, 1, 2.0), (1.0, 0, 2.0), (2.0, 0, 1.5)):
         shift = np.abs(ghost_shifts(load(f"fig2-eta-{ratio:g}"), 10.0, RAYS, compiled=True)[:, axis])
-        what = f"eta_x = -{ratio:g}, z = 10: how far beside in {'xy'[axis]} a ghost shows things"
+        what = f"eta_x = -{ratio:g}, z = 10: how far to the side in {'xy'[axis]} a ghost shows things"
         first = float(np.median(shift[(shift > 0.5 * expected) & (shift < 1.5 * expected)]))
         yield AtlasFinding(what, first, expected, 0.05)  # z p/(f1 abs(eta))
 

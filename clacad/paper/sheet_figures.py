@@ -215,7 +215,7 @@ DIFFERING: tuple[Figure, ...] = (
         "V2",
         "A glens",
         "f = 200 mm with eta = -1: cells that differ by the place of lens 2 image like a lens that has both"
-        " foci on one side; beside it the smooth law.",
+        " foci on one side; next to it the smooth law.",
         (("glens-knight", "cells, exact surfaces"), ("glens-knight-law", "smooth law")),
         _glens,
     ),
@@ -233,7 +233,7 @@ DIFFERING: tuple[Figure, ...] = (
         "A table of cells sends parallel light into the outline of a knight, 500 mm behind the sheet.",
         (),
         _beam,
-        drawn=(("shaped-beam", "asked; by rays through the sheet; the difference", _shaped_picture),),
+        drawn=(("shaped-beam", "specified; by rays through the sheet; the difference", _shaped_picture),),
     ),
 )
 """Figures of non-uniform sheets."""
@@ -307,7 +307,7 @@ def _field(load: Loader) -> Iterator[AtlasFinding]:
             if angle and not field_lens:
                 beside = float(np.median(aside[:, 0])) / BEHIND + slope
                 yield AtlasFinding(
-                    f"{label}: slope of ghosts beside it", abs(beside), 2.0 * PITCH / SEPARATION, 0.004
+                    f"{label}: slope of ghosts next to it", abs(beside), 2.0 * PITCH / SEPARATION, 0.004
                 )
 
 

@@ -168,7 +168,7 @@ def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
     lattice = window.lattice
     if lattice.count[0] * lattice.count[1] > MOST_CELLS:
         raise NoSuchLens(
-            f"{lattice.count[0]:,} x {lattice.count[1]:,} cells are too many beside holes",
+            f"{lattice.count[0]:,} x {lattice.count[1]:,} cells are too many with holes",
             LATTICE.count,
             f"at most {MOST_CELLS:,}",
             "CL106",
@@ -210,7 +210,7 @@ def _refuse_empty(window: Window, plate: Plate) -> None:
     raise NoSuchLens(
         "lattice.outline holds no whole cell off its edge and holes",
         LATTICE.outline,
-        f"it reaches from ({x0:.6g}, {y0:.6g}) to ({x1:.6g}, {y1:.6g}); cells stand about the origin: a"
+        f"it reaches from ({x0:.6g}, {y0:.6g}) to ({x1:.6g}, {y1:.6g}); cells lie about the origin: a"
         " larger outline, a smaller lattice.pitch, or the outline moved there",
         "CL117",
     )
@@ -245,7 +245,7 @@ def _refuse_apart(lattice: Lattice, moved: Pair2, wider: float) -> None:
         )
         shape = f"rectangle = [{', '.join(map(rounded_up, sides))}]"
     raise NoSuchLens(
-        f"lattice.outline holds no cell that is whole in both arrays: they stand {hypot(*moved):.4g} apart",
+        f"lattice.outline holds no cell that is whole in both arrays: they are {hypot(*moved):.4g} apart",
         key=LATTICE.outline,
         hint=(
             f"outline = {{{shape}}} or larger; or smaller angles, delta or separation, which bring the arrays"

@@ -251,7 +251,7 @@ def with_pitch_2(window: Window, design: Design) -> Window:
     if not np.isfinite(focal).all():
         key = "rotation_2" if pitch is None else "pitch_2"
         raise NoSuchLens(
-            f"eta = 1 with {key}: a lens without power has no axis to stand aside of",
+            f"eta = 1 with {key}: a lens without power has no axis to be decentred from",
             key=f"lattice.{key}",
             code="CL111",
             hint="eta other than 1 in both x and y",

@@ -81,7 +81,7 @@ class Passage:
         if self.plan is None:
             return True
         names = self.plan.traced()
-        homogeneous = self.rung == "law" and (names or self.plan.rung_why != "as asked")
+        homogeneous = self.rung == "law" and (names or self.plan.rung_why != "as requested")
         return not homogeneous and all(kind.shows is Fate.GHOST for kind in declared_all(names))
 
     @property

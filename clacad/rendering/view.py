@@ -108,7 +108,7 @@ def _refuse_between(stage: SceneArrays, passage: Passage, scale: float) -> None:
         if kind != FLOOR and z - reach < high and z + reach > low:
             raise BadStack(
                 f"an object at ({x:.4g}, {y:.4g}, {z:.4g}) reaches between the sheets, into z from {low:.6g}"
-                f" to {high:.6g}: objects stand before all sheets or behind all of them"
+                f" to {high:.6g}: objects are in front of all sheets or behind all of them"
             )
 
 

@@ -140,7 +140,7 @@ def transfer(report: Report) -> str:
         axes = panels(figure, 2, 2, room, sharex="col", height_ratios=(3, 2))
         for k, (name, curve) in enumerate(zip("xy", report.curves, strict=True)):
             top, bottom = axes[0][k], axes[1][k]
-            top.plot(curve.slope, curve.law, color=INK, lw=1.2, label="law asked for")
+            top.plot(curve.slope, curve.law, color=INK, lw=1.2, label="specified law")
             top.errorbar(
                 curve.slope,
                 curve.mean,
@@ -169,7 +169,7 @@ def transfer(report: Report) -> str:
             _shade_field(report, (top, bottom), curve)
         axes[0][0].legend(loc="best")
 
-    return svg(7.6, 4.6, "exit slope against incident slope, traced and asked", draw)
+    return svg(7.6, 4.6, "exit slope against incident slope, traced and specified", draw)
 
 
 def _shade_field(report: Report, axes: Sequence[Axes], curve: Any) -> None:

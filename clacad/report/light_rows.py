@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 STATES = {
     "on": "simulated",
-    "forced": "simulated, as asked",
+    "forced": "simulated, as requested",
     "off": "left out",
-    "without": "left out, as asked",
+    "without": "left out, as requested",
     "unknown": "left out, not bounded",
 }
 

@@ -240,7 +240,7 @@ def _checks(content: Content) -> list[Block]:
 def _asked(content: Content) -> list[Block]:
     derived = [(about, *row) for about, rows in content.derived for row in rows]
     return [
-        _heading("Asked and built"),
+        _heading("Specified and built"),
         _table(("", "asked", "built or measured"), content.asked),
         _table(("", "", "", "unit", "what it means"), derived, (2,)),
     ]

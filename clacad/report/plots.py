@@ -231,7 +231,7 @@ def parts_of_error(found: Attribution, limit: float) -> str:
         top.grid(axis="y", visible=False)
         _stack(bottom, found)
 
-    return svg(7.6, 3.6, f"error told apart in five parts: {found.about[:40]}", draw)
+    return svg(7.6, 3.6, f"error separated into five parts: {found.about[:40]}", draw)
 
 
 def _stack(panel: Any, found: Attribution) -> None:
@@ -352,7 +352,7 @@ def varying(report: Report, window: Window) -> str:
         7.6,
         6.0,
         "delta of each cell, steps between cells, and "
-        + ("the light of the asked point through focus" if laws.ratios is None else "eta of each cell"),
+        + ("the light of the requested point through focus" if laws.ratios is None else "eta of each cell"),
         draw,
     )
 
@@ -410,5 +410,5 @@ def _through_focus(panel: Any, seen: RungImage, mm: float) -> None:
     panel.axvline(seen.predicted.point[2] * mm, color="#888888", lw=0.6, ls="--")
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("height (mm; dashed: by the law)")
-    panel.set_title("light of the asked point (mm)", fontsize=8.5)
+    panel.set_title("light of the requested point (mm)", fontsize=8.5)
     panel.legend(fontsize=7)

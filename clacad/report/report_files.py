@@ -234,7 +234,7 @@ SECTIONS: tuple[tuple[str, str, Drawings], ...] = (
     ("fabrication", "Fabrication", _fabrication),
     ("parts", "The part in three dimensions", _parts),
     ("checks", "Checks", _nothing),
-    ("asked", "Asked and built", _asked),
+    ("asked", "Specified and built", _asked),
     ("look", "The view through it", _look),
     ("light", "What light does", _light),
     ("errors", "Where errors come from", _errors),

@@ -104,7 +104,7 @@ def _stacked(sheets: tuple[SheetSpec, ...], light: Light) -> Iterator[Mistake]:
     if sheets[0].z != 0.0:
         yield Mistake(
             "CL106",
-            f"no sheet stands at z = 0: the first, {sheets[0].id}, stands at {sheets[0].z:g}",
+            f"no sheet lies at z = 0: the first, {sheets[0].id}, is at {sheets[0].z:g}",
             "sheet",
             allowed="z = 0 for the sheet nearest to the camera",
         )

@@ -65,7 +65,7 @@ class SheetSpec:
     """
 
     id: str = keys.key(_NAME, "name of the sheet, for animation, --set, plan and forecast", "")
-    z: float = keys.key(LENGTH_FROM_0, "where the sheet's own z = 0 stands; 0 for the first", 0.0)
+    z: float = keys.key(LENGTH_FROM_0, "position of the sheet's own z = 0; 0 for the first", 0.0)
     design: str = keys.key(_FILE, "design file", keys.REQUIRED)
     set: Mapping[str, Any] = keys.key(
         Anything('a table of design keys: { "law.eta" = [-0.25, -1.0] }'), "changed design keys", None
@@ -78,7 +78,7 @@ class SheetSpec:
         Whole("a whole number from 1 to 256", 1, 256), "rung mesh without a file: quads a cell side", 16
     )
     surround: Literal["see-through", "opaque"] = keys.key(
-        Word(("see-through", "opaque")), "what is seen beside the sheet", "see-through"
+        Word(("see-through", "opaque")), "what is seen next to the sheet", "see-through"
     )
     tint: tuple[float, float, float] = keys.key(
         Several(_SMALL, ("red", "green", "blue")),
@@ -99,7 +99,7 @@ class Camera:
     pixel; where `noise` > 0 requires more, up to `most_samples`.
     """
 
-    position: Vector = keys.key(_POINT, "where the camera stands, z < 0", keys.REQUIRED)
+    position: Vector = keys.key(_POINT, "position of the camera, z < 0", keys.REQUIRED)
     target: Vector = keys.key(_POINT, "what it looks at", (0.0, 0.0, 0.0))
     up: Vector = keys.key(_VECTOR, "direction that is up in the picture", (0.0, 1.0, 0.0))
     frame: float | None = keys.key(LENGTH_ABOVE_0, "width of the picture at the target")

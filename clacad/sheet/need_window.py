@@ -22,9 +22,7 @@ class CellsDiffer(ValueError):
     def __init__(self, what: str, instead: str = "") -> None:
         self.what, self.instead = what, instead
         rest = f"; {instead}" if instead else ""
-        super().__init__(
-            f"{self.code}: {what} takes a sheet of equal cells, and in this one every cell differs{rest}"
-        )
+        super().__init__(f"{self.code}: {what} takes a uniform sheet, and this one is not uniform{rest}")
 
     def __reduce__(self) -> tuple[type[CellsDiffer], tuple[str, str]]:
         """Rebuild from both arguments, so that unpickling in another process gives the same message."""

@@ -30,7 +30,7 @@ def fault(vertices: tuple[Vertex, ...]) -> str:
     size = float(np.ptp(points, axis=0).max())
     short = np.flatnonzero(np.hypot(*(np.roll(points, -1, axis=0) - points).T) <= 1e-9 * size)
     if len(short):
-        return f"side {short[0]} has no length: {_shown(points[short[0]])} stands twice in a row"
+        return f"side {short[0]} has no length: {_shown(points[short[0]])} occurs twice in a row"
     chords, side = _chords(vertices)
     met = _first_meeting(chords, 1e-9 * size)
     if met is None:

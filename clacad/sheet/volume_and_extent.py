@@ -394,7 +394,7 @@ def bodies_apart(window: Window, what: str) -> tuple[Body, ...]:
         The window is one slab.
     """
     if len(window.bodies) < 2:
-        raise NoFixture(f"a {what} stands between two arrays; {window.name} is one slab")
+        raise NoFixture(f"a {what} lies between two arrays; {window.name} is one slab")
     return window.bodies
 
 

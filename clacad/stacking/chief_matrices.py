@@ -45,7 +45,7 @@ def _no_meridian(one: StackedSheet) -> str | None:
     law, laws = one.window.law, one.window.cell_laws
     if laws is not None and laws.smooth is None:
         return (
-            "a table gives each cell its own law, so no one number tells how its offset grows over the sheet"
+            "a table gives each cell its own law, so no one number gives how its offset grows over the sheet"
         )
     if law.theta != 0.0 or _couples(slope_map(law)[1]):
         return "tilted or turned lenses mix x and y"

@@ -204,7 +204,7 @@ def _judge_facets(stack: Stack, path: Path, entry: Mapping[str, Any]) -> Check:
     except ExportError as error:
         return SHAPE.check("fail", str(error), **common)
     sentence = (
-        f"the facets of all {len(stack.sheets)} sheets lie on their faces, each sheet where it stands in the"
+        f"the facets of all {len(stack.sheets)} sheets lie on their faces, each sheet at its place in the"
         " stack"
     )
     return SHAPE.check("pass", sentence, limit_source=other("chords of the stated facets"), **common)

@@ -197,7 +197,7 @@ def _refuse_numbers(asked: StackRequest) -> None:
         raise BadStack(f"field is {asked.field:g} rad: it is an angle above 0, below 1.5 rad")
     distance = asked.object_distance
     if distance is not None and not (isfinite(distance) and distance > 0.0):
-        raise BadStack(f"the object stands {distance:g} before the stack: it is a length above 0")
+        raise BadStack(f"the object is {distance:g} before the stack: it is a length above 0")
     if asked.zone is not None and not all(isfinite(side) and side > 0.0 for side in asked.zone):
         raise BadStack(f"zone is {asked.zone[0]:g} x {asked.zone[1]:g}: width and height are lengths above 0")
     if asked.rays < 64 or not 1 <= asked.quads <= 1024:

@@ -241,7 +241,7 @@ class Stage:
             kept = name == MANIFEST or not (self.overwrite or name in self._replaceable)
             if kept and self._found.get(name) != _identity(target):
                 raise ExportRefused(
-                    f"{target} was written by another program meanwhile: what it wrote stands, and nothing of"
+                    f"{target} was written by another program meanwhile: what it wrote stays, and nothing of"
                     " this was published; do it again, or choose another folder"
                 )
 

@@ -12,9 +12,9 @@ CODES: dict[str, str] = {
     "CL134": "land that a border, seam or displaced array needs and the body lacks",
     "CL135": "a bevel that the sheet cannot hold",
     "CL136": "a cell beyond the outline",
-    "CL137": "a body thinner than float32 heights can tell",
+    "CL137": "a body thinner than float32 heights can resolve",
     "CL138": "a lenslet that no point of the facets' grid meets",
-    "CL139": "something made for equal cells, asked of a sheet whose cells differ",
+    "CL139": "something made for uniform sheets, requested of a non-uniform sheet",
 }
 """Meaning of each stable code of a body that cannot be made."""
 

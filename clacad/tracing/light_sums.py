@@ -101,7 +101,9 @@ class LightSums:
         whole = np.where(scale > 0.0, scale, 1.0)
         left, values, right = np.linalg.svd(matrix / np.outer(whole, whole))
         if values[-1] < ALIKE * values[0]:
-            raise ValueError("the rays do not tell eta and delta apart: their directions are too much alike")
+            raise ValueError(
+                "the rays do not determine eta and delta separately: their directions are too much alike"
+            )
         return np.asarray(right.T @ ((left.T @ (g * [1.0, 1.0, -1.0, -1.0] / whole)) / values) / whole)
 
     def nearer_law(self) -> Law:

@@ -103,7 +103,7 @@ class StackTracer:
                 if after.lens_planes[0] < before.lens_planes[1]:
                     raise BadStack(
                         f"lens 1 of sheet {after.id} acts before lens 2 of sheet {before.id} does: rung"
-                        f" {self.rung} cannot tell them apart; rung surfaces can, and so can a wider gap"
+                        f" {self.rung} cannot distinguish them; rung surfaces can, and so can a wider gap"
                     )
         meshes = [self.mesh] * len(sheets) if self.mesh is None or isinstance(self.mesh, int) else self.mesh
         made: dict[tuple[int, int], Tracer] = {}

@@ -54,7 +54,7 @@ def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
         within = "within" if check.value <= target else "not within"
         text = (
             f"light through it is {1e3 * check.value:.4g} mrad rms off the exact surfaces, {within} the "
-            f"{1e3 * target:.4g} mrad asked"
+            f"{1e3 * target:.4g} mrad requested"
         )
         found.append(
             FILE_TARGET.judge(

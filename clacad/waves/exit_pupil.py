@@ -250,7 +250,7 @@ def rays_needed(window: Window, direction: Floats, wavelength: float, cell: Ints
         raise LimitRefused(
             f"the pupil needs {least} x {least} rays (phase steps of a quarter turn), and {MOST} x {MOST} are"
             " computed: aberration spreads this light over more than a thousand times what diffraction does,"
-            " so rays tell the far field"
+            " so rays give the far field"
         )
     return max(FEWEST, least)
 

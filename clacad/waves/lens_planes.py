@@ -190,7 +190,7 @@ def grid_for(planes: Sequence[LensPlane], slope: Sequence[float], wavelength: fl
         raise LimitRefused(
             f"waves through this pair need a grid of {points}{power} points (phase steps of a quarter turn),"
             f" and {allowed} are computed: a smaller pitch, a longer wavelength or a larger separation needs"
-            " fewer; at such Fresnel numbers rays tell the same"
+            " fewer; at such Fresnel numbers rays give the same"
         )
     return Grid(points, spacing)
 

@@ -154,7 +154,7 @@ def test_chords_stay_within_their_stated_distance_of_the_curves() -> None:
 def test_the_viewer_reads_an_arrow_up_and_then_the_name() -> None:
     window = window_of("plano", BORDERED)
     loops = engravings(window, "L F")["array1"].loops
-    # the viewer stands at -z with +y up and sees +x on the left
+    # the viewer is at -z with +y up and sees +x on the left
     arrow, letter_l, letter_f = sorted(
         (p for p in loops if polygon_area(p) > 0.0), key=lambda p: -p[:, 0].mean()
     )[:3]

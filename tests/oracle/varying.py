@@ -1,6 +1,6 @@
 """Thin lenses of cells that differ, lens by lens in 90 digits; shares no code with clacad.
 
-One axis: lens 1 of cell X stands at X, lens 2 at X + f1 (δ₀ + κX), a distance s behind it, f1 + f2 = s, f2 = −ηf1.
+One axis: lens 1 of cell X is at X, lens 2 at X + f1 (δ₀ + κX), a distance s behind it, f1 + f2 = s, f2 = −ηf1.
 """
 
 from __future__ import annotations

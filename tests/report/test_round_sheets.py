@@ -1,4 +1,4 @@
-"""The report of a round sheet counts the kept cells and measures the sheet as `check` does, whether its cells differ or not."""
+"""The report of a round sheet counts the kept cells and measures the sheet as `check` does, whether it is not uniform or not."""
 
 from __future__ import annotations
 

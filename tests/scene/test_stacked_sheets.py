@@ -67,7 +67,7 @@ def test_a_sheet_moves_in_an_animation():
         ('id = "b"\n', "", "CL103 missing key sheet.1.id"),
         ('id = "b"', 'id = "a"', "CL112 2 sheets have the id a"),
         ('id = "b"', 'id = "2"', "CL10"),
-        ('id = "a"\n', 'id = "a"\nz = 3\n', "CL106 no sheet stands at z = 0: the first, a, stands at 3"),
+        ('id = "a"\n', 'id = "a"\nz = 3\n', "CL106 no sheet lies at z = 0: the first, a, is at 3"),
         ("z = 114.9362867285548", "z = -5", "CL106 sheet.1.z"),
         ("z = 114.9362867285548", "height = 5", "CL102 unknown key sheet.1.height"),
         ("z = 114.9362867285548", 'z = 115\nmesh = "x.stl"', "CL113 sheet.1.mesh needs rung"),

@@ -194,7 +194,7 @@ def test_overrides_are_of_one_sheet_by_its_letter_or_of_all(capsys: pytest.Captu
         (("--gap", "nan"), 2, "--gap nan: is not a finite number"), (("--gap=-3",), 2, "--gap -3: is out of range"),
         (("--gap", "4 deg"), 2, "--gap 4 deg"), ((), 2, "0 gaps for 2 sheets"), (("--gap", "1,2"), 2, "2 gaps for 2 sheets"),
         (("--gap", "1", "--format", "stl"), 2, "a stack is not written as 'stl'"),
-        (("--gap", "1", "--object", "0"), 2, "the object stands 0 before the stack"),
+        (("--gap", "1", "--object", "0"), 2, "the object is 0 before the stack"),
         (("--gap", "1", "--set", "lattice.count=[1000000000,1000000000]"), 3, "lenslets"),
         (("--gap", "1", "--files", "nowhere"), 2, "there is no STEP or GLB file of a stack"),
     ],

@@ -73,7 +73,8 @@ def test_a_file_exported_for_a_target_is_found_within_it_by_verification(tmp_pat
         Check("faithful_rms", "pass", "", c["value"], where="file", subject=c["subject"]) for c in checks
     ]
     assert all(
-        c.state == "fail" and "not within the 3 mrad asked" in c.sentence for c in target_checks(light, 3e-3)
+        c.state == "fail" and "not within the 3 mrad requested" in c.sentence
+        for c in target_checks(light, 3e-3)
     )
 
 

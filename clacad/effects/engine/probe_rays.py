@@ -248,7 +248,7 @@ def choose_rung(situation: Situation, asked: str) -> tuple[Rung, str]:
     sheet. Thin requires correct directions and fates on those rays. Otherwise the exact surfaces are used.
     """
     if asked != "auto":
-        return cast("Rung", asked), "as asked"
+        return cast("Rung", asked), "as requested"
     if not len(situation.met):
         return "law", "the camera does not see the sheet"
     refused, why = homogeneous(situation)

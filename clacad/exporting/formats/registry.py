@@ -72,7 +72,7 @@ def known(asked: Sequence[str]) -> tuple[str, ...]:
     unknown = [word for word in asked if word not in all_words]
     if unknown or not asked:
         hint = did_you_mean(near(unknown[0], all_words), before="; ") if unknown else ""
-        what = f"unknown format {unknown[0]!r}{hint}" if unknown else "no format was asked for"
+        what = f"unknown format {unknown[0]!r}{hint}" if unknown else "no format was requested"
         raise UnknownFormat(f"{what}\n  allowed: {', '.join(all_words)}")
     return tuple(dict.fromkeys(asked))
 

@@ -169,7 +169,7 @@ class _Pen:
         """A DIMENSION whose picture is that of the board: ezdxf's own would measure words by fonts of this
         machine.
         """
-        assert scale is not None, "a dimension stands on a view to scale"
+        assert scale is not None, "a dimension belongs to a view to scale"
         factor = 1.0 / (scale * self._unit)
         dimension = self.space.add_linear_dim(
             base=self._at(mark.base),

@@ -114,7 +114,7 @@ def _turning(window: Window) -> tuple[str, str]:
     faces = [face for face in window.faces if face.array is not None]
     centred = all(face.untilted and face.vertex[:2] == (0.0, 0.0) for face in faces)
     if not (window.uniform and centred and all(shift == (0.0, 0.0) for shift in window.shifts)):
-        why = "lens axes or offsets point one way" if window.uniform else "its cells differ"
+        why = "lens axes or offsets point one way" if window.uniform else "it is not uniform"
         turned = f"It may not be turned about z: {why}. Mark the corner +x, +y."
         return turned, "It may not be turned over: the two sides differ. Mark the side of lens 1."
     square = not window.lattice.hexagonal and window.lattice.pitch[0] == window.lattice.pitch[1]

@@ -166,15 +166,15 @@ class Standing:
         for cells, number, what in zip(
             (self.missing, self.doubled, self.outside),
             self.faults,
-            ("cells have no instance", "cells have more than one", "instances stand beside the sheet"),
+            ("cells have no instance", "cells have more than one", "instances lie outside the sheet"),
             strict=True,
         ):
             if number:
                 found.append(f"{number} {what}, such as {cells[0]}" if number > 1 else _one(what, cells[0]))
         if self.worst > self.limit:
-            found.append(f"the instance over cell {self.worst_cell} stands {self.worst:.4g} off the lattice")
+            found.append(f"the instance over cell {self.worst_cell} lies {self.worst:.4g} off the lattice")
         return "; ".join(found) or (
-            f"each of {self.count} instances stands on a cell of its array, each cell has one; "
+            f"each of {self.count} instances lies on a cell of its array, each cell has one; "
             f"farthest off the lattice {self.worst:.4g}"
         )
 
@@ -183,8 +183,8 @@ def _one(what: str, cell: Cell) -> str:
     return {
         "cells have no instance": f"cell {cell} has no instance",
         "cells have more than one": f"cell {cell} has more than one instance",
-        "instances stand beside the sheet": (
-            f"an instance stands beside the sheet, where cell {cell} would be"
+        "instances lie outside the sheet": (
+            f"an instance lies outside the sheet, where cell {cell} would be"
         ),
     }[what]
 

@@ -242,14 +242,14 @@ class FileMesh:
             Its repeated parts represent more facets than MOST_EXPANDED: examine each part once, or `thinned`.
         """
         if not self.expandable:
-            raise UnreadableFile(f"its parts stand for {self.facet_count} facets, more than {MOST_EXPANDED}")
+            raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")
         for part in self.parts:
             yield from part.chunks(size)
 
     def pairs(self, size: int = CHUNK) -> Iterator[tuple[Floats, Floats | None]]:
         """The chunks of `chunks`, each with the normals (k, 3, 3) stored for its corners, or None."""
         if not self.expandable:
-            raise UnreadableFile(f"its parts stand for {self.facet_count} facets, more than {MOST_EXPANDED}")
+            raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")
         for part in self.parts:
             yield from part.pairs(size)
 

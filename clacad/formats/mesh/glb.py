@@ -346,7 +346,7 @@ def _places(file: _Buffers, roots: list[int]) -> dict[int, list[Floats]]:
         number, above = stack.pop()
         file.spent.look("among its nodes")
         if number in seen or number < 0:
-            raise UnreadableFile(f"node {number} stands twice: a scene is a tree")
+            raise UnreadableFile(f"node {number} occurs twice: a scene is a tree")
         seen.add(number)
         node = nodes[number]
         if set(node.get("extensions", ())) - {INSTANCING} or "skin" in node:
@@ -396,7 +396,7 @@ def _instances(file: _Buffers, node: dict[str, Any]) -> Floats:
         raise UnreadableFile("instances that are turned or scaled are not read")
     offsets = _accessed(file, attributes["TRANSLATION"], 3).astype(np.float64)
     if len(offsets) > MOST_NODES or not np.isfinite(offsets).all():
-        raise UnreadableFile("its instances are too many, or stand nowhere")
+        raise UnreadableFile("its instances are too many, or have no place")
     file.spent.count(_PLACED * len(offsets))
     return _translations(offsets)[::-1]
 

@@ -72,7 +72,7 @@ def refuse(window: Window) -> None:
     elif window.land.opaque and any(body.columnar for body in window.bodies):
         why = "opaque land on a web"
     elif not window.level_and_straight:
-        why = "arrays that are turned, or lenses that stand at heights of their own or are of many sizes"
+        why = "arrays that are turned, or lenses at individual heights or are of many sizes"
     if why:
         raise NotForPov(f"{window.name}: the POV-Ray scene cannot hold {why}; export its mesh instead")
 

@@ -218,7 +218,7 @@ def terms_needed(one: Station) -> tuple[int, float]:
             return int(enough[0]) + 1, float(left[enough[0] + 1])
     raise NotPossible(
         f"optiland: {one.name} is too steep at its corners (w = {w:.2g}; below about 0.6 can be held): none"
-        " of optiland's surfaces is a face of two radii, and the series that stands for it does not converge"
+        " of optiland's surfaces is a face of two radii, and the series that replaces it does not converge"
         " soon enough; use format zmx"
     )
 

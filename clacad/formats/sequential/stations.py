@@ -188,7 +188,7 @@ def left_out(window: Window) -> list[str]:
     if named:
         found.append(f"the dispersion of {', '.join(named)}: its index at {nanometres} alone")
     elif window.wavelength is None:
-        found.append(f"a dispersion: the design has a bare index, and {nanometres} stands for any wavelength")
+        found.append(f"a dispersion: the design has a bare index, and {nanometres} holds for any wavelength")
     return found
 
 

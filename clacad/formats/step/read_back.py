@@ -190,7 +190,7 @@ def _occ_facts(
     if not faces:
         raise UnreadableFile(
             f"{os.fspath(path)}: the CAD kernel finds no face in"
-            f" it{'' if place is None else ' where the sheet should stand'}; the file is damaged"
+            f" it{'' if place is None else ' where the sheet should be'}; the file is damaged"
         )
     engraved = 0.0 if window is None else engraved_in(several, window)
     measured = engraved_volume if engraved else volume

@@ -30,7 +30,7 @@ def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
             from clacad.sheet.need_window import need_equal_cells
 
             need_equal_cells(
-                window, "a STEP assembly of one cell and where it stands", "fused is one solid of all of them"
+                window, "a STEP assembly of one cell and its places", "fused is one solid of all of them"
             )
         return "fused"
     if mode == "auto":

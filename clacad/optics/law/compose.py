@@ -169,7 +169,7 @@ def _why_not(n1: Floats, n2: Floats, asymmetry: float, matrix: Floats) -> str:
     apart = float(np.degrees(angle_between(n1, n2)))
     if apart > 1e-9:
         return (
-            "the two sheets do not compose to one: they have no common optical axis (theirs stand"
+            "the two sheets do not compose to one: they have no common optical axis (theirs are"
             f" {apart:.3g} degrees apart, and across no axis that the product keeps is it symmetric); use the"
             " same theta and psi"
         )

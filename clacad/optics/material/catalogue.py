@@ -224,7 +224,7 @@ def _table() -> tuple[dict[str, Material], dict[str, str]]:
     for name, entry in entries.items():
         for alias in (name, *entry.get("also", ())):
             if known.setdefault(_plain(alias), name) != name:
-                raise ValueError(f"material name {alias!r} stands for both {known[_plain(alias)]} and {name}")
+                raise ValueError(f"material name {alias!r} denotes both {known[_plain(alias)]} and {name}")
     return materials, known
 
 

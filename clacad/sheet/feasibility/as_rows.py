@@ -64,7 +64,7 @@ def imaging_rows(
     laws = window.cell_laws
     if laws is not None and laws.ratios is not None:
         etas = laws.ratios_of(window.lattice, window.lattice.cells())
-        means = "of the cells; focal lengths and what follows from them are told of the middle one"
+        means = "of the cells; focal lengths and what follows from them are those of the middle one"
         return [
             (
                 "eta, least and greatest",
@@ -183,7 +183,7 @@ def describe(window: Window, facts: Feasibility, sheet: Window | None = None) ->
         if len(window.bodies) > 2:
             means = "lowest point of a body less highest of the one before it, the least of them"
         rows.append(FactRow("assembly", "clearance", of_length(facts.clearance), name, means))
-    means = "between the thin lenses that the pair stands for, f1 + f2"
+    means = "between the equivalent thin lenses, f1 + f2"
     rows.append(FactRow("assembly", "separation (in air)", of_length(facts.separation), name, means))
     rows += _field_rows(window, facts, of_length, name)
     rows += [FactRow("imaging", *row) for row in imaging_rows(window, of_length, name)]
@@ -310,7 +310,7 @@ def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], 
         FactRow("sheet", "holes through the plate", str(len(rim.holes)), "", "for mounting and for pins"),
         FactRow(
             "sheet",
-            "least land beside a hole",
+            "least land next to a hole",
             of_length(rim.least_land),
             name,
             "to the plate's edge or to another hole",
@@ -429,7 +429,7 @@ def _pitch_rows(
             "pitch with diffraction below 1′, lens x, y",
             of_length(two(p / unit for p in eye.fine)),
             name,
-            "λ/w ≤ 1′ for light that comes back to the eye: what distant things need",
+            "λ/w ≤ 1′ for light that returns to the eye: what distant things need",
         ),
     ]
 
@@ -446,7 +446,7 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
     about = lens.name
     rows = [
         FactRow(
-            about, "focal length x, y", of_length(lens.focal_length), name, "of the thin lens it stands for"
+            about, "focal length x, y", of_length(lens.focal_length), name, "of the equivalent thin lens"
         ),
         FactRow(
             about,

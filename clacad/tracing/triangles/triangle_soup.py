@@ -72,7 +72,7 @@ def read_soup(path: str | os.PathLike[str], window: Window) -> TriangleSoup:
 def soup_of(found: Any, window: Window) -> TriangleSoup:
     """Triangles of a `FileMesh`, every placement expanded, in the window's units."""
     if not found.expandable:
-        raise UnusableMesh(f"the mesh stands for {found.facet_count} triangles: too many to hold them all")
+        raise UnusableMesh(f"the mesh represents {found.facet_count} triangles: too many to hold them all")
     corners, normals = [], []
     for part in found.parts:
         own = part.corners(0, part.facet_count)
@@ -103,7 +103,7 @@ def _factor(corners: Floats, window: Window) -> float:
     fits = [f for f in UNITS if (np.abs(size * f / wanted - 1.0) < MATCH).all()]
     if len(fits) != 1:
         raise UnusableMesh(
-            f"the mesh is {size[0]:.6g} by {size[1]:.6g} and says no unit; the window is "
+            f"the mesh is {size[0]:.6g} by {size[1]:.6g} and states no unit; the window is "
             f"{wanted[0]:.6g} by {wanted[1]:.6g}: no unit fits"
         )
     return fits[0]

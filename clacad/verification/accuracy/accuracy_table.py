@@ -77,9 +77,9 @@ def accuracy(
     rows, coarse = _of_differing_cells(own, grids, report)
     found = _measured(design.name, traced, rays, grids, report)
     said = (
-        'every cell of this sheet differs: rows "cells that differ" are of the sheet itself, its light'
+        'this sheet is not uniform: rows "cells that differ" are of the sheet itself, its light'
         f" through cell ({i}, {j}), the worst of {seen.tried} tried{coarse}; the others, and the floors, of a"
-        " sheet of equal cells like that one"
+        " uniform sheet of such cells"
     )
     return replace(found, rows=(*rows, *found.rows), notes=(said, *found.notes))
 

@@ -107,7 +107,7 @@ def _rules_of_shape(built: Built) -> Iterator[Check]:
     if least > 0.0:
         seen = draft(window, facts, NEGLIGIBLE / built.design.unit_m)
         text = (
-            f"{seen.what} stands at {degrees(seen.value):.3g} deg to the sheet's normal, {degrees(least):.3g}"
+            f"{seen.what} is at {degrees(seen.value):.3g} deg to the sheet's normal, {degrees(least):.3g}"
             " are needed"
         )
         yield _rule(DRAFT, seen, (least, source), text, "a seam with room for sloping walls, or less tilt")

@@ -80,7 +80,7 @@ def confocality(window: Window) -> Confocality:
 
     as_built = power(0.0)
     if not np.isfinite(as_built).all():
-        raise ValueError("light beside the axis ray does not get through")
+        raise ValueError("light near the axis ray does not get through")
     step = 1e-3 * distance
     shift, powered = np.zeros(2), np.ones(2, dtype=bool)
     for _ in range(8):

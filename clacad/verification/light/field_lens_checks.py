@@ -73,7 +73,7 @@ def _focus(window: Window) -> Check:
             part = abs(off) / seq[number].index_before / pair.focal_length[0][axis]
             if part >= worst:
                 worst, where = part, f"face {number + 1}, {'xy'[axis]}"
-    sentence = f"the field faces stand at most {worst:.3g} of f1 from the foci of lens 1 ({where})"
+    sentence = f"the field faces are at most {worst:.3g} of f1 from the foci of lens 1 ({where})"
     return FIELD_FOCUS.judge(worst, FOCUS, sentence)
 
 
@@ -86,7 +86,7 @@ def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: 
     rays = Rays(start + np.array([np.zeros(3), aside, -aside]), np.tile(turn[:, 2], (3, 1)))
     seen = trace_sequence(before, rays)
     if (seen.fate != Fate.ALIVE).any():
-        raise ValueError("light beside the axis ray does not reach the field lens")
+        raise ValueError("light near the axis ray does not reach the field lens")
     place, ray = (seen.position - vertex) @ turn, seen.direction @ turn
     slope = ray[:, axis] / ray[:, 2]
     at_vertex = place[:, axis] - place[:, 2] * slope  # in the plane through the vertex

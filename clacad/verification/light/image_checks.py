@@ -58,7 +58,9 @@ def image_checks(lit: Lit) -> Iterator[Check]:
     found = image(window, source, ("surfaces",), RAYS)
     (one,) = found.rungs
     if not np.isfinite(one.found.point).all():
-        yield from (kind.not_run("no light of the asked point gets through") for kind in (IMAGE_POINT, SPOT))
+        yield from (
+            kind.not_run("no light of the requested point gets through") for kind in (IMAGE_POINT, SPOT)
+        )
         return
     place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
     across = one.found.point[:2] - one.predicted.point[:2]
@@ -71,7 +73,7 @@ def image_checks(lit: Lit) -> Iterator[Check]:
     yield IMAGE_POINT.judge(
         off,
         limit,
-        f"light of the asked point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g},"
+        f"light of the requested point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g},"
         f" {place[1]:.3g}), {off:.3g} {unit} from where the law has it ({distance:.6g})",
         unit=unit,
         bundle=text,

@@ -217,7 +217,7 @@ def _spread(limit: float, seen: Optics) -> Check:
     middle, worst = float(values[0]), float(np.nanmax(values))
     sentence = (
         f"parallel light in the middle of the field leaves within {1e3 * middle:.4g} mrad rms of its mean,"
-        f" whatever part of the lens it meets; {1e3 * worst:.4g} mrad at the rim of the field"
+        f" for any part of the lens; {1e3 * worst:.4g} mrad at the rim of the field"
     )
     return SPREAD.judge(middle, limit, sentence, **_over_points(values, seen))
 
@@ -236,14 +236,14 @@ def _fit_checks(design: Design, seen: Optics) -> Iterator[Check]:
     yield ETA.judge(
         float(np.abs(eta).max()),
         spec.eta,
-        f"measured eta = {law.eta_x:.6g}, {law.eta_y:.6g}; asked {asked.eta_x:.6g}, {asked.eta_y:.6g}",
+        f"measured eta = {law.eta_x:.6g}, {law.eta_y:.6g}; specified {asked.eta_x:.6g}, {asked.eta_y:.6g}",
         bundle=text,
         detail={"measured": (law.eta_x, law.eta_y), "asked": (asked.eta_x, asked.eta_y), "sigma": fit.sigma},
     )
     yield DELTA.judge(
         float(np.abs(delta).max()),
         spec.delta,
-        f"measured delta = {digits(law.delta_x)}, {digits(law.delta_y)}; asked {asked.delta_x:.6g},"
+        f"measured delta = {digits(law.delta_x)}, {digits(law.delta_y)}; specified {asked.delta_x:.6g},"
         f" {asked.delta_y:.6g}",
         bundle=text,
         detail={"measured": (law.delta_x, law.delta_y), "asked": (asked.delta_x, asked.delta_y)},
@@ -274,7 +274,7 @@ def _tilt(design: Design, delta: Floats, turn: Turn | None, lit: str) -> Check:
     measured = turn is not None and (turn.doubt <= allowed or abs(turn.angle) > allowed + turn.doubt)
     if turn is not None and measured:
         text = (
-            f"the lenses' meridians stand turned by {degrees(turn.angle):.3g} deg about their axis; for its"
+            f"the lenses' meridians are turned by {degrees(turn.angle):.3g} deg about their axis; for its"
             f" lean, {text}"
         )
         if abs(turn.angle) / allowed >= value / limit:
@@ -366,7 +366,7 @@ def confocality_check(lit: Lit) -> Iterator[Check]:
         yield CONFOCALITY.not_run(str(error), limit=limit, where=CONFOCALITY.where)
         return
     value, between = found.defect, found.astigmatism
-    goal = "share a focal plane with lens 1" if design.pair.focus is None else "image as pair.focus asks"
+    goal = "share a focal plane with lens 1" if design.pair.focus is None else "image as pair.focus requires"
     sentence = (
         f"lens 2 would have to move by {digits(value, count=4)} of the distance between the lenses to {goal}"
         f" (x {digits(found.shift[0] / found.distance, count=4)}, y"

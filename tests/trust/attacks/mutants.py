@@ -132,7 +132,7 @@ def only_beside_lenses(
 
 
 EDGE = 1e-3
-"""Millimetres beside the outline of the lenses that belong to it."""
+"""Millimetres next to the outline of the lenses that belong to it."""
 
 
 def _moved(want: Floats, got: Floats, room: float) -> Floats | None:
