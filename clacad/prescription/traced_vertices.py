@@ -178,7 +178,7 @@ def _moves_of(window: Window, light: CellLight) -> Floats:
         if missed <= FIT * min(window.lattice.pitch):
             return np.asarray(np.rint(moves / grid) * grid)
     raise NoSuchLens(
-        f"the vertices of lens 2 change too sharply between cells to be determined within {FIT:g} of the pitch",
+        f"the vertices of lens 2 change too sharply between cells to be found within {FIT:g} of the pitch",
         key=light.key,
         code="CL123",
         hint=WAY_OUT,

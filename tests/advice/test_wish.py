@@ -173,7 +173,7 @@ def test_cells_fill_the_width_or_it_is_said():
     wished = Search(read_wish({"eta": -1, "width": 40, "pitch": 6.4}), "x")
     assert wished._rounded(PitchBound(6.4, "")) == 6.4
     found = list(not_met(wished.wish, built(wished.wish, Variant("slab"), 6.4, 12.0, "x")))
-    assert found == ["width: asked 40 mm, 6 x 6.4 = 38.4 mm are whole cells"]
+    assert found == ["width: requested 40 mm, 6 x 6.4 = 38.4 mm"]
 
 
 # --- formulas -----------------------------------------------------------------------------------------------
