@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from clacad import Design, DesignError, prescribe
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.effect import Setting
 from clacad.effects.engine.probe_rays import situation_of_window
 from clacad.optics.material.catalogue import find
 

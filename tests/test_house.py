@@ -20,7 +20,7 @@ MOST = {
     "class names twice": 5,
     "rings of imports": 0,
     "deepest chain of imports at heads": 28,
-    "exceptions of the layer test": 1,
+    "exceptions of the layer test": 0,
 }
 """Largest value of each figure: lower it when the package gets there."""
 

@@ -51,12 +51,7 @@ ROOMS = [
 ]
 """Top to bottom: a file imports from its own room and from those above it."""
 
-EXCEPTIONS = {
-    (
-        "tracing/tracer.py",
-        "effects/__init__.py",
-    ): "only when effects are named: the trace then runs under their passes",
-}
+EXCEPTIONS: dict[tuple[str, str], str] = {}
 """Importing file, imported file: reason. One that nothing uses fails."""
 
 RINGS: dict[tuple[str, ...], str] = {}

@@ -47,7 +47,7 @@ def test_a_verb_stays_a_verb_after_its_module_was_imported():
     code = """
 import clacad, clacad.tracing.trace, clacad.exporting.export_design, clacad.verification
 import clacad.tracing.compiled.column as column
-from clacad.tracing.trace import trace_sequence
+from clacad.optics.sequence import trace_sequence
 assert column.__name__ == 'clacad.tracing.compiled.column'
 assert type(clacad) is type(column)
 assert clacad.trace is not None and callable(clacad.trace) and callable(clacad.export) and callable(clacad.verify)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.base.compiled import exact
+from clacad.base.compiled import exact, multiply_add
 
 _SPLITTER = 134217729.0  # 2**27 + 1 halves a 53-bit significand
 
@@ -47,3 +47,11 @@ def less_multiple(x: float, k: float, step: float) -> float:
     """Return x − k·step without rounding the product."""
     high, low = two_product(k, step)
     return (x - high) - low
+
+
+@exact
+def less_product(x: float, a: float, b: float) -> float:
+    """Value of x − a b with the product unrounded."""
+    product = a * b
+    total, rest = two_sum(x, -product)
+    return total + (rest - multiply_add(a, b, -product))

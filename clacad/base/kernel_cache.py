@@ -27,9 +27,10 @@ FunctionCache: Any = numba.core.caching.FunctionCache
 
 SOURCES = (
     "tracing/reference/*.py",
-    "tracing/triangles/*.py",
+    "tracing/facets/*.py",
     "tracing/layout.py",
     "tracing/ledger.py",
+    "light/sums.py",
     "**/*compiled*.py",
     "**/compiled/*.py",
     "optics/*.py",

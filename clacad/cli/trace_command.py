@@ -148,9 +148,9 @@ def _write(
     """Trace chunk by chunk into one raw file a column, then gather them into the archive."""
     import numpy as np
 
+    from clacad.effects.trace import Tracer
     from clacad.formats.ray_file import COLUMNS, gather
     from clacad.optics.rays import Rays
-    from clacad.tracing.tracer import Tracer
 
     tracer = Tracer(window, path="size", **options)
     parts = {name: private.with_name(f"{private.name}.{name}") for name in COLUMNS}

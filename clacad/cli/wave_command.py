@@ -42,8 +42,7 @@ def run(request: Wave, console: Console) -> int:
     kind = picture_kind(request.out)
     design = load_counted(request.design, request.set)
     from clacad.storage.atomic import require_writable, write_content
-    from clacad.waves.lit_cell import situation
-    from clacad.waves.through_sheet import look, outlook
+    from clacad.waves.through_sheet import look, outlook, situation
 
     if request.out is not None:
         require_writable(request.out, overwrite=request.overwrite)

@@ -16,9 +16,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.effects.engine.block import FaceCrossing, RayBlock, inside_plate, unit_rows
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration, Effect, Losses, When
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Losses, Setting, Situation, When
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Body, Window
 

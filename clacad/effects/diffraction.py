@@ -22,12 +22,9 @@ from numpy.typing import NDArray
 from clacad.base.arrays import distinct
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
-from clacad.effects.engine.block import FaceCrossing, RayBlock
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration, Effect, When
-from clacad.effects.engine.measured_change import turned_angles
-from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.repeatable_draws import uniform
+from clacad.effects.engine.block import FaceCrossing, RayBlock, uniform
+from clacad.effects.engine.camera_light import turned_angles
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
 from clacad.optics.aperture import equivalent_widths
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.vignetting import (

@@ -16,10 +16,8 @@ from math import hypot
 
 import numpy as np
 
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration, Effect, When
-from clacad.effects.engine.measured_change import MOST, traced_with
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.camera_light import MOST, traced_with
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
 from clacad.light.compare import angles
 from clacad.light.measure import measure
 from clacad.optics.rays import Fate, Rays

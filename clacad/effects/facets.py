@@ -14,10 +14,8 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration, Effect, When
-from clacad.effects.engine.measured_change import turned_angles
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.camera_light import turned_angles
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
 from clacad.optics.rays import Fate
 from clacad.optics.surface import principal_radii
 from clacad.sheet.vignetting import focal_ratio, thin_cells

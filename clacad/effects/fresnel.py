@@ -13,9 +13,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.effects.engine.block import FaceCrossing, RayBlock, traced_of
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration, Effect, When
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
 from clacad.effects.engine.passes import trace_with
 from clacad.optics.rays import Fate
 from clacad.optics.surface.fresnel_coefficients import deviation, normal_loss, reflected, transmission

@@ -12,10 +12,8 @@ exceeds the radiance that matters. *Cost* 1.75 N², compiled.
 
 from __future__ import annotations
 
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration, Effect
-from clacad.effects.engine.measured_change import light_with
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.camera_light import light_with
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation
 from clacad.effects.fresnel import NAME as FRESNEL
 from clacad.effects.fresnel import effect as straight
 from clacad.effects.fresnel import mean_loss

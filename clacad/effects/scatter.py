@@ -16,12 +16,9 @@ from math import expm1, hypot, pi, sqrt
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.effects.engine.block import FaceCrossing, RayBlock, bend, lens_slopes
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration, Effect, When
-from clacad.effects.engine.measured_change import radiance_change, turned_angles
-from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.repeatable_draws import normal
+from clacad.effects.engine.block import FaceCrossing, RayBlock, bend, lens_slopes, normal
+from clacad.effects.engine.camera_light import radiance_change, turned_angles
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
 from clacad.sheet.vignetting import focal_ratio, scale_of_image, thin_cells
 from clacad.sheet.window import Window
 

@@ -9,9 +9,7 @@ until they leave. Off: they end, black.
 from __future__ import annotations
 
 from clacad.effects.engine.block import FaceCrossing, RayBlock
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration, Effect, When
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from clacad.mesh import Mesh
     from clacad.optics.rays import TraceResult
     from clacad.sheet.bundle import Bundle
-    from clacad.tracing.triangles.telescopelet_facets import FacetBody
+    from clacad.tracing.facets.telescopelet import FacetBody
 
 
 POWERS = (4, 8, 16, 32, 64, 128, 256, 512, 1024)
@@ -281,7 +281,7 @@ class _Light:
 
     def grade(self, quads: int, bodies: tuple[FacetBody, ...]) -> Grade:
         """Trace the rays through facets."""
-        from clacad.tracing.triangles.telescopelet_facets import trace_facets
+        from clacad.tracing.facets.telescopelet import trace_facets
 
         def send(lit: Bundle) -> TraceResult:
             return trace_facets(bodies, lit.rays)
@@ -324,7 +324,7 @@ def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = T
     apart : bool
         Whether each body was meshed about the centre of its own array's cell; otherwise in sheet coordinates.
     """
-    from clacad.tracing.triangles.telescopelet_facets import FacetBody, facet_face, on_land
+    from clacad.tracing.facets.telescopelet import FacetBody, facet_face, on_land
 
     bodies = []
     for body, part in zip(window.bodies, mesh.bodies, strict=True):

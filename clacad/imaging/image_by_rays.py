@@ -22,7 +22,7 @@ from clacad.sheet.cell_places import CellLaws
 from clacad.sheet.feasibility.as_rows import Zone, zone_of
 from clacad.sheet.need_window import need_window
 from clacad.sheet.vignetting import aperture_slopes
-from clacad.tracing.tracer import Tracer
+from clacad.tracing.trace import SheetTracer
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Window
@@ -269,7 +269,7 @@ def _towards(source: Floats, at: Floats) -> Floats:
 
 def _on(window: Window, rung: Rung, source: Floats, sent: Rays, cells: Ints) -> RungImage:
     """Image formed by the rays on one rung."""
-    seen: TraceResult = Tracer(window, rung, path="size")(sent)
+    seen: TraceResult = SheetTracer(window, rung, path="size")(sent)
     good = seen.fate == Fate.ALIVE
     gap = 0.0 if rung == "law" else lens_plane(window, rung)
     return RungImage(
@@ -298,7 +298,7 @@ def _middle(window: Window, source: Floats, rung: Rung) -> Middle:
     slopes = np.mean(aperture_slopes(window, window.lattice.cells()), axis=0)
     far = np.isinf(source[2])
     place = np.array([*(slopes if far else source[2] * slopes), source[2]])
-    seen = Tracer(window, rung, path="size")(sent_to(window, place, TRIED)[0])
+    seen = SheetTracer(window, rung, path="size")(sent_to(window, place, TRIED)[0])
     return Middle(place, rung, float(np.mean(seen.fate == Fate.ALIVE)))
 
 
@@ -328,7 +328,7 @@ def _sampling(window: Window, sent: Rays) -> Sampling | None:
     """Compare light by the cells' laws with light by the smooth law."""
     if window.cell_laws is None or window.cell_laws.smooth is None:
         return None
-    cells, smooth = (Tracer(window, "law", path="size", continuous=c)(sent) for c in (False, True))
+    cells, smooth = (SheetTracer(window, "law", path="size", continuous=c)(sent) for c in (False, True))
     good = (cells.fate == Fate.ALIVE) & (smooth.fate == Fate.ALIVE)
     if not good.any():
         return None

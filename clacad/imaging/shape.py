@@ -29,7 +29,7 @@ from clacad.imaging.image_by_rays import lens_plane, sent_to
 from clacad.imaging.target import Target
 from clacad.optics.law.imaging import deltas_to, spot_widths
 from clacad.optics.rays import Fate
-from clacad.tracing.tracer import Tracer
+from clacad.tracing.trace import SheetTracer
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -204,7 +204,7 @@ def rendered(window: Window, found: Shaped, distance: float, rays: int) -> Rende
     rays : int
     """
     sent, which = sent_to(window, np.array([0.0, 0.0, -np.inf]), rays)
-    seen = Tracer(window, "surfaces", path="size")(sent)
+    seen = SheetTracer(window, "surfaces", path="size")(sent)
     good = seen.fate == Fate.ALIVE
     level = lens_plane(window, "surfaces") + distance
     reach = (level - seen.position[good, 2]) / seen.direction[good, 2]

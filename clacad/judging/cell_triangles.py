@@ -18,14 +18,7 @@ from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import distance_in_cell
 from clacad.sheet.window import WALL, Face, Window, lens_height
 from clacad.solid.marks import pockets
-from clacad.tracing.triangles.telescopelet_facets import (
-    AnyFace,
-    ExactFace,
-    FacetBody,
-    FacetFace,
-    facet_face,
-    on_land,
-)
+from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, FacetFace, facet_face, on_land
 
 CHORD = 0.75
 """Mean height of a chord over a second-order surface across a facet, over the height at the facet's

@@ -15,7 +15,7 @@ from clacad.judging.cell_triangles import CellFacets, exact_height, levels, owne
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Face, Window, column, face_height, lens_height, lens_height_and_normal
-from clacad.tracing.triangles.telescopelet_facets import FacetBody, FacetFace, first_crossing, on_land
+from clacad.tracing.facets.telescopelet import FacetBody, FacetFace, first_crossing, on_land
 
 STEEP = 0.3
 """Facets whose |n_z| is below this belong to walls and edges, not to faces."""

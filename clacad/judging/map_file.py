@@ -30,8 +30,7 @@ from clacad.judging.mesh_light import lit_cells, seen_cell
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Face, Window
 from clacad.storage.errors import ExportError, UnreadableFile
-from clacad.tracing.sampled_face import sampled_face
-from clacad.tracing.triangles.telescopelet_facets import AnyFace, ExactFace, FacetBody, trace_facets
+from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, sampled_face, trace_facets
 
 RAYS, POINT_RAYS = 8192, 1024
 """Most rays of the main bundle, and of each field point."""

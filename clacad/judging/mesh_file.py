@@ -41,7 +41,7 @@ from clacad.optics.law.orientation import angle_between
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.window import Face, Window, lens_height_and_normal
-from clacad.tracing.triangles.telescopelet_facets import on_land
+from clacad.tracing.facets.telescopelet import on_land
 
 if TYPE_CHECKING:
     from clacad.design import Design

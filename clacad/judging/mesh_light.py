@@ -27,7 +27,7 @@ from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
-from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
+from clacad.tracing.facets.telescopelet import FacetBody, trace_facets
 from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
 
 CELL_RAYS = 4096

@@ -22,7 +22,7 @@ from clacad.judging.unit_and_cells import UNITS
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import Integral, body_volume, whole_extent
 from clacad.sheet.window import Body, Window
-from clacad.tracing.triangles.telescopelet_facets import on_land
+from clacad.tracing.facets.telescopelet import on_land
 
 if TYPE_CHECKING:
     from clacad.design import Design

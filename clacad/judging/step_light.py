@@ -24,7 +24,7 @@ from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import Bundle, bundle
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Face, Window, optical_tile
-from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, trace_facets
+from clacad.tracing.facets.telescopelet import ExactFace, FacetBody, trace_facets
 from clacad.tracing.worst_cell import tried_cells, worst_of
 
 if TYPE_CHECKING:

@@ -273,6 +273,12 @@ def rms_angle(angle: Floats, weight: Floats | None = None, fewest: int = 1) -> f
     return float(np.sqrt(_mean(angle**2, weight))) if len(angle) >= fewest else nan
 
 
+def rms_angles(angle: Floats) -> Floats:
+    """Root mean square (n,), radians, of each row of angles (n, k), NaN for rays without one."""
+    known = np.isfinite(angle).sum(axis=1)
+    return np.asarray(np.sqrt(np.nansum(angle**2, axis=1) / np.maximum(known, 1)))
+
+
 def _mean(values: Floats | Bools, weight: Floats | None) -> Floats:
     """Mean over the first axis."""
     if weight is None:

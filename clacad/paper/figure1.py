@@ -34,8 +34,8 @@ from clacad.rendering.picture_files import encode
 from clacad.rendering.scene_arrays import MESH, Primitive, set_stage, stage_of
 from clacad.scene import Scene
 from clacad.sheet.window import Window
+from clacad.tracing.facets.hierarchy import mesh_tree
 from clacad.tracing.trace import trace
-from clacad.tracing.triangles.hierarchy import mesh_tree
 
 CLEAR = 0.45
 """Share of the background that shows through one lit surface."""

@@ -13,10 +13,11 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.design import Design
 from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import trace_sequence
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Face, Window
-from clacad.tracing.trace import trace, trace_sequence
+from clacad.tracing.trace import trace
 
 RAYS = 7
 ASIDE = -0.07

@@ -15,7 +15,7 @@ import numpy as np
 from clacad.base.machine_rates import Span
 from clacad.base.types import Ints, Rung
 from clacad.design import Design
-from clacad.effects.engine.bounds import Situation
+from clacad.effects.engine.effect import Situation
 from clacad.effects.engine.probe_rays import rms_angle, situation_of_scene
 from clacad.exporting.formats.indexed_meshes import THREEMF
 from clacad.optics.rays import Fate

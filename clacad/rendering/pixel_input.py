@@ -129,7 +129,7 @@ def kernels_are_kept(viewing: Viewing, view: View) -> bool:
         eye = _eye(view, SampleRange(0, 1, 1))
         return is_kept(sample_all, (eye, viewing.pane, viewing.tables, none, none, 1, rows, rows))
     from clacad.rendering.compiled.scene_hits import look_all
-    from clacad.tracing.compiled.kept_kernels import rung_is_kept
+    from clacad.tracing.compiled.surfaces import rung_is_kept
     from clacad.tracing.layout import lay_out
 
     rows, flat = np.zeros((0, 3)), np.zeros(0)

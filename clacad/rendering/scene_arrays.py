@@ -17,7 +17,7 @@ from clacad.base.types import Floats, Ints
 from clacad.rendering.photographs import read_picture
 from clacad.scene import Background, Light, Scene, SceneObject, chess_knight
 from clacad.scene.chess_knight import turned
-from clacad.tracing.triangles.hierarchy import Hierarchy, joined, mesh_tree
+from clacad.tracing.facets.hierarchy import Hierarchy, joined, mesh_tree
 
 FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
 """Kinds of primitive."""

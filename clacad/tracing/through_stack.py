@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Rows, Rung
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.stack import BadStack, Stack, StackedSheet
-from clacad.tracing.tracer import Tracer
+from clacad.tracing.trace import SheetTracer
 from clacad.tracing.which_path import Path
 
 if TYPE_CHECKING:
-    from clacad.tracing.triangles.ready_facets import AnyMesh
+    from clacad.tracing.facets.triangle_soup import AnyMesh
 
 ON = (Fate.ALIVE, Fate.GHOST, Fate.LAND)
 """Fates of light that leaves a sheet forwards, from the best to the worst."""
@@ -93,7 +93,7 @@ class StackTracer:
     mesh: Sequence[AnyMesh | int | None] | int | None = None
     threads: int | None = None
     path: Path | None = None
-    tracers: tuple[Tracer, ...] = field(init=False, repr=False, default=())
+    tracers: tuple[SheetTracer, ...] = field(init=False, repr=False, default=())
 
     def __post_init__(self) -> None:
         """Lay out every sheet, identical sheets once."""
@@ -106,11 +106,13 @@ class StackTracer:
                         f" {self.rung} cannot distinguish them; rung surfaces can, and so can a wider gap"
                     )
         meshes = [self.mesh] * len(sheets) if self.mesh is None or isinstance(self.mesh, int) else self.mesh
-        made: dict[tuple[int, int], Tracer] = {}
+        made: dict[tuple[int, int], SheetTracer] = {}
         for one, mesh in zip(sheets, meshes, strict=True):
             key = (id(one.window), mesh if isinstance(mesh, int) else id(mesh))
             if key not in made:
-                made[key] = Tracer(one.window, self.rung, mesh=mesh, threads=self.threads, path=self.path)
+                made[key] = SheetTracer(
+                    one.window, self.rung, mesh=mesh, threads=self.threads, path=self.path
+                )
             object.__setattr__(self, "tracers", (*self.tracers, made[key]))
 
     def __call__(self, rays: Rays) -> StackTrace:

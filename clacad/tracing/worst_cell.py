@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.light.measure import Light, Weights, measure
+from clacad.light.measure import Light, Weights, measure, rms_angles
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.asked_focus import RequestedLaw
@@ -190,8 +190,7 @@ def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
     asked = np.concatenate([one.like.law.refract(some) for one, some in zip(tried, each, strict=True)])
     error = np.where(alive, angle_between(seen.direction, asked), np.nan).reshape(len(tried), -1)
     through = alive.reshape(len(tried), -1).sum(axis=1)
-    rms = np.sqrt(np.nansum(error**2, axis=1) / np.maximum(through, 1))
-    return np.where(through < FEWEST_TRIED * count / TRIED_RAYS, np.inf, rms)
+    return np.where(through < FEWEST_TRIED * count / TRIED_RAYS, np.inf, rms_angles(error))
 
 
 def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, TraceResult]:

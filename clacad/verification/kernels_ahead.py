@@ -39,12 +39,12 @@ def _kept(window: Window, kernel: Kernel) -> bool:
     from clacad.base.kernel_cache import is_kept
     from clacad.optics.rays import Rays
     from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk
-    from clacad.tracing.compiled.kept_kernels import rung_is_kept
     from clacad.tracing.compiled.packing import in_single, pack
+    from clacad.tracing.compiled.surfaces import rung_is_kept
     from clacad.tracing.compiled.threads import in_arrays
+    from clacad.tracing.facets.triangle_soup import facets_of
     from clacad.tracing.layout import lay_out
     from clacad.tracing.ledger import Ledger
-    from clacad.tracing.triangles.ready_facets import facets_of
 
     layout = lay_out(window)
     if kernel == "thin" and window.thin.field:  # computed by numpy

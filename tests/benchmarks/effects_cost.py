@@ -17,8 +17,8 @@ import numpy as np
 from clacad import load, prescribe
 from clacad.effects import Setting, light_reaching_camera, trace_with
 from clacad.effects.engine.probe_rays import cone
+from clacad.effects.trace import trace
 from clacad.optics.rays import Rays
-from clacad.tracing.trace import trace
 
 DESIGN = Path(__file__).parents[2] / "designs" / "paper-a-covered.toml"
 ROUNDS = 5

@@ -25,7 +25,7 @@ from peer_jobs import beam
 from viewscenes import view_scene
 from clacad import Tracer, tessellate, trace
 from clacad.rendering import view_through
-from clacad.tracing.triangles.triangle_soup import TriangleSoup
+from clacad.tracing.facets.triangle_soup import TriangleSoup
 window = biconvex(count=(20, 20))
 rays = beam(window, 1000, 0.001, 0.4)
 mesh = tessellate(window, quads=4)

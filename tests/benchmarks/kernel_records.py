@@ -94,7 +94,7 @@ def answers() -> dict[str, Callable[[], Any]]:
     from viewscenes import view_scene
 
     from clacad import tessellate, trace
-    from clacad.tracing.triangles.triangle_soup import TriangleSoup
+    from clacad.tracing.facets.triangle_soup import TriangleSoup
 
     def exact(window: Any, seed: int, record: bool) -> Any:
         rays = all_directions(window, SAMPLE, seed)

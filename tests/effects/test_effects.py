@@ -23,8 +23,10 @@ from clacad.effects.engine.homogeneous_light import overlap
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.probe_rays import cone
 from clacad.effects.registry import NAMES
+from clacad.effects.trace import trace
 from clacad.optics.material.material import Material
 from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import Interface, trace_sequence
 from clacad.optics.surface import Quadric
 from clacad.optics.surface.fresnel_coefficients import (
     amplitudes,
@@ -34,7 +36,6 @@ from clacad.optics.surface.fresnel_coefficients import (
 )
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.vignetting import clip
-from clacad.tracing.trace import Interface, trace, trace_sequence
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")
@@ -370,7 +371,7 @@ def test_diffraction_vanishes_with_the_wavelength(effect):
 
 
 def test_draws_are_the_same_every_time_and_independent_of_one_another():
-    from clacad.effects.engine.repeatable_draws import normal, uniform
+    from clacad.effects.engine.block import normal, uniform
 
     rays = bundle("slab")
     a, b = uniform(rays, 2, 0, 1), uniform(rays, 2, 0, 2)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from random_situations import draw, fresh
 
-from clacad.effects.engine.bounds import DOUBT
-from clacad.effects.engine.measured_change import measure
+from clacad.effects.engine.camera_light import measure
+from clacad.effects.engine.effect import DOUBT
 from clacad.effects.registry import NAMES, declared
 
 SLACK = 1.1
@@ -57,7 +57,7 @@ def test_counted_shares_are_bounded_with_the_stated_doubt():
     """Wilson's bound covers a binomial share with the normal tail of DOUBT standard errors."""
     import numpy as np
 
-    from clacad.effects.engine.bounds import Situation
+    from clacad.effects.engine.effect import Situation
 
     rng = np.random.default_rng(3)
     n, covered, trials = 1000, 0, 4000

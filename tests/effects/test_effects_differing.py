@@ -11,15 +11,15 @@ import pytest
 
 import clacad
 from clacad.effects import Setting, light_reaching_camera, plan_effects
+from clacad.effects.engine.camera_light import measure
 from clacad.effects.engine.homogeneous_light import FAINT, orders
-from clacad.effects.engine.measured_change import measure
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.probe_rays import situation_of_design
 from clacad.effects.engine.stand_ins import with_stand_ins
+from clacad.effects.trace import trace
 from clacad.optics.rays import Fate
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import aperture_slopes, ghost_step, thin_cells
-from clacad.tracing.trace import trace
 
 BASE = {
     "format": 1, "name": "differing", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

@@ -13,9 +13,9 @@ from clacad import load, prescribe, tessellate
 from clacad.effects import Setting, plan_effects, trace_with
 from clacad.effects.engine.probe_rays import cone
 from clacad.effects.facets import forecast
+from clacad.effects.trace import trace
 from clacad.optics.rays import Fate
 from clacad.scene import load_scene
-from clacad.tracing.trace import trace
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 

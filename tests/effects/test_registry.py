@@ -28,7 +28,7 @@ TOY = '''"""Sunglasses: a grey filter behind the sheet.
 *On when* a quarter of the light is more than what matters.
 """
 
-from clacad.effects.engine.bounds import Bound
+from clacad.effects.engine.effect import Bound
 from clacad.effects.engine.effect import Declaration, Effect, When
 
 NAME = "sunglasses"

@@ -18,8 +18,8 @@ from clacad.optics.rays import NO_CELL, Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.volume_and_extent import body_volume
+from clacad.tracing.facets.triangle_soup import TriangleSoup
 from clacad.tracing.trace import trace
-from clacad.tracing.triangles.triangle_soup import TriangleSoup
 from clacad.verification.tolerance import draw, parameters, telescopelet
 
 BASE = {"format": 1, "name": "plate", "unit": "mm", "law": {"eta": [-0.8, -1.0]}}

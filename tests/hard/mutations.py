@@ -69,10 +69,10 @@ PLACES, LIKE, OWN, BLOCKS, MIRROR = (
     "clacad/sheet/like_cell.py",
     "clacad/tracing/compiled/array_cells.py",
     "clacad/tracing/compiled/own_straight.py",
-    "clacad/effects/engine/mirrored_window.py",
+    "clacad/effects/engine/nonsequential.py",
 )
 AIMED, MADE = "clacad/prescription/aimed_cells.py", "tests/prescription/test_aimed_cells.py"
-MESH, TRIANGLES = "clacad/tracing/triangles/own_sheet.py", "tests/tracing/test_own_mesh.py"
+MESH, TRIANGLES = "clacad/tracing/facets/own_sheet.py", "tests/tracing/test_own_mesh.py"
 DIFFERING = "tests/hard/test_hard_differing.py"
 FAR_OUT, ROWS = (
     f"{DIFFERING} -m '' -k '({chosen}) and numpy'" for chosen in ("2e4 and 8000", "kappa or curl")

@@ -13,8 +13,7 @@ import clacad
 from clacad.cli import main
 from clacad.storage.errors import LimitRefused
 from clacad.waves.lens_planes import ROOM, grid_for, telescope
-from clacad.waves.lit_cell import situation
-from clacad.waves.through_sheet import outlook
+from clacad.waves.through_sheet import outlook, situation
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 QUARTER = 0.5 * np.pi

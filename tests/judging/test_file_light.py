@@ -17,13 +17,14 @@ from clacad.formats.maps.sag import read_points
 from clacad.judging.delivery import Inspection
 from clacad.judging.file_light import light_checks, measure_light
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.optics.sequence import trace_sequence
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.telescopelet import interfaces
 from clacad.storage.errors import UnreadableFile
-from clacad.tracing.sampled_face import height_and_slope, meet_sampled, sampled_face
-from clacad.tracing.trace import trace, trace_sequence
+from clacad.tracing.facets.telescopelet import height_and_slope, meet_sampled, sampled_face
+from clacad.tracing.trace import trace
 from clacad.verification import verify
 
 DESIGN = Design.from_dict({

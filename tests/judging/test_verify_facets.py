@@ -13,7 +13,7 @@ from clacad.judging.mesh_light import lit_cells
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle
-from clacad.tracing.triangles.telescopelet_facets import FacetBody, facet_face, first_crossing, trace_facets
+from clacad.tracing.facets.telescopelet import FacetBody, facet_face, first_crossing, trace_facets
 
 PLAIN = Design.from_dict({
     "format": 1, "name": "plain", "unit": "mm", "law": {"eta": [-0.5, -1.0]},

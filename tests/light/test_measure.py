@@ -10,8 +10,7 @@ import pytest
 import clacad
 from clacad.design import Design
 from clacad.effects import dispersion
-from clacad.effects.engine.bounds import Situation
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.effect import Setting, Situation
 from clacad.light.compare import Comparison, angles, change_with_shift
 from clacad.light.measure import measure, measure_each
 from clacad.optics.law import angle_between, difference_of_laws

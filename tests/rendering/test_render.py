@@ -36,7 +36,7 @@ from clacad.rendering.screen_measure import measure
 from clacad.rendering.sheet_passage import geometry_alone
 from clacad.scene import Scene, SceneError
 from clacad.scene.chess_knight import turned
-from clacad.tracing.triangles.hierarchy import mesh_tree, nearest_triangle
+from clacad.tracing.facets.hierarchy import mesh_tree, nearest_triangle
 
 PLAIN = {
     "format": 1,

@@ -9,16 +9,8 @@ import pytest
 import clacad
 from clacad.mesh import tessellate
 from clacad.tracing.compiled.records import DEPTH, Ray
-from clacad.tracing.triangles.compiled_search import first_facet, nearest
-from clacad.tracing.triangles.hierarchy import (
-    COUNT,
-    FIRST,
-    LEAF,
-    LEVELS,
-    hierarchy,
-    mesh_tree,
-    nearest_triangle,
-)
+from clacad.tracing.facets.compiled_hierarchy import first_facet, nearest
+from clacad.tracing.facets.hierarchy import COUNT, FIRST, LEAF, LEVELS, hierarchy, mesh_tree, nearest_triangle
 
 
 @numba.njit

@@ -33,7 +33,7 @@ print(" ".join(sorted(name for name in sys.modules if name.startswith("clacad.")
 OF_OWN_CELLS = {
     "clacad.tracing.compiled.own_cells", "clacad.mesh.own_cells", "clacad.sheet.own_steps",
     "clacad.prescription.aimed_cells", "clacad.prescription.varying_cells",
-    "clacad.prescription.traced_vertices", "clacad.prescription.sharp_pairs", "clacad.tracing.triangles.own_sheet",
+    "clacad.prescription.traced_vertices", "clacad.prescription.sharp_pairs", "clacad.tracing.facets.own_sheet",
 }  # fmt: skip
 
 

@@ -12,8 +12,8 @@ from clacad.formats.mesh.stl import write_stl
 from clacad.mesh import tessellate
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.cell_places import CellPlacement, VertexChange
-from clacad.tracing.triangles.own_sheet import told
-from clacad.tracing.triangles.triangle_soup import read_soup
+from clacad.tracing.facets.own_sheet import told
+from clacad.tracing.facets.triangle_soup import read_soup
 
 AIMED = {
     "format": 1, "name": "aimed", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

@@ -10,11 +10,11 @@ import pytest
 from oracle.windows import biconvex, slab
 
 import clacad
-from clacad.tracing import tracer
-from clacad.tracing.triangles import triangle_soup as soups
-from clacad.tracing.triangles.hierarchy import hierarchy
-from clacad.tracing.triangles.squares import NO_SQUARES, find_squares
-from clacad.tracing.triangles.triangle_soup import TriangleSoup
+from clacad.tracing import trace as tracer
+from clacad.tracing.facets import triangle_soup as soups
+from clacad.tracing.facets.hierarchy import hierarchy
+from clacad.tracing.facets.squares import NO_SQUARES, find_squares
+from clacad.tracing.facets.triangle_soup import TriangleSoup
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fates import all_directions, windows

@@ -46,7 +46,7 @@ count = Count()
 event.register('numba:compile', count)
 from oracle.windows import beam, biconvex
 from clacad.optics.rays import Rays
-from clacad.tracing.trace import trace
+from clacad.effects.trace import trace
 window = biconvex()
 trace(window, Rays(*beam(window, 1000, 0)), path='numba')
 print(count.compiled)

@@ -11,10 +11,11 @@ from mpmath import mp, mpf
 from oracle import law as oracle
 from oracle.windows import PITCH, beam, biconvex
 
+from clacad.effects.trace import trace
 from clacad.optics.law import Law
 from clacad.optics.rays import Fate, Rays
-from clacad.tracing import tracer, which_path
-from clacad.tracing.trace import trace
+from clacad.tracing import trace as tracer
+from clacad.tracing import which_path
 from clacad.tracing.which_path import task, trace_seconds
 
 WINDOWS = windows()

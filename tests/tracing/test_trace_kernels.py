@@ -12,8 +12,8 @@ import pytest
 from oracle.windows import beam, biconvex, collection, slab
 
 from clacad import load, prescribe
+from clacad.effects.trace import trace
 from clacad.optics.rays import Fate, Rays
-from clacad.tracing.trace import trace
 
 WINDOWS = collection()
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -101,7 +101,7 @@ def test_threads_change_nothing(monkeypatch):
 def test_a_small_job_does_not_load_the_compiler():
     code = (
         "import sys, numpy as np; from oracle.windows import biconvex, beam\n"
-        "from clacad.tracing.trace import trace; from clacad.optics.rays import Rays\n"
+        "from clacad.effects.trace import trace; from clacad.optics.rays import Rays\n"
         "w = biconvex(); r = Rays(*beam(w, 10_000, 0))\n"
         "[trace(w, r, rung) for rung in ('law', 'thin', 'surfaces')]\n"
         "assert not {'numba', 'scipy', 'matplotlib', 'OCP'} & set(sys.modules), sorted(sys.modules)\n"

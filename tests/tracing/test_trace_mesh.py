@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from oracle.windows import PITCH, beam, biconvex, collection
 
+from clacad.effects.trace import trace
 from clacad.mesh import tessellate
 from clacad.optics.rays import Fate, Rays
 from clacad.scene.keys import SHEET
-from clacad.tracing.trace import trace
-from clacad.tracing.triangles.triangle_soup import TriangleSoup
+from clacad.tracing.facets.triangle_soup import TriangleSoup
 
 WINDOWS = collection()
 

@@ -10,10 +10,10 @@ import pytest
 from oracle.windows import PITCH, SPACING, beam, biconvex, collection, plano, slab
 
 from clacad.cli import main
+from clacad.effects.trace import trace
 from clacad.optics.rays import NO_CELL, Fate, Rays
 from clacad.sheet.lattice import Circle
 from clacad.sheet.window import Baffle, Land
-from clacad.tracing.trace import trace
 
 WINDOWS = collection()
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from oracle.windows import PITCH, beam, biconvex, collection, plano, slab
 
+from clacad.effects.trace import trace
 from clacad.optics.material.catalogue import find
 from clacad.optics.rays import NO_CELL, Fate, Rays
+from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.lattice import Lattice
-from clacad.tracing.trace import Interface, trace, trace_sequence
 
 WINDOWS = collection()
 PATHS = ("numpy", "numba")

@@ -8,8 +8,8 @@ from often import often
 from oracle.marching import march
 from oracle.windows import PITCH, beam, collection
 
+from clacad.effects.trace import trace
 from clacad.optics.rays import Fate, Rays
-from clacad.tracing.trace import trace
 
 # the honeycomb between the arrays is no part of `clacad.sheet.window`; its own tests are in test_trace_thin
 WINDOWS = {name: window for name, window in collection().items() if name != "baffle"}

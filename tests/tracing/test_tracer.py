@@ -16,10 +16,10 @@ from oracle.windows import biconvex, slab
 import clacad
 from clacad.formats.mesh import stl
 from clacad.optics.rays import Rays, TraceResult
-from clacad.tracing import tracer as tracers
+from clacad.tracing import trace as tracers
+from clacad.tracing.facets import tiles as meshes
+from clacad.tracing.facets import triangle_soup as soups
 from clacad.tracing.layout import prepared
-from clacad.tracing.triangles import tiles as meshes
-from clacad.tracing.triangles import triangle_soup as soups
 
 
 def beam(window: Any, count: int = 300) -> Rays:

@@ -22,7 +22,7 @@ DESIGNS = Path(__file__).parents[2] / "designs"
 
 def test_nothing_is_compiled_where_all_is_kept_and_all_where_nothing_is(monkeypatch, capsys):
     window = prescribe(load(DESIGNS / "slab.toml"))
-    homes = ("clacad.base.kernel_cache", "clacad.tracing.compiled.kept_kernels")
+    homes = ("clacad.base.kernel_cache", "clacad.tracing.compiled.surfaces")
     for home in homes:
         monkeypatch.setattr(f"{home}.is_kept", lambda *_: False)
     assert compiling_seconds(window, OF_TABLE) == sum(SECONDS.values())

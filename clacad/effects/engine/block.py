@@ -1,4 +1,7 @@
-"""A block of rays for the effects' passes, and its crossings of each face."""
+"""A block of rays for the effects' passes, and its crossings of each face; random draws for its rays.
+
+Draws are deterministic: a ray with given bits and row number always gets the same numbers.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Rung
+from clacad.base.types import Bools, Floats, Rung, Words
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Body, Window
 
@@ -199,3 +202,60 @@ def traced_of(block: RayBlock) -> Traced:
     assert result.directions is not None
     kept = result.hits, result.directions, result.fate, result.surface
     return Traced(rays.position, rays.direction, *kept, block.indices)
+
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_A, _MIX_B = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+
+
+def uniform(rays: Rays, count: int, seed: int, salt: int) -> Floats:
+    """Numbers in (0, 1), `count` columns per ray.
+
+    Parameters
+    ----------
+    rays : Rays
+        Their bits and their row numbers are the key, so blocks and tiles have different draws.
+    salt : int
+        One for each effect, so that effects draw independently.
+
+    Returns
+    -------
+    (n, count) array
+
+    Notes
+    -----
+    SplitMix64 (Steele, Lea and Flood, OOPSLA 2014) as a hash; 53 bits and half a step, never 0 or 1.
+    """
+    columns = (*rays.position.T, *rays.direction.T)
+    word = _mixed(np.arange(len(rays), dtype=np.uint64) * _GOLDEN + np.uint64(seed))
+    for column in columns:
+        word = _mixed(word ^ np.ascontiguousarray(column).view(np.uint64))
+    out = np.empty((len(rays), count))
+    for k in range(count):
+        step = np.uint64((97 * salt + k + 1) * int(_GOLDEN) % 2**64)
+        bits = _mixed(word + step) >> np.uint64(11)
+        out[:, k] = (bits.astype(np.float64) + 0.5) * 2.0**-53
+    return out
+
+
+def normal(rays: Rays, pairs: int, seed: int, salt: int) -> Floats:
+    """Standard normal numbers (n, 2 pairs), by Box and Muller."""
+    u = uniform(rays, 2 * pairs, seed, salt)
+    radius = np.sqrt(-2.0 * np.log(u[:, :pairs]))
+    angle = 2.0 * np.pi * u[:, pairs:]
+    return np.concatenate([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+def disc(rays: Rays, seed: int, salt: int) -> Floats:
+    """Points (n, 2) spread evenly over the unit disc."""
+    u = uniform(rays, 2, seed, salt)
+    radius, angle = np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+def _mixed(word: Words) -> Words:
+    """SplitMix64's finaliser: every bit of the result depends on every bit of the word."""
+    with np.errstate(over="ignore"):
+        word = (word ^ (word >> np.uint64(30))) * _MIX_A
+        word = (word ^ (word >> np.uint64(27))) * _MIX_B
+        return np.asarray(word ^ (word >> np.uint64(31)), dtype=np.uint64)

@@ -14,13 +14,11 @@ from typing import Literal
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Rows
-from clacad.effects.engine.mirrored_window import mirrored
 from clacad.optics.rays import Rays
 from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
-from clacad.sheet.cell_places import LensPlaces
-from clacad.sheet.window import Window
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out, lenses, sheet_position
+from clacad.sheet.window import IDENTITY, Body, Face, Window
+from clacad.tracing.layout import BodyPlan, Layout, lay_out, lenses, sheet_position
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import (
     ABOVE,
@@ -33,8 +31,42 @@ from clacad.tracing.reference.column import (
     Event,
     first_change,
 )
+from clacad.tracing.reference.face import NUDGE, lens_normals, wall_normals
 from clacad.tracing.reference.launch import Beam, box_span, launch, on_to, sheet_xy, to_array
-from clacad.tracing.wall_normals import NUDGE, wall_normals
+
+FLIP = np.diag([1.0, 1.0, -1.0])
+
+
+def mirrored(window: Window) -> Window:
+    """The mirror image of a window in the plane z = 0: bodies in reverse order, arrays keep their numbers.
+
+    Every surface is even in its own x and y, so the mirror image is that surface on its other side with
+    the rotation F R F, F = diag(1, 1, −1), again a proper one. For tracing only: `law`, `thin` and `recipe`
+    still describe the original window.
+    """
+    low, high = window.z_range
+    bodies = tuple(_mirrored_body(body) for body in reversed(window.bodies))
+    return replace(window, bodies=bodies, z_range=(-high, -low))
+
+
+def _mirrored_body(body: Body) -> Body:
+    return replace(body, front=_mirrored_face(body.back), back=_mirrored_face(body.front))
+
+
+def _mirrored_face(face: Face) -> Face:
+    x, y, z = face.vertex
+    turned = IDENTITY if face.untilted else FLIP @ face.rotation @ FLIP
+    return Face(
+        surface=replace(face.surface, side=-face.surface.side),
+        vertex=(x, y, -z),
+        rotation=turned,
+        array=face.array,
+        land=None if face.land is None else -face.land,
+        change=None
+        if face.change is None
+        else replace(face.change, slope=(-face.change.slope[0], -face.change.slope[1])),
+    )
+
 
 State = tuple[bool, int, bool]
 
@@ -440,22 +472,6 @@ def arrived(layout: Layout, body: BodyPlan, packet: Packet, event: Event, up: bo
     path = packet.path + index * event.distance
     gated = np.zeros(len(packet), dtype=bool)
     return replace(packet, beam=at, path=path, position=position, gated=gated)
-
-
-def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -> Floats:
-    """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator.
-
-    places : LensPlaces
-        Position of each point's lens, see `clacad.tracing.layout.lenses`.
-    """
-    vx, vy, vz = places.apex
-    point = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
-    if places.size is not None:
-        point = point / places.size[:, None]
-    if face.rotation is None:
-        return face.surface.normal(point[:, 0], point[:, 1])
-    turned = point @ face.rotation
-    return np.asarray(face.surface.normal(turned[:, 0], turned[:, 1]) @ face.rotation.T)
 
 
 def _joined(packets: list[Packet]) -> Packet:

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Rung
 from clacad.effects import registry
 from clacad.effects.engine.block import RayBlock, around, crossings
-from clacad.effects.engine.effect import Effect, When
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.effect import Effect, Setting, When
 from clacad.effects.registry import declared, declared_all
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.window import Window
@@ -189,7 +188,7 @@ def trace_with(
     setting: Setting | None = None,
     **options: Any,
 ) -> TraceResult:
-    """Trace rays with effects; see `clacad.tracing.trace.trace`.
+    """Trace rays with effects; see `clacad.trace`.
 
     Parameters
     ----------

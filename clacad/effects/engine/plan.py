@@ -16,8 +16,7 @@ import numpy as np
 
 from clacad.base.types import Rung
 from clacad.effects import registry
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.effect import Bound, Setting, Situation
 from clacad.effects.engine.probe_rays import choose_rung
 from clacad.effects.engine.stand_ins import with_stand_ins, worst_bound
 from clacad.effects.registry import declared, declared_all
@@ -388,7 +387,7 @@ def _smooth(name: str, bound: Bound) -> Bound:
 
 
 def _measured(situation: Situation, name: str, bound: Bound) -> Bound:
-    from clacad.effects.engine.measured_change import measure
+    from clacad.effects.engine.camera_light import measure
 
     if not bound.known or (bound.angle == 0.0 and bound.radiance == 0.0):
         return bound

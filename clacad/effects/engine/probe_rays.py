@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Rung
 from clacad.effects.dispersion import LINES
-from clacad.effects.engine.bounds import PROBE, Situation
-from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.effect import PROBE, Setting, Situation
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import aperture_slope, aperture_slopes, focal_ratio, thin_cells

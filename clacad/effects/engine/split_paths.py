@@ -9,9 +9,9 @@ import numpy as np
 
 from clacad.base.types import Bools
 from clacad.effects.engine.block import RayBlock, around, unit_rows
+from clacad.effects.engine.effect import Setting
 from clacad.effects.engine.homogeneous_light import LightRays, join_light
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
-from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import blocks, take_rays
 from clacad.effects.registry import declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult

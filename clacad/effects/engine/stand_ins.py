@@ -17,8 +17,7 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
-from clacad.effects.engine.bounds import Bound, Situation
-from clacad.effects.engine.effect import Declaration
+from clacad.effects.engine.effect import Bound, Declaration, Situation
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells, rows_through_outermost

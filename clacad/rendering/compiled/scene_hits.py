@@ -40,7 +40,7 @@ from clacad.rendering.compiled.scene_tables import (
 )
 from clacad.rendering.scene_arrays import FLOOR, LIT, MESH
 from clacad.tracing.compiled.records import DEPTH, Ray
-from clacad.tracing.triangles.compiled_search import nearest
+from clacad.tracing.facets.compiled_hierarchy import nearest
 
 
 class Pad(NamedTuple):

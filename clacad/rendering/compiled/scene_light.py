@@ -42,7 +42,7 @@ from clacad.rendering.scene_arrays import (
     STRIPES,
 )
 from clacad.tracing.compiled.records import Ray
-from clacad.tracing.triangles.compiled_search import normal_of
+from clacad.tracing.facets.compiled_hierarchy import normal_of
 
 
 @exact

@@ -8,7 +8,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.rendering.scene_arrays import CONE, FLOOR, MESH, PRISM, SCREEN, SPHERE, SceneArrays
-from clacad.tracing.triangles.hierarchy import ROOT, Hierarchy
+from clacad.tracing.facets.hierarchy import ROOT, Hierarchy
 
 # Columns of `Tables.prim`.
 KIND, PAINT, PATTERN, PIECE, END, ROWS, COLUMNS, SIZE, BOUND, ORIGIN, TURN, COLOUR = (

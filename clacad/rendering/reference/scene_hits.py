@@ -24,7 +24,7 @@ from clacad.rendering.scene_arrays import (
     STRIPES,
     SceneArrays,
 )
-from clacad.tracing.triangles.hierarchy import nearest_triangle
+from clacad.tracing.facets.hierarchy import nearest_triangle
 
 UNTURNED = np.eye(3)
 

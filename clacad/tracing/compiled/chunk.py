@@ -40,10 +40,10 @@ from clacad.tracing.compiled.straight_path_slots import (
     lanes,
 )
 from clacad.tracing.compiled.walk import walk_ray
-from clacad.tracing.triangles.compiled_squares import ROWS, store_sheet_block, suits_squares, through_squares
-from clacad.tracing.triangles.hierarchy import Hierarchy
-from clacad.tracing.triangles.squares import Squares
-from clacad.tracing.triangles.tiles import Tiles
+from clacad.tracing.facets.compiled_squares import ROWS, store_sheet_block, suits_squares, through_squares
+from clacad.tracing.facets.hierarchy import Hierarchy
+from clacad.tracing.facets.squares import Squares
+from clacad.tracing.facets.tiles import Tiles
 
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 

@@ -1,38 +1,33 @@
 """Rung "law" compiled: blocks of rays that cross the sheet well inside a cell; the rest is left to numpy.
 
-The twin of `clacad.tracing.reference.law_rung`. Directions are computed in the order of `Law.refract`, so
-they agree to the last bit. Its scaling by powers of two is left out: only directions and laws of insane size
-need it.
+The twin of `reference.launch.trace_law`. Directions are computed in the order of `Law.refract`, so they agree
+to the last bit. Its scaling by powers of two is left out: only directions and laws of insane size need it.
 
-Sums over traced rays, compiled: the twin of `clacad.tracing.reference.law_rung`.
+Rungs "law" and "thin" decide the rays that pass every border at a safe distance. A ray closer than that to a
+border, or to being turned back, is left to the numpy path, so the rounding of either path does not matter.
 """
 
 from __future__ import annotations
 
-from math import atan2, inf, sqrt
+from collections.abc import Callable
+from math import inf, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, multiply_add, owning
-from clacad.base.compiled_pairs import two_sum
-from clacad.base.types import Bytes, Floats, Rows
+from clacad.base.compiled import exact, least, owning
+from clacad.base.compiled_pairs import less_product
+from clacad.base.types import Floats, Rows
+from clacad.light.compiled_sums import DELTA_X, DELTA_Y, ETA_X, ETA_Y, R0
+from clacad.light.sums import ordinary
 from clacad.optics.law import law_numbers
-from clacad.optics.rays import Fate, Rays
+from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.chunk import load_block, queue_undecided, store_block
+from clacad.tracing.compiled.cells import in_zone, kept
+from clacad.tracing.compiled.chunk import blank_row, load_block, queue_undecided, store_block
 from clacad.tracing.compiled.launch import launch_block
 from clacad.tracing.compiled.packing import Packed, pack_array_1
-from clacad.tracing.compiled.plain_cases import (
-    FAR,
-    MISS,
-    NEAR,
-    arrive_well_inside,
-    miss,
-    rows_left,
-    surely_unmet,
-)
 from clacad.tracing.compiled.records import Outcome
-from clacad.tracing.compiled.straight_path import copy_row
+from clacad.tracing.compiled.straight_path import arrive, copy_row, hold_in_zone
 from clacad.tracing.compiled.straight_path_slots import (
     BLOCK,
     CI,
@@ -44,6 +39,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     DZ,
     GOOD,
     GZ,
+    HALF,
     LEFT_X,
     LEFT_Y,
     PATH,
@@ -55,12 +51,88 @@ from clacad.tracing.compiled.straight_path_slots import (
     lane,
     lanes,
 )
+from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
-from clacad.tracing.reference.law_rung import GRADIENT, KNOWN, NORMAL, NUMBERS, OUT, SQUARE, ordinary
 
-ETA_X, ETA_Y, DELTA_X, DELTA_Y, R0 = range(5)
-"""Indices of `law_numbers`."""
+NEAR = 2.0**-30
+"""Share of a cell, or cosine, within which nothing is decided: a million times the rounding error of either
+path.
+"""
+
+FAR = 2.0**40
+"""Cells from the start to the sheet beyond which nothing is decided: rounding could hide whether a ray misses
+the sheet.
+"""
+
+
+def rows_left(
+    kernel: Callable[..., int], sheet: Packed, optics: Floats, rays: Rays, ledger: Ledger, threads: int
+) -> Rows:
+    """Trace rays by a kernel that writes the rows it decides; return the other rows (k,).
+
+    kernel : `law_rung.law_chunk` or `thin.thin_chunk`, which reads `sheet` and `optics`
+    """
+    position, direction, out = in_arrays(rays, ledger)
+
+    def one(chosen: Rows) -> Rows:
+        left = np.empty_like(chosen)
+        return left[: kernel(sheet, optics, chosen, position, direction, out, left)]
+
+    rows = np.arange(len(rays))
+    return np.concatenate([rows[:0], *over_threads(one, rows, threads)])
+
+
+CLEAR = 1e-4
+"""Share of a cell by which a ray must clear the sheet, or start behind it, to be called MISSED here."""
+
+MISS = HALF
+"""Row of a block that is positive where a ray certainly misses."""
+
+
+@exact
+def near(lat: Floats) -> float:
+    """Distance from borders within which nothing is decided."""
+    return float(NEAR * lat[slot.REACH])
+
+
+@exact
+def arrive_well_inside(sheet: Packed, s: Floats, m: int) -> None:
+    """Require that rays on a reference plane lie inside a kept cell, and not near its borders."""
+    arrive(sheet.lattice, sheet.rows, s, m, 0.0)
+    hold_in_zone(sheet.lattice, s, m, near(sheet.lattice), 0.0, 0.0)
+
+
+@exact
+def surely_beside(sheet: Packed, s: Floats, k: int) -> bool:
+    """Whether ray k is over a cell that is not kept, and far from its borders."""
+    lat, x, y = sheet.lattice, s[X, k], s[Y, k]
+    inside = in_zone(lat, x, y, CLEAR * lat[slot.REACH])
+    return inside and not kept(lat, sheet.rows, s[CI, k], s[CJ, k])
+
+
+@exact
+def surely_unmet(sheet: Packed, s: Floats, k: int, sane: float, carried: float) -> bool:
+    """Whether launched ray k, whose direction is `sane` > 0, misses the sheet laterally or started behind
+    it.
+    """
+    reach = sheet.lattice[slot.REACH]
+    if not (sane > 0.0 and abs(carried) < FAR * reach and abs(s[X, k]) + abs(s[Y, k]) < inf):
+        return False
+    return carried < -CLEAR * reach or surely_beside(sheet, s, k)
+
+
+@exact
+def miss(s: Floats, block: Rows, start: Floats, ray: Floats, out: Outcome) -> None:
+    """Reset the undecided rows of a block to the launched rays; rays that miss or cannot be launched become
+    decided.
+    """
+    for k in range(len(block)):
+        if s[GOOD, k] == 0.0:
+            launchable = blank_row(block[k], start, ray, out)
+            if not launchable or s[MISS, k] > 0.0:
+                s[GOOD, k] = 1.0
+
 
 SANE = STEEP
 """Row of a block that is positive where a direction is of ordinary size and goes forwards."""
@@ -110,14 +182,6 @@ def law_chunk(
 
 
 @exact
-def less_product(x: float, a: float, b: float) -> float:
-    """Value of x − a b with the product unrounded."""
-    product = a * b
-    total, rest = two_sum(x, -product)
-    return total + (rest - multiply_add(a, b, -product))
-
-
-@exact
 def _refract(law: Floats, s: Floats, m: int) -> None:
     """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and the margin by which they exist into
     GZ.
@@ -153,101 +217,3 @@ def _cross(sheet: Packed, s: Floats, m: int) -> None:
     for i in range(m):
         if not good[i] > 0.0:
             s[MISS, i] = 1.0 if surely_unmet(sheet, s, i, s[SANE, i], path[i]) else 0.0
-
-
-ALIVE = int(Fate.ALIVE)
-
-FEW = 64
-"""Rays whose numbers are added plainly; their subtotals are added with compensation of the rounding error."""
-
-SMALL = 1e-2
-"""Chord below which four terms of the arc sine are exact to the last digit."""
-
-
-@owning
-def add_rays(law: Floats, fate: Bytes, ray: Floats, out: Floats, sums: Floats) -> float:
-    """Add m rays to the sums; return the largest angle to the law.
-
-    law : see `law_numbers`
-    ray, out : (m, 3)
-        Before the sheet, of any length, and behind it.
-    sums : (2, NUMBERS)
-        With the rounding error.
-    """
-    part, worst = np.zeros(NUMBERS), 0.0
-    for first in range(0, len(fate), FEW):
-        for k in range(first, min(first + FEW, len(fate))):
-            part[fate[k]] += 1.0
-            if fate[k] == ALIVE:
-                for c in range(3):
-                    part[OUT + c] += out[k, c]
-                worst = max(worst, _add_ray(law, ray[k], out[k], part))
-        for n in range(NUMBERS):
-            sums[0, n], lost = two_sum(sums[0, n], part[n])
-            sums[1, n] += lost
-            part[n] = 0.0
-    return worst
-
-
-@exact
-def _add_ray(law: Floats, ray: Floats, out: Floats, part: Floats) -> float:
-    """Add one ALIVE ray in the frame of the lenses; return its angle to the law, 0 where the law has no
-    answer.
-    """
-    u, v, w = ray[0], ray[1], ray[2]
-    size = 1.0 / sqrt(u * u + v * v + w * w)
-    mx = (law[R0] * u + law[R0 + 3] * v + law[R0 + 6] * w) * size
-    my = (law[R0 + 1] * u + law[R0 + 4] * v + law[R0 + 7] * w) * size
-    mz = (law[R0 + 2] * u + law[R0 + 5] * v + law[R0 + 8] * w) * size
-    x = less_product(mx, law[DELTA_X], mz) / law[ETA_X]
-    y = less_product(my, law[DELTA_Y], mz) / law[ETA_Y]
-    onwards = law[R0 + 6] * x + law[R0 + 7] * y + law[R0 + 8] * mz
-    if not (w > 0.0 and mz > 0.0 and onwards > 0.0):
-        return 0.0
-    each = 1.0 / sqrt(x * x + y * y + mz * mz)
-    x, y, z = x * each, y * each, mz * each
-    u, v, w = out[0], out[1], out[2]
-    p = law[R0] * u + law[R0 + 3] * v + law[R0 + 6] * w
-    q = law[R0 + 1] * u + law[R0 + 4] * v + law[R0 + 7] * w
-    r = law[R0 + 2] * u + law[R0 + 5] * v + law[R0 + 8] * w
-    dx, dy, dz = p - x, q - y, r - z
-    angle = _angle(dx * dx + dy * dy + dz * dz, p * x + q * y + r * z)
-    part[KNOWN] += 1.0
-    part[SQUARE] += angle * angle
-    _add_step(mx * each, my * each, z, x, y, dx, dy, dx * x + dy * y + dz * z, part)
-    return angle
-
-
-@exact
-def _angle(square: float, product: float) -> float:
-    """Angle between unit directions from the square of their difference and their product."""
-    chord = sqrt(square)
-    if chord < SMALL:
-        return chord * (1.0 + square * (1.0 / 24.0 + square * (3.0 / 640.0 + square * (5.0 / 7168.0))))
-    return 2.0 * atan2(chord, sqrt(max(0.0, 2.0 + 2.0 * product)))
-
-
-@exact
-def _add_step(
-    a: float, b: float, c: float, x: float, y: float, dx: float, dy: float, along: float, part: Floats
-) -> None:
-    """Add the contribution of a ray that leaves at (x, y) to 1/η and δ/η; (a, b, c): incident ray over exit
-    length.
-    """
-    xx, yy, xy = 1.0 - x * x, 1.0 - y * y, -x * y
-    ac, bc, cc = a * c, b * c, c * c
-    part[NORMAL] += xx * (a * a)
-    part[NORMAL + 1] += xx * ac
-    part[NORMAL + 2] += xx * cc
-    part[NORMAL + 3] += yy * (b * b)
-    part[NORMAL + 4] += yy * bc
-    part[NORMAL + 5] += yy * cc
-    part[NORMAL + 6] += xy * (a * b)
-    part[NORMAL + 7] += xy * ac
-    part[NORMAL + 8] += xy * bc
-    part[NORMAL + 9] += xy * cc
-    gx, gy = dx - along * x, dy - along * y
-    part[GRADIENT] += a * gx
-    part[GRADIENT + 1] += b * gy
-    part[GRADIENT + 2] += c * gx
-    part[GRADIENT + 3] += c * gy

@@ -55,8 +55,8 @@ from clacad.tracing.compiled.straight_path_slots import (
     lanes,
 )
 from clacad.tracing.compiled.walk import reach
-from clacad.tracing.triangles.compiled_tile_block import cross_facets
-from clacad.tracing.triangles.tiles import Tiles
+from clacad.tracing.facets.compiled_tile_block import cross_facets
+from clacad.tracing.facets.tiles import Tiles
 
 Media = tuple[float, float]
 """Refractive indices before a face and behind it."""

@@ -1,21 +1,24 @@
-"""Rung "surfaces" compiled."""
+"""Rung "surfaces" compiled, and whether the kernels of a rung are on disk, ready to be loaded."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from clacad.base.types import Floats, Rows
+from clacad.base.kernel_cache import is_kept
+from clacad.base.types import Floats, Rows, Rung
+from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk, trace_chunk_of_triangles
 from clacad.tracing.compiled.packing import Packed, in_single, pack
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.threads import CHUNK, in_arrays, over_threads
+from clacad.tracing.facets.squares import Triangles
+from clacad.tracing.facets.tiles import Tiles
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
-from clacad.tracing.triangles.squares import Triangles
-from clacad.tracing.triangles.tiles import Tiles
 
 FIRST = np.arange(CHUNK)
 """Row numbers of a chunk that has its own columns."""
@@ -74,3 +77,25 @@ def piece(
     part = slice(rows.start, rows.stop)
     columns = Outcome._make(column if column.ndim == 3 else column[part] for column in out)
     return FIRST[: len(rows)], (position[part], direction[part], columns)
+
+
+def rung_is_kept(rung: Rung, layout: Layout) -> bool:
+    """Whether the kernel that traces this rung without a record is on disk; argument types alone decide."""
+    one = Rays(np.zeros((1, 3)), np.ones((1, 3)))
+    sheet, rows, left = packed(layout), np.arange(1), np.empty(1, dtype=np.intp)
+    traced = (rows, *in_arrays(one, Ledger.blank(1, 0)))
+    if rung in ("surfaces", "mesh"):
+        return is_kept(trace_chunk, (None, sheet, *traced))
+    kernel, optics = _ideal(rung, layout)
+    return is_kept(kernel, (sheet, optics, *traced, left))
+
+
+def _ideal(rung: Rung, layout: Layout) -> tuple[Any, Any]:
+    """Kernel of rung law or thin, and the numbers of its optics."""
+    if rung == "law":
+        from clacad.tracing.compiled.law_rung import law_chunk
+
+        return law_chunk, law_numbers(layout.window.law)
+    from clacad.tracing.compiled.thin import thin_chunk, thin_pair
+
+    return thin_chunk, thin_pair(layout)[1]

@@ -20,8 +20,7 @@ from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.cells import to_array
 from clacad.tracing.compiled.chunk import load_block, queue_undecided, store_block
 from clacad.tracing.compiled.launch import launch_block
-from clacad.tracing.compiled.packing import Packed, pack
-from clacad.tracing.compiled.plain_cases import (
+from clacad.tracing.compiled.law_rung import (
     CLEAR,
     FAR,
     MISS,
@@ -33,6 +32,7 @@ from clacad.tracing.compiled.plain_cases import (
     surely_beside,
     surely_unmet,
 )
+from clacad.tracing.compiled.packing import Packed, pack
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.straight_path import BEHIND_START, copy_row, hold_in_zone
 from clacad.tracing.compiled.straight_path_slots import (

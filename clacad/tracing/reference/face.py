@@ -1,4 +1,7 @@
-"""One ray, one face: intersection and refraction in the lens frame, heights, the rules of a column."""
+"""One ray, one face: intersection and refraction in the lens frame, heights, the rules of a column.
+
+At a wall, which one: a border of a cell or of an optical zone, or the outline, and its normal.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from clacad.base.types import Bools, Floats
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.optics.surface import Quadric, gradient, meet_at, refract
 from clacad.sheet.cell_places import LensPlaces
+from clacad.sheet.plate_edges import nearest_edges
 from clacad.sheet.window import Face, lens_height
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
@@ -223,3 +227,72 @@ def _biconic_step(face: FacePlan, point: Floats, d: Floats) -> Floats:
 
 def _finite(t: Floats) -> Floats:
     return np.where(np.isfinite(t), t, np.inf)
+
+
+NUDGE = 16 * 2.0**-52
+"""Share of a cell by which a ray is moved beyond its wall, so that rounding does not leave it before the
+wall.
+"""
+
+
+def wall_normals(
+    layout: Layout, body: BodyPlan, direction: Floats, local: dict[int, Floats], xy: Floats
+) -> Floats:
+    """Horizontal unit normals (m, 2) of the walls that rays are at, on the side the rays go to.
+
+    Parameters
+    ----------
+    direction : (m, 3)
+    local : one (m, 2) array for each of the body's arrays
+        The points, relative to the cells they are in.
+    xy : (m, 2)
+        The same points in the sheet frame.
+    """
+    away, normals = [], []
+    for array, points in local.items():
+        for (ux, uy), half in zip(layout.normals[array], layout.widths[array], strict=True):
+            sign = np.where(ux * direction[:, 0] + uy * direction[:, 1] < 0.0, -1.0, 1.0)
+            reach = np.abs(ux * points[:, 0] + uy * points[:, 1])
+            edges = [half] if layout.margin == 0.0 else [half, half - layout.margin]
+            away.append(np.min([np.abs(reach - edge) for edge in edges], axis=0))
+            normals.append(sign[:, None] * np.array([ux, uy]))
+    for gap, normal in _sides_of_outline(body, xy):
+        sign = np.where((normal * direction[:, :2]).sum(axis=1) < 0.0, -1.0, 1.0)
+        away.append(gap)
+        normals.append(sign[:, None] * normal)
+    nearest = np.argmin(np.array(away), axis=0)
+    return np.asarray(np.array(normals)[nearest, np.arange(len(xy))])
+
+
+def _sides_of_outline(body: BodyPlan, xy: Floats) -> list[tuple[Floats, Floats]]:
+    """Distance from each side of the outline, and its outward normal."""
+    shape, half_x, half_y = body.outline
+    if shape == "none":
+        return []
+    if body.plate is not None:
+        return [nearest_edges(body.plate.edges, xy)]
+    point = xy - np.asarray(body.centre)
+    if shape == "circle":
+        radius = np.maximum(np.hypot(point[:, 0], point[:, 1]), 1e-300)
+        return [(np.abs(radius - half_x), point / radius[:, None])]
+    axes = np.eye(2)
+    return [
+        (np.abs(np.abs(point[:, i]) - half), np.broadcast_to(axes[i], point.shape))
+        for i, half in ((0, half_x), (1, half_y))
+    ]
+
+
+def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -> Floats:
+    """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator.
+
+    places : LensPlaces
+        Position of each point's lens, see `clacad.tracing.layout.lenses`.
+    """
+    vx, vy, vz = places.apex
+    point = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
+    if places.size is not None:
+        point = point / places.size[:, None]
+    if face.rotation is None:
+        return face.surface.normal(point[:, 0], point[:, 1])
+    turned = point @ face.rotation
+    return np.asarray(face.surface.normal(turned[:, 0], turned[:, 1]) @ face.rotation.T)

@@ -17,6 +17,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import Fate
 from clacad.optics.surface import ULP
+from clacad.tracing.facets.tiles import TiledFace
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import launch as honeycomb
@@ -24,7 +25,6 @@ from clacad.tracing.reference.face import height, in_zone, well_inside
 from clacad.tracing.reference.facets import meet_face
 from clacad.tracing.reference.launch import Beam, launch, on_to, sheet_xy, to_array
 from clacad.tracing.reference.walk import walk
-from clacad.tracing.triangles.tiles import TiledFace
 
 BLOCK = 8192
 """Rays at a time: the temporaries of one block stay in the second-level cache."""

@@ -28,7 +28,7 @@ from clacad.tracing.reference.column import (
     Event,
 )
 from clacad.tracing.reference.face import Hit, cross, cross_at, cross_land, in_footprint
-from clacad.tracing.reference.facet_column import change
+from clacad.tracing.reference.facets import change
 from clacad.tracing.reference.launch import Beam, box_span, on_to, sheet_xy, to_array
 
 BEHIND = 8 * ULP

@@ -20,7 +20,7 @@ from clacad.verification.accuracy.extended_precision import direction_errors
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
-    from clacad.tracing.triangles.tiles import Normals
+    from clacad.tracing.facets.tiles import Normals
 
 QUADS = (4, 8, 16, 32, 64, 128)
 """Tessellations of the ladder, quads per cell side."""
@@ -152,11 +152,11 @@ def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
 
 def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRow]:
     """Rungs law, thin, surfaces in float64 and float32, all compiled."""
-    from clacad.tracing.trace import trace
+    from clacad.tracing.trace import SheetTracer, trace
 
     window, rays = ladder.window, ladder.rays
     surfaces = row(ladder, "surfaces", "float64", lambda: trace(window, rays, path="numba"))
-    single = row(ladder, "surfaces", "float32", lambda: trace(window, rays, precision="float32"))
+    single = row(ladder, "surfaces", "float32", lambda: SheetTracer(window, precision="float32")(rays))
     return [
         row(ladder, "law", "", lambda: trace(window, rays, rung="law", path="numba")),
         row(ladder, "thin", "", lambda: trace(window, rays, rung="thin", path="numba")),
@@ -200,8 +200,8 @@ def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     """Facets of a non-uniform sheet: those of the cells that its light enters, and of their neighbours."""
     from clacad.formats.mesh.stl import stl_bytes
     from clacad.mesh import tessellate
+    from clacad.tracing.facets.triangle_soup import own_soup
     from clacad.tracing.trace import trace
-    from clacad.tracing.triangles.own_sheet import own_soup
 
     window, rays, rows = ladder.window, ladder.rays, []
     normals: tuple[Normals, ...] = ("facet", "vertex")

@@ -17,9 +17,9 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
-from clacad.tracing.trace import Interface, trace_sequence
 
 HEIGHTS = 41
 PART = 0.9

@@ -16,11 +16,10 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays
-from clacad.optics.sequence import STEP, parabasal
+from clacad.optics.sequence import STEP, Interface, parabasal, trace_sequence
 from clacad.sheet.asked_focus import asked_power
 from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import PLANE, Window
-from clacad.tracing.trace import Interface, trace_sequence
 
 __all__ = ["Confocality", "confocality"]
 

@@ -30,8 +30,8 @@ from clacad.sheet.bundle import Bundle, bundle, launched, middle_direction
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
+from clacad.tracing.facets.telescopelet import trace_facets
 from clacad.tracing.trace import trace
-from clacad.tracing.triangles.telescopelet_facets import trace_facets
 
 if TYPE_CHECKING:
     from clacad.design import Design

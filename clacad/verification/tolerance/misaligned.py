@@ -16,11 +16,11 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.optics.sequence import Interface, trace_sequence
 from clacad.optics.surface import Surface, resized
 from clacad.sheet.feasibility import thicker
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
-from clacad.tracing.trace import Interface, trace_sequence
 
 Errors = Mapping[str, float]
 

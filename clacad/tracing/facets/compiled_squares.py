@@ -39,9 +39,9 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
     lanes,
 )
-from clacad.tracing.triangles.compiled_hierarchy import LEVEL
-from clacad.tracing.triangles.compiled_tile_block import SquareGrid, half_bin, to_level
-from clacad.tracing.triangles.squares import (
+from clacad.tracing.facets.compiled_hierarchy import LEVEL
+from clacad.tracing.facets.compiled_tile_block import SquareGrid, half_bin, to_level
+from clacad.tracing.facets.squares import (
     BIN,
     BINS_X,
     BINS_Y,

@@ -1,15 +1,19 @@
 """Light in sums: rays by fate, angle to a law, mean direction, and the law that rays show; no row is kept.
 
-Rays are traced PIECE at a time, and each piece is summed as it is finished, in numpy or compiled
-(`reference/light_sums.py`, `compiled/light_sums.py`). Pieces do not depend on the number of threads, and
-their sums are added exactly in one order: one thread and many give the same bits.
+Rays are sent PIECE at a time, and each piece is summed as it is finished, in numpy (`sums_of`) or by a kernel
+(`compiled_sums`). Pieces do not depend on the number of threads, and their sums are added exactly in one
+order: one thread and many give the same bits.
 
 From half a million rays on, compiled sums take a fifth of the time of rows and their angles. In numpy sums
-take a tenth longer, because they contain what a fit needs. Only callers with many rays use them.
-The others do not: `verify` needs every number of each ray (accounting), draws spots from rows and prints the
-uncertainty of its
-fits; `accuracy` compares two results ray by ray, with 95 in 100; `tolerance` and `optimise` trace a few
-hundred or thousand rays a sample, too few for a kernel.
+take a tenth longer, because they contain what a fit needs. Only callers with many rays use them. The others
+do not: `verify` needs every number of each ray, draws spots from rows and prints the uncertainty of its fits;
+`accuracy` compares two results ray by ray, with 95 in 100; `tolerance` and `optimise` trace a few hundred or
+thousand rays a sample, too few for a kernel.
+
+In the frame of the lenses a ray m is incident and the law sends it along w = (m_x/η_x − m_z δ_x/η_x, …, m_z).
+With u = w/|w| and r the ray's own exit direction minus u, one step of Gauss and Newton in (1/η_x, 1/η_y,
+δ_x/η_x, δ_y/η_y) solves N s = g with N = Σ Jᵀ J, g = Σ Jᵀ r and J = (1 − u uᵀ) ∂w/|w|, which needs only the
+products below.
 """
 
 from __future__ import annotations
@@ -20,10 +24,9 @@ from math import fsum, nan, sqrt
 
 import numpy as np
 
-from clacad.base.types import Floats
-from clacad.optics.law import Law, law_numbers, linear_numbers, with_linear_numbers
+from clacad.base.types import Bools, Bytes, Floats
+from clacad.optics.law import Law, angle_between, law_numbers, linear_numbers, with_linear_numbers
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.tracing.reference.law_rung import GRADIENT, KNOWN, NORMAL, NUMBERS, OUT, SQUARE, ordinary, sums_of
 
 PIECE = 1 << 14
 """Rays summed together: the rows of their results stay in the second-level cache."""
@@ -36,6 +39,21 @@ SETTLED = 1e-13
 
 ALIKE = 1e-12
 """Least singular value, relative to the largest, that still determines a parameter of the law."""
+
+KNOWN = len(Fate)
+"""Index of the ALIVE rays for which the law has an answer; counts by fate come first."""
+
+SQUARE, OUT = KNOWN + 1, KNOWN + 2
+"""Indices of the squared angles to the law and of the exit directions of the ALIVE rays (3)."""
+
+NORMAL, GRADIENT, NUMBERS = KNOWN + 5, KNOWN + 15, KNOWN + 19
+"""Indices of the ten products that make up N, and of g (4)."""
+
+LARGE = 2.0**100
+"""Laws with a number above this, or an η below its inverse, are left to numpy."""
+
+AddRays = Callable[[Floats, Bytes, Floats, Floats, Floats], float]
+"""See `compiled_sums.add_rays`."""
 
 Summed = tuple[Floats, float]
 """Sums (2, NUMBERS) of a piece with their rounding errors, and its largest angle to the law."""
@@ -56,7 +74,7 @@ class LightSums:
     worst : float, radians
         Largest angle.
     sums : (NUMBERS,) array
-        See `clacad.tracing.reference.law_rung`.
+        See `KNOWN` and the constants after it.
     """
 
     law: Law
@@ -118,7 +136,7 @@ class LightSums:
 
 
 def summed(
-    traced: Callable[[Rays], TraceResult], rays: Rays, law: Law, compiled: bool, threads: int
+    traced: Callable[[Rays], TraceResult], rays: Rays, law: Law, add: AddRays | None, threads: int
 ) -> LightSums:
     """Trace rays piece by piece and sum them.
 
@@ -128,8 +146,8 @@ def summed(
         Rays of a piece → their result.
     rays : Rays
     law : Law
-    compiled : bool
-        Whether the sums are made by a kernel.
+    add : callable or None
+        Kernel that makes the sums (`compiled_sums.add_rays`); None: numpy makes them.
     threads : int
     """
 
@@ -137,7 +155,7 @@ def summed(
         part = slice(first, first + PIECE)
         waves = None if rays.wavelength is None else rays.wavelength[part]
         piece = Rays(rays.position[part], rays.direction[part], waves)
-        return _of_piece(law, piece.direction, traced(piece), compiled)
+        return _of_piece(law, piece.direction, traced(piece), add)
 
     starts = range(0, len(rays), PIECE)
     if threads == 1 or len(starts) < 2:
@@ -175,14 +193,19 @@ def fitted(sums: Callable[[Rays, Law | None], LightSums], rays: Rays, law: Law |
     raise ValueError(f"the law that these rays show does not settle in {STEPS} steps")
 
 
-def _of_piece(law: Law, ray: Floats, result: TraceResult, compiled: bool) -> Summed:
+def ordinary(law: Floats) -> bool:
+    """Whether compiled code, which has no separate powers of two, can represent a law's numbers; see
+    `law_numbers`.
+    """
+    return bool(np.abs(law[:2]).min() > 1.0 / LARGE and np.abs(law).max() < LARGE)
+
+
+def _of_piece(law: Law, ray: Floats, result: TraceResult, add: AddRays | None) -> Summed:
     sums, numbers = np.zeros((2, NUMBERS)), law_numbers(law)
-    if not (compiled and ordinary(numbers)):
+    if add is None or not ordinary(numbers):
         sums[0], worst = sums_of(law, ray, result)
         return sums, worst
-    from clacad.tracing.compiled.law_rung import add_rays
-
-    return sums, add_rays(numbers, result.fate, np.ascontiguousarray(ray), result.direction, sums)
+    return sums, add(numbers, result.fate, np.ascontiguousarray(ray), result.direction, sums)
 
 
 def _together(law: Law, pieces: Sequence[Summed]) -> LightSums:
@@ -191,3 +214,51 @@ def _together(law: Law, pieces: Sequence[Summed]) -> LightSums:
     counts = {fate.name: int(sums[fate]) for fate in Fate}
     worst = max((worst for _, worst in pieces), default=0.0)
     return LightSums(law, counts, int(sums[KNOWN]), worst, sums)
+
+
+def sums_of(law: Law, ray: Floats, result: TraceResult) -> tuple[Floats, float]:
+    """Sums (NUMBERS,) over the rays of a result and the largest angle to the law (radians).
+
+    ray : (m, 3)
+        Directions before the sheet.
+    """
+    sums = np.zeros(NUMBERS)
+    sums[:KNOWN] = np.bincount(result.fate, minlength=KNOWN)
+    alive = result.fate == Fate.ALIVE
+    sums[OUT : OUT + 3] = [np.ascontiguousarray(c).sum() for c in result.direction[alive].T]
+    asked = law.refract(ray[alive])
+    known = np.isfinite(asked[:, 0])
+    angle = angle_between(result.direction[alive][known], asked[known])
+    sums[KNOWN], sums[SQUARE] = known.sum(), (angle * angle).sum()
+    sums[NORMAL:] = _step_sums(law, ray[alive], result.direction[alive], known)
+    return sums, float(angle.max(initial=0.0))
+
+
+def _step_sums(law: Law, ray: Floats, out: Floats, known: Bools) -> Floats:
+    """N and g: (14,)."""
+    m = (ray[known] / np.linalg.norm(ray[known], axis=1)[:, None]) @ law.rotation
+    power_x, power_y, offset_x, offset_y = linear_numbers(law)
+    w = np.stack([m[:, 0] * power_x - m[:, 2] * offset_x, m[:, 1] * power_y - m[:, 2] * offset_y, m[:, 2]])
+    length = np.sqrt((w * w).sum(axis=0))
+    x, y, z = w / length
+    a, b, c = m.T / length
+    more = (out[known] @ law.rotation).T - [x, y, z]
+    gx, gy = more[:2] - (more * [x, y, z]).sum(axis=0) * [x, y]
+    xx, yy, xy = 1.0 - x * x, 1.0 - y * y, -x * y
+    terms = (
+        xx * a * a,
+        xx * a * c,
+        xx * c * c,
+        yy * b * b,
+        yy * b * c,
+        yy * c * c,
+        xy * a * b,
+        xy * a * c,
+        xy * b * c,
+        xy * c * c,
+        a * gx,
+        b * gy,
+        c * gx,
+        c * gy,
+    )
+    return np.array([term.sum() for term in terms])

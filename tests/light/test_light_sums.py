@@ -10,12 +10,12 @@ import pytest
 from oracle.windows import biconvex, slab
 
 import clacad
+from clacad.light import sums as light_sums
+from clacad.light.sums import fitted
 from clacad.optics.law import Law, angle_between
 from clacad.optics.law.law import law_in_axes
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import bundle
-from clacad.tracing import light_sums
-from clacad.tracing.light_sums import fitted
 
 WINDOWS = {
     "biconvex": lambda: biconvex(count=(6, 6)),

@@ -23,8 +23,7 @@ from clacad.tracing.compiled.column import (
 )
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import CELL, FACET, FACET_NORMAL, START, STEP, CellRay, Ray, Vector
-from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
-from clacad.tracing.triangles.tiles import (
+from clacad.tracing.facets.tiles import (
     BIN,
     BINS_X,
     BINS_Y,
@@ -37,6 +36,7 @@ from clacad.tracing.triangles.tiles import (
     VOID,
     Tiles,
 )
+from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 NOT_LOOKED_UP, NONE = -2, -1
 """State of the facet that an array is in: not yet looked up; none exists."""
@@ -82,8 +82,6 @@ def facet_normal(tiles: Tiles, facet: int, side: int, x: float, y: float) -> tup
 
 
 # -- the walk ----------------------------------------------------------------------------------
-
-
 @exact
 def _levels(
     tiles: Tiles, faces: Floats, row: int, at: int, causes: Ints, work: Floats, dx: float, dy: float

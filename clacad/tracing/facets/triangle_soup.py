@@ -2,24 +2,28 @@
 
 A file of a part that a shop delivered contains no cells, faces or bodies. Triangles are joined where they
 share a corner to the last bit. Each connected piece belongs to the body of the window whose heights it lies
-nearest.
+nearest. `facets_of` lays triangles out in place of a window's faces, once, and keeps them with the window.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.window import Window
-from clacad.tracing.layout import BodyPlan, Layout, lay_out
-from clacad.tracing.triangles.hierarchy import hierarchy
-from clacad.tracing.triangles.squares import Triangles, find_squares
-from clacad.tracing.triangles.tiles import Normals
+from clacad.storage.errors import LimitRefused
+from clacad.tracing.facets.hierarchy import hierarchy
+from clacad.tracing.facets.squares import Triangles, find_squares
+from clacad.tracing.facets.tiles import Normals
+from clacad.tracing.layout import BodyPlan, Layout, lay_out, prepared
 
 UNITS = (1.0, 1000.0, 0.001, 25.4, 1.0 / 25.4)
 MATCH = 0.02
@@ -177,3 +181,142 @@ def _pieces(corners: Floats) -> Ints:
         label = new
     _, piece = np.unique(label[triangles[:, 0]], return_inverse=True)
     return np.asarray(piece.ravel(), dtype=np.int64)
+
+
+if TYPE_CHECKING:
+    from clacad.mesh import Mesh
+    from clacad.tracing.facets.squares import Triangles
+    from clacad.tracing.facets.tiles import Normals, Tiles
+
+    AnyMesh = Mesh | TriangleSoup | str | os.PathLike[str]
+
+
+OWN_QUADS = 16
+"""Quads a cell side of the sheet's own mesh where none is given, as in scenes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """Triangles in place of a window's faces, ready for rays.
+
+    layout : Layout
+        The window, with the bounds of the triangles.
+    found_in : Tiles or Triangles
+    """
+
+    layout: Layout
+    found_in: Tiles | Triangles
+
+
+def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) -> Facets:
+    """Triangles ready for rays through a window; the last ones are kept with the window.
+
+    For a non-uniform sheet they are those of a sheet without an end; the tracer finds cells afterwards from
+    the points met.
+
+    Raises
+    ------
+    ValueError
+        The mesh has other bodies than the window, no normals where vertex normals are requested, or no unit
+        that fits; or the requested number of quads cannot be made.
+    LimitRefused
+        The sheet is non-uniform and has more triangles than are held.
+    """
+    if isinstance(mesh, Facets):
+        return mesh
+    key = _identity(mesh)
+    kept: tuple[Callable[[], object], Normals, Facets] | None = prepared(window).get("facets")
+    if kept is not None and kept[0]() == key() and kept[1] == normals:
+        return kept[2]
+    facets = _laid_out(window, mesh, normals)
+    prepared(window)["facets"] = key, normals, facets
+    return facets
+
+
+def _identity(mesh: AnyMesh | int) -> Callable[[], object]:
+    """Function that returns the identity of a mesh: the object, None once it is deleted; of a file, its path,
+    time and size.
+    """
+    if isinstance(mesh, int):
+        return lambda: mesh
+    if not isinstance(mesh, (str, os.PathLike)):
+        return ref(mesh)
+    facts = os.stat(mesh)
+    known = (os.path.realpath(mesh), facts.st_mtime_ns, facts.st_size, facts.st_ino)
+    return lambda: known
+
+
+def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
+    from clacad.tracing.facets.tiles import lay_out_mesh
+
+    if isinstance(mesh, int):
+        from clacad.mesh import tessellate
+
+        mesh = tessellate(window, quads=mesh)
+    elif isinstance(mesh, (str, os.PathLike)):
+        mesh = read_soup(mesh, window)
+    if not window.uniform:
+        mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
+        layout, triangles = lay_out_soup(window, mesh, normals)
+        return Facets(endless_layout(layout), triangles)
+    if isinstance(mesh, TriangleSoup):
+        return Facets(*lay_out_soup(window, mesh, normals))
+    return Facets(*lay_out_mesh(window, mesh, normals))
+
+
+MOST_FACETS = 4_000_000
+"""Largest number of triangles of a sheet that are held for tracing, none of them a copy of another."""
+
+ENDLESS = 1_000_001
+"""Cells in each direction of a sheet so wide that no light passes outside it."""
+
+
+def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
+    """All the triangles of a sheet's own mesh.
+
+    Raises
+    ------
+    LimitRefused
+        More than `MOST_FACETS` triangles.
+    """
+    count = sum(body.facets_about for body in mesh.bodies)
+    if count > MOST_FACETS:
+        raise LimitRefused(
+            f'rung "mesh": about {count:,} triangles of cells that differ are more than the {MOST_FACETS:,}'
+            " that are held; use fewer quads or fewer cells"
+        )
+    corners = np.concatenate([rows for body in mesh.bodies for rows in body.rows()])
+    if normals != "vertex":
+        return TriangleSoup(corners)
+    from clacad.mesh import corner_normals
+
+    return TriangleSoup(corners, np.concatenate([n for body in mesh.bodies for n in corner_normals(body)]))
+
+
+def endless_layout(layout: Layout) -> Layout:
+    """Uniform sheet without an end that replaces a non-uniform one where only triangles are searched.
+
+    layout : Layout
+        Of the sheet, with the bounds of the triangles.
+    """
+    window = layout.window
+    still = tuple(
+        replace(body, front=replace(body.front, change=None), back=replace(body.back, change=None))
+        for body in window.bodies
+    )
+    wide = lay_out(
+        replace(
+            window,
+            bodies=still,
+            placements=tuple(CellPlacement(place.shift) for place in window.placements),
+            lattice=replace(window.lattice, count=(ENDLESS, ENDLESS), outline=None),
+            outline=None,
+            thin=replace(window.thin, pitch=None, turn=0.0, change=None, change_1=None),
+            cell_laws=None,
+        )
+    )
+    bounded = tuple(
+        replace(body, low=own.low, high=own.high)
+        for body, own in zip(wide.bodies, layout.bodies, strict=True)
+    )
+    return replace(wide, bodies=bounded)

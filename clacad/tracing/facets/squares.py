@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from clacad.base.arrays import doubled_normals
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.window import WALL
-from clacad.tracing.triangles.hierarchy import COUNT, FIRST, Hierarchy
-from clacad.tracing.triangles.tiles import over_bins
+from clacad.tracing.facets.hierarchy import COUNT, FIRST, Hierarchy
+from clacad.tracing.facets.tiles import over_bins
 
 # Columns of a body's row: corner of the grid, bins per length, bins in x and y, number of the first bin and
 # of the first corner of bins, and the heights between which facets that face down, and those that face up,

@@ -2,7 +2,7 @@
 bundle.
 
 A tree is complete and binary. Every box is halved at the median of its longest side, level by level and by
-stable sorting, so that the tree is the same on all machines. `compiled_search` is the compiled search; the
+stable sorting, so that the tree is the same on all machines. `compiled_hierarchy` is the compiled search; the
 search here serves bundles of rays where no kernel is loaded. Triangles by Möller and Trumbore, J. Graphics
 Tools 2, 21 (1997).
 """
@@ -142,8 +142,6 @@ def _boxed(corners: Floats, levels: int) -> Hierarchy:
 
 
 # -- bundles of rays ---------------------------------------------------------------------------
-
-
 def nearest_triangle(
     trees: Hierarchy, b: int, origin: Floats, direction: Floats, limit: Floats
 ) -> tuple[Floats, Ints]:

@@ -1,8 +1,13 @@
-"""Light through the triangles of a file themselves, one telescopelet at a time, in double precision.
+"""Light through the faces of a file, one telescopelet at a time, in double precision: triangles or heights.
 
-A file is known here only as triangles. Those over one cell are gathered. In each body rays meet the first
-facet that faces outward against them, then the first that faces outward along them. Walls (facets nearly
-parallel to z) let nothing through. Nothing of the mesher or of the exact surfaces is used.
+*Triangles.* Those over one cell are gathered. In each body rays meet the first facet that faces outward
+against them, then the first that faces outward along them. Walls (facets nearly parallel to z) let nothing
+through. Nothing of the mesher or of the exact surfaces is used.
+
+*Heights on a grid*, as in maps and point files, are a bicubic surface: the cubic spline through the samples
+of one cell. Beyond the border of the cell the samples belong to another lens. There, and where land covers
+the lens, the surface continues as the design's lens, displaced by the nearest sample's deviation: a spline
+must not ring at an edge of the part.
 """
 
 from __future__ import annotations
@@ -15,9 +20,188 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Bytes, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import meet, refract
-from clacad.sheet.window import Face, Window, in_optical_tile
-from clacad.tracing.sampled_face import SampledFace, meet_sampled
-from clacad.tracing.triangles.hierarchy import Hierarchy, hierarchy
+from clacad.sheet.window import Face, Window, face_height, in_optical_tile, lens_height
+from clacad.tracing.facets.hierarchy import Hierarchy, hierarchy
+
+RINGS = 3
+"""Nodes by which the grid extends beyond the samples."""
+
+ROUNDS = 30
+SAME = 1e-13
+"""Height over the pitch below which a ray has met the surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledFace:
+    """One face over one cell as a bicubic spline.
+
+    face : Face
+        Face of the design, for its land.
+    origin : (3,) lengths
+        Centre of the face's cell in the sheet frame, z = 0.
+    window : Window
+        Window whose optical zone ends the face.
+    low, step : (2,) lengths
+        First node, cell frame, and spacing of nodes.
+    coefficients : (nx + 2, ny + 2) lengths
+        Coefficients of cubic B-splines; node (i, j) is the middle of the 3 × 3 block that begins at [i, j].
+    """
+
+    face: Face
+    origin: Floats
+    window: Window
+    low: Floats
+    step: Floats
+    coefficients: Floats
+
+
+def sampled_face(window: Window, face: Face, origin: Floats, samples: Floats, step: Floats) -> SampledFace:
+    """Fit a bicubic surface to samples of one cell.
+
+    Parameters
+    ----------
+    window, face
+    origin : (3,) lengths
+        Centre of the face's cell in the sheet frame, z = 0.
+    samples : (m, 3) lengths
+        x and y in the cell frame, on a grid; z in the sheet frame.
+    step : (2,) lengths
+        Spacing of samples along x and y.
+
+    Raises
+    ------
+    ValueError
+        Fewer than 4 × 4 samples lie on the lens.
+    """
+    known = _samples_on_lens(window, face, samples)
+    if len(known) < 16:
+        raise ValueError(
+            f"{len(known)} samples lie on the lens of a cell; 16 and more make a bicubic surface"
+        )
+    first = known[:, :2].min(axis=0)
+    index = np.rint((known[:, :2] - first) / step).astype(np.int64)
+    low = first - RINGS * step
+    count = index.max(axis=0) + 1 + 2 * RINGS
+    x, y = (low[k] + step[k] * np.arange(count[k]) for k in (0, 1))
+    off = np.full(tuple(count), np.nan)
+    off[index[:, 0] + RINGS, index[:, 1] + RINGS] = known[:, 2] - _lens(face, known[:, 0], known[:, 1])
+    gx, gy = np.meshgrid(x, y, indexing="ij")
+    height = _lens(face, gx.ravel(), gy.ravel()).reshape(gx.shape) + _nearest(off)
+    rows = _interpolation(count[0])
+    columns = _interpolation(count[1])
+    padded = np.zeros((count[0] + 2, count[1] + 2))
+    padded[1:-1, 1:-1] = height
+    coefficients = np.linalg.solve(columns, np.linalg.solve(rows, padded).T).T
+    return SampledFace(face, np.asarray(origin), window, low, np.asarray(step), coefficients)
+
+
+def _samples_on_lens(window: Window, face: Face, samples: Floats) -> Floats:
+    """Those samples (m, 3) that lie in the optical zone of their cell and not on land."""
+    x, y = samples[:, 0], samples[:, 1]
+    here = np.isfinite(samples).all(axis=1) & in_optical_tile(window, x, y)
+    on_lens = here & (face_height(window, face, x, y) == lens_height(face, x, y))
+    return np.asarray(samples[on_lens])
+
+
+def _lens(face: Face, x: Floats, y: Floats) -> Floats:
+    """Height of the design's lens; beyond its equator that of its apex, which no light reaches."""
+    z = lens_height(face, x, y)
+    return np.where(np.isfinite(z), z, face.vertex[2])
+
+
+def _nearest(values: Floats) -> Floats:
+    """Replace NaN in a table (m, n) by the nearest known neighbours, ring after ring."""
+    filled = values.copy()
+    while np.isnan(filled).any():
+        padded = np.pad(filled, 1, constant_values=np.nan)
+        around = np.stack(
+            [
+                padded[1 + i : padded.shape[0] - 1 + i, 1 + j : padded.shape[1] - 1 + j]
+                for i in (-1, 0, 1)
+                for j in (-1, 0, 1)
+            ]
+        )
+        known = np.isfinite(around)
+        count = known.sum(axis=0)
+        mean = np.where(known, around, 0.0).sum(axis=0) / np.maximum(count, 1)
+        filled = np.where(np.isnan(filled) & (count > 0), mean, filled)
+    return filled
+
+
+def _interpolation(count: int) -> Floats:
+    """Matrix (n + 2, n + 2) from coefficients to heights at n nodes; the outer rows: no third derivative at
+    the ends.
+    """
+    matrix = np.zeros((count + 2, count + 2))
+    for k in range(count):
+        matrix[k + 1, k : k + 3] = (1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0)
+    matrix[0, :4] = matrix[-1, -4:] = (-1.0, 3.0, -3.0, 1.0)
+    return matrix
+
+
+def height_and_slope(face: SampledFace, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Height (n,) of the surface at positions in its cell frame, and its derivatives along x and y."""
+    cells, values, slopes = [], [], []
+    for k, at in enumerate((x, y)):
+        most = face.coefficients.shape[k] - 4
+        u = np.clip((at - face.low[k]) / face.step[k], 0.0, most + 1.0)
+        cell = np.minimum(u.astype(np.int64), most)
+        t = u - cell
+        cells.append(cell)
+        values.append(
+            np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6.0
+        )
+        slopes.append(
+            np.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / (2.0 * face.step[k])
+        )
+    z, dx, dy = (np.zeros(len(x)) for _ in range(3))
+    for i in range(4):
+        for j in range(4):
+            c = face.coefficients[cells[0] + i, cells[1] + j]
+            z += c * values[0][i] * values[1][j]
+            dx += c * slopes[0][i] * values[1][j]
+            dy += c * values[0][i] * slopes[1][j]
+    return z, dx, dy
+
+
+def meet_sampled(
+    face: SampledFace, position: Floats, direction: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Intersect rays with a bicubic surface.
+
+    Parameters
+    ----------
+    face : SampledFace
+    position, direction : (n, 3) arrays
+        Sheet frame; unit directions with d_z > 0.
+
+    Returns
+    -------
+    distance : (n,) lengths
+        NaN where the surface is not met ahead within the optical zone of its cell.
+    normal : (n, 3)
+        Towards +z, not unit.
+    land : (n,) bool
+        Where the design covers the lens with land.
+    """
+    local = position - face.origin
+    distance = (face.face.vertex[2] - local[:, 2]) / direction[:, 2]
+    size = min(face.window.lattice.pitch)
+    z, dx, dy = (np.zeros(len(local)) for _ in range(3))
+    gap = np.full(len(local), np.inf)
+    for _ in range(ROUNDS):
+        x, y, height = (local + distance[:, None] * direction).T
+        z, dx, dy = height_and_slope(face, x, y)
+        gap = height - z
+        if not (np.abs(gap) > SAME * size).any():
+            break
+        rate = direction[:, 2] - dx * direction[:, 0] - dy * direction[:, 1]
+        distance = distance - gap / np.where(rate > 0.0, rate, 1.0)
+    x, y, _ = (local + distance[:, None] * direction).T
+    inside = in_optical_tile(face.window, x, y)
+    met = inside & (np.abs(gap) <= 1e3 * SAME * size) & (distance >= 0.0)
+    land = met & ~(face_height(face.window, face.face, x, y) == lens_height(face.face, x, y))
+    return np.where(met, distance, np.nan), np.column_stack([-dx, -dy, np.ones(len(dx))]), land
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +306,7 @@ def first_crossing(
     distance = np.full(len(position), np.nan)
     facet = np.full(len(position), -1, dtype=np.int64)
     if face.trees is not None and len(position):
-        from clacad.tracing.triangles.compiled_search import first_facet
+        from clacad.tracing.facets.compiled_hierarchy import first_facet
 
         start, ray = position - face.origin, np.ascontiguousarray(direction)
         first_facet(face.trees, face.normals, start, ray, -1.0 if entering else 1.0, distance, facet)

@@ -34,8 +34,8 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
     lanes,
 )
-from clacad.tracing.triangles.compiled_tiles import facet_normal, locate_facet
-from clacad.tracing.triangles.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
+from clacad.tracing.facets.compiled_tiles import facet_normal, locate_facet
+from clacad.tracing.facets.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
 
 SquareGrid = tuple[float, float, float, float, float, float, float, float]
 """Corner of a grid of halved bins, bins per length, their count, number of the first, and direction of

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from clacad.mesh import Mesh
     from clacad.mesh.prototile import Prototile
 
+
 Normals = Literal["facet", "vertex"]
 
 LENS, LAND, VOID = 0, 1, 2

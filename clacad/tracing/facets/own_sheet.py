@@ -1,89 +1,25 @@
 """Rung "mesh" of a non-uniform sheet: light through all triangles, with the cells found afterwards.
 
 The trees that find triangles know no cells, and the kernels above them assume cells of one pitch. Light is
-therefore traced through the triangles as if they belonged to a uniform sheet without an end. The cells of
-every ray are then found from the points where it met the arrays, in the order in which it met them.
+therefore traced through the triangles as if they belonged to a uniform sheet without an end
+(`triangle_soup.endless_layout`). The cells of every ray are then found from the points where it met the
+arrays, in the order in which it met them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.pairs import two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.window import Window
-from clacad.storage.errors import LimitRefused
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
+from clacad.tracing.layout import BodyPlan, FacePlan, lay_out
 from clacad.tracing.reference.face import in_footprint
 from clacad.tracing.reference.launch import Beam
 from clacad.tracing.reference.walk import Walkers, note_cell, order_of
-from clacad.tracing.triangles.triangle_soup import TriangleSoup
-
-if TYPE_CHECKING:
-    from clacad.mesh import Mesh
-    from clacad.tracing.triangles.tiles import Normals
-
-MOST_FACETS = 4_000_000
-"""Largest number of triangles of a sheet that are held for tracing, none of them a copy of another."""
-
-ENDLESS = 1_000_001
-"""Cells in each direction of a sheet so wide that no light passes outside it."""
-
-
-def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
-    """All the triangles of a sheet's own mesh.
-
-    Raises
-    ------
-    LimitRefused
-        More than `MOST_FACETS` triangles.
-    """
-    count = sum(body.facets_about for body in mesh.bodies)
-    if count > MOST_FACETS:
-        raise LimitRefused(
-            f'rung "mesh": about {count:,} triangles of cells that differ are more than the {MOST_FACETS:,}'
-            " that are held; use fewer quads or fewer cells"
-        )
-    corners = np.concatenate([rows for body in mesh.bodies for rows in body.rows()])
-    if normals != "vertex":
-        return TriangleSoup(corners)
-    from clacad.mesh import corner_normals
-
-    return TriangleSoup(corners, np.concatenate([n for body in mesh.bodies for n in corner_normals(body)]))
-
-
-def endless_layout(layout: Layout) -> Layout:
-    """Uniform sheet without an end that replaces a non-uniform one where only triangles are searched.
-
-    layout : Layout
-        Of the sheet, with the bounds of the triangles.
-    """
-    window = layout.window
-    still = tuple(
-        replace(body, front=replace(body.front, change=None), back=replace(body.back, change=None))
-        for body in window.bodies
-    )
-    wide = lay_out(
-        replace(
-            window,
-            bodies=still,
-            placements=tuple(CellPlacement(place.shift) for place in window.placements),
-            lattice=replace(window.lattice, count=(ENDLESS, ENDLESS), outline=None),
-            outline=None,
-            thin=replace(window.thin, pitch=None, turn=0.0, change=None, change_1=None),
-            cell_laws=None,
-        )
-    )
-    bounded = tuple(
-        replace(body, low=own.low, high=own.high)
-        for body, own in zip(wide.bodies, layout.bodies, strict=True)
-    )
-    return replace(wide, bodies=bounded)
 
 
 def told(
