@@ -53,7 +53,7 @@ _HOME = {
     "Tracer": "clacad.effects.trace",
     "trace_sequence": "clacad.optics.sequence",
     "measure_light": "clacad.tracing.worst_cell",
-    "export": "clacad.exporting.export_design",
+    "export": "clacad.exporting.run",
     "design_for": "clacad.advice",
     "Wish": "clacad.advice",
     "solids": "clacad.solid.solids",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.mesh.repeated_pieces import Piece, Places
+from clacad.formats.placements import Piece, Places
 from clacad.sheet.lattice import Lattice
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ import pytest
 from viewscenes import ROOT
 
 from clacad.base.types import Floats
-from clacad.formats.pov.pov_scene import write_pov
+from clacad.exporting.pov.pov_scene import write_pov
 from clacad.prescription.prescribe import prescribe
 from clacad.scene import Scene
 

@@ -182,6 +182,12 @@ def test_only_the_forecast_of_light_traces_in_export_and_meshes_and_solids_know_
         assert "design" not in {room_of(target) for target in imports(name)}, f"{name} knows a design"
 
 
+def test_formats_read_the_sheet_as_built_and_nothing_above_it():
+    for name in in_rooms("formats"):
+        known = {room_of(target) for target in imports(name)}
+        assert not known & {"config", "design", "scene", "prescription"}, name
+
+
 def test_intent_is_read_once():
     """Only law, design, advice on it, prescription and the judges read an attribute named eta*: the rest sees geometry."""
     free = ("optics/law/", "design/", "advice/", "prescription/", "judging/", "verification/")

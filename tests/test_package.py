@@ -45,7 +45,7 @@ def test_the_public_api_is_the_recorded_one():
 
 def test_a_verb_stays_a_verb_after_its_module_was_imported():
     code = """
-import clacad, clacad.tracing.trace, clacad.exporting.export_design, clacad.verification
+import clacad, clacad.tracing.trace, clacad.exporting.run, clacad.verification
 import clacad.tracing.compiled.column as column
 from clacad.optics.sequence import trace_sequence
 assert column.__name__ == 'clacad.tracing.compiled.column'

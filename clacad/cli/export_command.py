@@ -248,7 +248,7 @@ def is_scene(path: Path) -> bool:
 
 def _export_scene(given: Export, console: Console) -> int:
     """Write a scene, sheet and all, for POV-Ray; of an animated scene the first frame."""
-    from clacad.formats.pov.pov_scene import write_pov
+    from clacad.exporting.pov.pov_scene import write_pov
     from clacad.paper.make_atlas import manifest_of
     from clacad.prescription.prescribe import prescribe
     from clacad.scene import load_scene

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.machine_rates import Rates, Span, total
 from clacad.exporting.formats.format import ChosenMesh, Forecast
 from clacad.exporting.formats.registry import format_of, formats
-from clacad.exporting.limits import MOST_FACETS, QUADS, refuse_cells, refuse_over_limits
-from clacad.exporting.refusals import refuse_other_cells
+from clacad.exporting.limits import MOST_FACETS, QUADS, refuse_cells, refuse_other_cells, refuse_over_limits
 from clacad.exporting.request import DEFAULTS, Request
 from clacad.exporting.roles import Role
 from clacad.exporting.rough_sizes import RoughSheet

@@ -1,15 +1,24 @@
-"""Carrying out an export: forecast, write, read back, publish.
+"""Export of a design's files: forecast, write, read back, publish.
+
+One atomic writer serves all formats, and every file is read back before publication. A copy of a design's
+cell table lies next to the files that were exported from it.
+
+Carrying out an export: forecast, write, read back, publish.
 
 Copy of a design's cell table, next to the files that were exported from it.
+
+Export of a design's files: one atomic writer for all formats; every file is read back before
+publication.
 """
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base import log
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
@@ -21,20 +30,32 @@ from clacad.exporting.forecast import PREPARE, forecast, prepare_seconds
 from clacad.exporting.formats.format import Forecast
 from clacad.exporting.formats.registry import format_of, known
 from clacad.exporting.formats.table import CELL_TABLE
-from clacad.exporting.job import Job
 from clacad.exporting.light_forecast import Grader
-from clacad.exporting.manifest import FileRecord, Manifest, carried_over, document
+from clacad.exporting.limits import Refusals, refuse_idle_fused, require_possible
+from clacad.exporting.manifest import FileRecord, Job, Manifest, carried_over, document
 from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
-from clacad.exporting.refusals import Refusals, refuse_idle_fused, require_possible
-from clacad.exporting.request import Request
+from clacad.exporting.request import DEFAULTS, Request
 from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes
 from clacad.storage.atomic import MANIFEST, Stage, read_manifest, require_folder, safe_name, translated
-from clacad.storage.errors import ExportError, ExportIncomplete, FileDisagrees, NotPossible, WorkerDied
+from clacad.storage.errors import (
+    BadRequest,
+    CannotWrite,
+    ExportError,
+    ExportIncomplete,
+    ExportRefused,
+    FileDisagrees,
+    LimitRefused,
+    NotPossible,
+    UnknownFormat,
+    UnreadableFile,
+    WorkerDied,
+)
 from clacad.storage.worker import Worker, ended_by_signals, worker_memory
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.exporting.request import AskedQuads, AskedRole
     from clacad.sheet.window import Window
 
 
@@ -67,7 +88,7 @@ CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 
 
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
-    """Do what `clacad.exporting.export_design.export` promises."""
+    """Do what `clacad.exporting.run.export` promises."""
     report = progress if progress is not None else silent
     formats = _formats(request)
     made = design if request.cells is None else design.with_cells(request.cells)
@@ -315,3 +336,85 @@ def _content(design: Design, window: Window, records: list[FileRecord], request:
     counts = {"pieces": [body.pieces for body in bodies], "holes": [body.holes for body in bodies]}
     versions: Mapping[str, str] = {"clacad": __version__}
     return document(design, window, records, request.to_dict(), versions, counts)
+
+
+__all__ = [
+    "BadRequest",
+    "CannotWrite",
+    "ExportError",
+    "ExportIncomplete",
+    "ExportRefused",
+    "FileDisagrees",
+    "LimitRefused",
+    "UnknownFormat",
+    "UnreadableFile",
+    "WorkerDied",
+    "export",
+]
+
+
+def export(
+    design: Design,
+    out: str | os.PathLike[str],
+    formats: Sequence[str] = DEFAULTS.formats,
+    slope_error: float | Literal["auto"] = "auto",
+    quads: AskedQuads = None,
+    step: Literal["auto", "fused", "instanced"] = "auto",
+    cells: tuple[int, int] | None = None,
+    overwrite: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+    step_schema: Literal["ap242", "ap214"] = "ap242",
+    pcurves: bool = True,
+    saddle_bevel: float = 0.0,
+    gpu_instancing: bool = False,
+    grey_levels: int = 64,
+    role: AskedRole = None,
+    paper: Literal["a4", "a3", "a2"] = "a3",
+    fused: bool = False,
+) -> Manifest:
+    """Write a design's files into a folder. Each is read back and compared before all are published together.
+
+    Parameters
+    ----------
+    design : Design
+    out : path
+        Folder; made if missing. Nothing is written outside it.
+    formats, slope_error, quads, step, …, paper, fused
+        The options of `clacad.exporting.request.Request`, one by one.
+    progress : callable or None
+        Called with a stage's name and the share done.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    DesignError, BadRequest, UnknownFormat, LimitRefused, ExportRefused, CannotWrite, NotPossible,
+    FileDisagrees, WorkerDied
+        Nothing was published; the message gives the reason and a remedy.
+    ExportIncomplete
+        Some formats failed; the others were published.
+    """
+    from clacad.exporting.quads_and_roles import asked_quads, asked_roles
+    from clacad.exporting.request import Request
+
+    request = Request(
+        formats=tuple(formats),
+        slope_error=slope_error,
+        quads=asked_quads(quads, formats),
+        step=step,
+        cells=cells,
+        overwrite=overwrite,
+        force=force,
+        step_schema=step_schema,
+        pcurves=pcurves,
+        saddle_bevel=saddle_bevel,
+        gpu_instancing=gpu_instancing,
+        grey_levels=grey_levels,
+        role=asked_roles(role, formats),
+        paper=paper,
+        fused=fused,
+    )
+    return run_export(design, os.fspath(out), request, progress)

@@ -14,7 +14,7 @@ from clacad.sheet.window import Window
 from clacad.storage.errors import FileDisagrees
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
+    from clacad.exporting.manifest import Job
     from clacad.formats.step.lens_placements import SheetPlace
     from clacad.formats.step.step_files import Schema
     from clacad.formats.step.step_mode import Mode

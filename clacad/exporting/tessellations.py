@@ -11,7 +11,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.compare_triangles import Promise
-from clacad.formats.mesh.repeated_pieces import Piece, Places
+from clacad.formats.placements import Piece, Places
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.window import Body, Land, Window

@@ -26,9 +26,9 @@ from clacad.checks.file_kinds import (
     VOLUME,
     unreadable,
 )
+from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.formats.table import CELL_TABLE
-from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.exporting.roles import Role
 from clacad.judging.delivery import Delivery, Inspection, Subject, integrity, same_design, table_check
 from clacad.judging.judge_part import judge_placed, judge_returned

@@ -23,7 +23,7 @@ from clacad.checks.file_kinds import (
     VOLUME,
     unreadable,
 )
-from clacad.exporting.reading_worker import longest_wait, reading_worker
+from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.judging.delivery import Inspection
 from clacad.judging.file_light import light_checks
 from clacad.judging.mesh_shape import volume_of

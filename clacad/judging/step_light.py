@@ -47,8 +47,8 @@ MARGIN = 0.1
 
 SECONDS = 600.0
 OCC_RAYS, PATCH_RAYS = (
-    "clacad.formats.step.occ_rays:follow_rays",
-    "clacad.formats.step.patch_rays:follow_patches",
+    "clacad.formats.step.rays_through_faces:follow_rays",
+    "clacad.formats.step.rays_through_faces:follow_patches",
 )
 
 

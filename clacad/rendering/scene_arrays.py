@@ -272,7 +272,8 @@ def _mesh(scene: Scene, thing: SceneObject) -> Hierarchy:
 def _grown(scene: Scene, thing: SceneObject) -> Hierarchy:
     from clacad.formats.mesh.readers import standing_corners
 
-    return mesh_tree(standing_corners(scene, thing))
+    assert thing.file is not None  # the scene's rules require it
+    return mesh_tree(standing_corners(scene.file(thing.file), thing.up, thing.size[0]))
 
 
 KEPT_TREES = 4

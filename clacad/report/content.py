@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import bound, plain, shown
 from clacad.checks.check import Origin
-from clacad.formats.drawing.notes import orientation
+from clacad.exporting.drawing.notes import orientation
 from clacad.report.fabrication import FabricationLine, fabrication
 from clacad.report.light_rows import LightRows
 from clacad.sheet.feasibility import FactRow, describe

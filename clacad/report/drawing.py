@@ -1,4 +1,4 @@
-"""The drawings of a report: the views that `formats.drawing` makes of the part, with the light that was
+"""The drawings of a report: the views that `exporting.drawing` makes of the part, with the light that was
 measured, as SVG.
 """
 
@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.formats.drawing import views
-from clacad.formats.drawing.notes import allowances
+from clacad.exporting.drawing import views
+from clacad.exporting.drawing.notes import allowances
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Window

@@ -15,7 +15,7 @@ from clacad.base.even_orders import MONOMIALS, POWER, RAISED
 from clacad.base.text import digits
 from clacad.base.units import millimetres
 from clacad.checks.design_kinds import RADIUS
-from clacad.formats.drawing.notes import orientation
+from clacad.exporting.drawing.notes import orientation
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.feasibility.as_rows import cells_text
 from clacad.sheet.lattice import Circle, polygon_area

@@ -14,7 +14,7 @@ from clacad.base.types import Floats, Progress
 from clacad.base.units import millimetres
 from clacad.checks.check import Check, default, other
 from clacad.checks.file_kinds import INTEGRITY, SHAPE, STACK_LIGHT, unreadable
-from clacad.exporting.reading_worker import longest_wait, reading_worker
+from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.formats.mesh.compare_triangles import compare_mesh

@@ -25,7 +25,7 @@ from soak_designs import draw, without_curves
 from clacad.advice import judge
 from clacad.checks.check import Check, wrong
 from clacad.design import Design, DesignError
-from clacad.exporting.export_design import ExportError, export
+from clacad.exporting.run import ExportError, export
 from clacad.topology.cannot_build import CannotBuild
 from clacad.verification import verify
 

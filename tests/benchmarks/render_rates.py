@@ -53,7 +53,7 @@ def mine(name: str, rung: str) -> float:
 
 def povray(name: str) -> float:
     """Rays a second, user time of the process."""
-    from clacad.formats.pov.pov_scene import write_pov
+    from clacad.exporting.pov.pov_scene import write_pov
     from clacad.prescription.prescribe import prescribe
 
     spent = []

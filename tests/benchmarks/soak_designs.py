@@ -33,7 +33,7 @@ import numpy as np
 from clacad import __version__
 from clacad.checks.file_kinds import CONVERGENCE
 from clacad.design import Design, DesignError
-from clacad.exporting.export_design import LimitRefused, export
+from clacad.exporting.run import LimitRefused, export
 from clacad.verification import verify
 
 RECORD = Path(__file__).parents[1] / "trust" / "soak.json"

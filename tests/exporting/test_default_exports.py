@@ -8,12 +8,11 @@ import pytest
 
 import clacad
 from clacad.exporting import limits
-from clacad.exporting.export_design import export
 from clacad.exporting.forecast import outlook
 from clacad.exporting.formats.registry import words
 from clacad.exporting.request import Request
 from clacad.exporting.roles import Role
-from clacad.exporting.run import forecast_rows
+from clacad.exporting.run import export, forecast_rows
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import verify
 

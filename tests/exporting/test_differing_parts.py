@@ -152,8 +152,7 @@ def test_gdsii_levels_of_every_cell_are_the_heights_of_its_own_lens(tmp_path):
             sag = r2 / (abs(radius) + np.sqrt(radius**2 - r2))
             told = said["low_mm"] + boxes[number].layer * said["step_mm"]
             assert abs(told + sag) <= 0.52 * said["step_mm"]
-    from clacad.formats.maps.gds import grey_cell
-    from clacad.formats.maps.gds_reading import gds_misfit
+    from clacad.formats.maps.gds import gds_misfit, grey_cell
     from clacad.storage.errors import FileDisagrees
 
     window = clacad.prescribe(design)

@@ -21,7 +21,7 @@ import pytest
 
 import clacad
 from clacad.design import Design
-from clacad.exporting.export_design import (
+from clacad.exporting.run import (
     ExportIncomplete,
     ExportRefused,
     FileDisagrees,
@@ -222,7 +222,7 @@ def test_every_vertex_has_the_normal_of_its_lens_its_land_or_its_wall(
 EXPORT = textwrap.dedent(
     """
     import sys, clacad
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
     design = clacad.load(sys.argv[1])
     export(design, sys.argv[2], formats=sys.argv[3].split(","), quads=4, cells=(3, 2))
     """
@@ -472,7 +472,7 @@ def test_one_format_that_fails_does_not_stop_the_others(
 LIMITED = textwrap.dedent(
     """
     import resource, sys, clacad
-    from clacad.exporting.export_design import export, ExportError
+    from clacad.exporting.run import export, ExportError
     design = clacad.load(sys.argv[1])
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]),) * 2)
     try:
@@ -508,7 +508,7 @@ def test_whichever_write_fails_only_complete_files_appear(tmp_path: Path) -> Non
 SLOW = textwrap.dedent(
     """
     import os, sys, threading, clacad
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
     design = clacad.load(sys.argv[1])
 
     def told(name, done):
@@ -596,7 +596,7 @@ AUDITED = textwrap.dedent(
                 bad.append((event, full))
     design = clacad.load(sys.argv[1])
     sys.addaudithook(hook)
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
     export(design, out, formats=sys.argv[3].split(","), quads=4, cells=(2, 2))
     print(bad)
     sys.exit(bool(bad))

@@ -14,8 +14,8 @@ import pytest
 import clacad
 from clacad.cli import main
 from clacad.cli.command import find, parameters
-from clacad.exporting.export_design import export
 from clacad.exporting.fixtures import NoFixture, mark_place, marked_solids
+from clacad.exporting.run import export
 from clacad.formats.mesh.readers import read_mesh
 from clacad.solid.marks import engraved, line_of_marks
 from clacad.storage.errors import NotPossible, UnreadableFile

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 import clacad
-from clacad.exporting.export_design import BadRequest, LimitRefused, export
 from clacad.exporting.forecast import forecast
 from clacad.exporting.light_forecast import POWERS, Grader, LightLimits
 from clacad.exporting.quads_and_roles import Sizes, asked_quads, asked_roles
 from clacad.exporting.request import Request
-from clacad.exporting.run import forecast_rows
+from clacad.exporting.run import BadRequest, LimitRefused, export, forecast_rows
 from clacad.exporting.tessellations import Meshes, weld
 from clacad.mesh import tessellate
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import clacad
-from clacad.exporting.export_design import FileDisagrees, UnreadableFile, WorkerDied, export
+from clacad.exporting.run import FileDisagrees, UnreadableFile, WorkerDied, export
 from clacad.exporting.step_record import compare_step, read, write
 from clacad.sheet.volume_and_extent import body_volume
 from clacad.sheet.window import Window

@@ -262,7 +262,7 @@ def test_shoulder_pins_are_written_read_back_and_no_master(tmp_path):
     from build123d import import_step
 
     from clacad.cli.tables import holds_text
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
 
     data = {**BASE, "body": {"border": 4.0, "pins": PINNED["pins"]}}
     manifest = export(Design.from_dict(data), tmp_path / "out", formats=("pins",))

@@ -24,6 +24,9 @@ HOMES = {
 }
 """Word of a format or of a kind of files → the module that declares it."""
 
+CODECS = ("formats/", "exporting/drawing/", "exporting/pov/")
+"""Files that write and read formats: they name what they read."""
+
 SHARED = {
     "exporting/formats/registry.py": "names of the modules",
     "exporting/formats/format.py": "names of the families",
@@ -129,7 +132,7 @@ def written() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {word: set() for word in HOMES}
     for path in PACKAGE.rglob("*.py"):
         name = path.relative_to(PACKAGE).as_posix()
-        if name not in SHARED and not name.startswith("formats/"):
+        if name not in SHARED and not name.startswith(CODECS):
             for word in literals(path) & HOMES.keys():
                 found[word].add(name)
     return found

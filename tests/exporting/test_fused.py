@@ -10,8 +10,8 @@ import pytest
 
 import clacad
 from clacad.cli.tables import files_text
-from clacad.exporting.export_design import export
 from clacad.exporting.request import Request
+from clacad.exporting.run import export
 from clacad.storage.errors import BadRequest
 
 DESIGN = Path(__file__).parents[2] / "designs" / "hexagonal.toml"

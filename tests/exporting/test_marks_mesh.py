@@ -14,10 +14,10 @@ from slicing import assert_nothing_repaired, slicer_for
 
 import clacad
 from clacad.cli import main
-from clacad.exporting.export_design import export
 from clacad.exporting.fixtures import NoFixture, engraved_mesh, engravings, mark_place, marked_solids
-from clacad.exporting.fixtures.letters import CHORD, Engraving, polygons
+from clacad.exporting.fixtures.engraving import CHORD, Engraving, polygons
 from clacad.exporting.roles import Role
+from clacad.exporting.run import export
 from clacad.formats.mesh.readers import read_mesh
 from clacad.formats.mesh.stl import FACET, HEADER, write_stl
 from clacad.judging.delivery import Inspection, find_files

@@ -9,7 +9,7 @@ import pytest
 
 import clacad
 from clacad.cli import main
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.solid.marks import TALL, WIDEST, lettering
 from clacad.storage.errors import LimitRefused, NotPossible
 

@@ -15,7 +15,7 @@ from brepwindows import biconvex, column_volume
 from slicing import assert_nothing_repaired, slicer_for
 
 import clacad
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.formats.step.step_files import write_step
 from clacad.sheet.window import column, face_height
 from clacad.storage.errors import NotPossible
@@ -113,7 +113,7 @@ def test_a_number_of_levels_no_reader_takes_is_refused(tmp_path, levels):
 
 def test_a_cut_gdsii_stream_is_unreadable(tmp_path):
     pytest.importorskip("gdstk", reason="the extra gds is not installed")
-    from clacad.formats.maps.gds_reading import layer_counts
+    from clacad.formats.maps.gds import layer_counts
     from clacad.storage.errors import UnreadableFile
 
     export(clacad.load(DESIGNS / "slab.toml").with_cells((2, 2)), tmp_path / "x", ("gds",))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from clacad.design import Design
+from clacad.exporting.pov.pov_scene import write_pov
 from clacad.formats.maps.mask import write_dxf, write_svg
-from clacad.formats.pov.pov_scene import write_pov
 from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh.health import check_closed
 from clacad.mesh.tessellation import tessellate
@@ -264,7 +264,7 @@ def test_a_loose_pin_shifts_array_2_as_a_decentre_does_and_turns_it_about_the_mi
 
 @pytest.mark.slow
 def test_the_sheet_of_a_hole_pattern_verifies_as_master(tmp_path):
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
     from clacad.verification import verify
 
     design = Design.from_dict(BASE | {

@@ -12,7 +12,7 @@ import pytest
 from oracle import trace as oracle
 
 import clacad
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.optics.rays import Fate
 from clacad.sheet.bundle import bundle
 from clacad.storage.errors import FileDisagrees, NotPossible, UnreadableFile

@@ -11,8 +11,8 @@ from filesonly import only_files
 from oracle.plain_mesh import facets, write_stl
 
 from clacad.design import Design
-from clacad.exporting.export_design import export
 from clacad.exporting.roles import Role
+from clacad.exporting.run import export
 from clacad.formats.maps.sag import read_points
 from clacad.judging.delivery import Inspection
 from clacad.judging.file_light import light_checks, measure_light

@@ -14,7 +14,7 @@ from oracle.plain_mesh import sheet_facets, write_stl
 from trust.spoiling import document_of, glb, model_changed
 
 from clacad.design import Design
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.exporting.tessellations import Meshes
 from clacad.formats.mesh import stl as stl_format
 from clacad.formats.mesh import threemf

@@ -341,7 +341,7 @@ def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
     from OCP.gp import gp_Ax1, gp_Dir, gp_Pnt, gp_Trsf, gp_Vec
     from OCP.STEPControl import STEPControl_AsIs, STEPControl_Writer
 
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
     from clacad.formats.step.read_back import occ_shape
 
     export(DESIGN.with_cells((4, 3)), tmp_path / "made", ("step",))

@@ -12,8 +12,8 @@ from oracle.plain_mesh import sheet_facets, write_stl
 
 import clacad
 from clacad.design import Design
-from clacad.exporting.export_design import export
 from clacad.exporting.roles import Role
+from clacad.exporting.run import export
 from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.formats.mesh.readers import read_mesh
 from clacad.judging.damage import find_features

@@ -11,7 +11,7 @@ from filesonly import only_files
 from oracle.plain_mesh import facets, sheet_facets, write_stl
 
 from clacad.design import Design
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.judging.delivery import find_files
 from clacad.judging.registration import place
 from clacad.prescription.prescribe import prescribe

@@ -10,7 +10,7 @@ import trimesh
 from meshwindows import FORMS, window
 
 import clacad
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.formats.mesh.readers import read_mesh
 from clacad.mesh import tessellate
 from clacad.mesh.cell_template import WALL

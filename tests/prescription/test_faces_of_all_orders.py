@@ -13,8 +13,8 @@ from oracle import trace as oracle
 
 import clacad
 from clacad import Design, Fate, Rays, prescribe, trace
-from clacad.formats.drawing.drawing_tables import faces_table
-from clacad.formats.drawing.notes import allowances
+from clacad.exporting.drawing.drawing_tables import faces_table
+from clacad.exporting.drawing.notes import allowances
 from clacad.formats.maps.pose_table import check_table, surface_table, write_table_csv, write_table_json
 from clacad.formats.sequential.optiland_json import series, terms_needed
 from clacad.formats.sequential.stations import stations

@@ -12,7 +12,7 @@ from viewscenes import ROOT
 
 import clacad
 from clacad.cli.entry_point import main
-from clacad.formats.pov.pov_scene import NotForPov, pov_lines
+from clacad.exporting.pov.pov_scene import NotForPov, pov_lines
 from clacad.rendering import view_through
 from clacad.rendering.screen_measure import sheet_points
 

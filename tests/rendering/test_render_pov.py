@@ -9,7 +9,7 @@ import pytest
 from povpictures import before_stripes, needs_povray, povray
 from viewscenes import CASES, ROOT, view_data, view_scene
 
-from clacad.formats.pov.pov_scene import NotForPov, pov_lines
+from clacad.exporting.pov.pov_scene import NotForPov, pov_lines
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering import view_through
 from clacad.rendering.screen_measure import coordinate_scene, fitted, sheet_points

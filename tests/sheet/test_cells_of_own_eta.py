@@ -411,7 +411,7 @@ def test_lenses_of_many_cells_stand_within_what_the_polynomial_owns_up_to_on_bot
 
 def test_what_takes_lenses_of_one_size_says_so(tmp_path):
     from clacad.effects.engine.camera_light import light_reaching_camera
-    from clacad.formats.pov.pov_solids import NotForPov, refuse
+    from clacad.exporting.pov.pov_solids import NotForPov, refuse
 
     window = built(tmp_path)
     rays = clacad.Rays(((0.0, 0.0, -1.0),), (0.0, 0.0, 1.0))

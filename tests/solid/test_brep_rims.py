@@ -12,7 +12,7 @@ from brepwindows import biconvex, one_body, turn
 from scipy.optimize import brentq
 
 import clacad
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh import tessellate
 from clacad.sheet.feasibility import body_facts

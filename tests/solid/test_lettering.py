@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from build123d import FontStyle, Text
 
-from clacad.exporting.fixtures.letters import polygons
+from clacad.exporting.fixtures.engraving import polygons
 from clacad.sheet.lattice import polygon_area
 from clacad.solid.marks import lettering
 

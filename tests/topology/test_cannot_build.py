@@ -14,7 +14,7 @@ import pytest
 
 import clacad
 from clacad.design import DesignError
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh import tessellate
 from clacad.storage.errors import NotPossible

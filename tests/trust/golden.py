@@ -90,7 +90,7 @@ def hashes() -> dict[str, str]:
 
 def _made() -> dict[str, str]:
     from clacad.design import Design
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
 
     found: dict[str, str] = {}
     for source in (SLAB, PAIR, HEXAGONS):

@@ -11,7 +11,7 @@ from typing import Any
 from trust.running import TINY
 
 from clacad.design import Design
-from clacad.exporting.export_design import ExportError
+from clacad.exporting.run import ExportError
 from clacad.verification import CannotRegister, verify
 
 

@@ -64,7 +64,7 @@ FAULTS = textwrap.dedent(
         return File(stream, file) if writes else stream
 
     from clacad.design import Design
-    from clacad.exporting.export_design import ExportError, export
+    from clacad.exporting.run import ExportError, export
     from clacad.report import write_report
     import tomllib
     TINY = sys.stdin.read()

@@ -155,7 +155,7 @@ def test_links_in_the_folder_are_not_followed_and_nothing_outside_is_touched(pla
 def test_mutated_step_text_is_scanned_or_refused(tmp_path: Path) -> None:
     """The text is read before the kernel, in this process: it may not crash, hang or grow."""
     from clacad.design import load
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
     from clacad.formats.step.text_health import scan_step
     from clacad.storage.errors import ExportError
 

@@ -26,7 +26,7 @@ KILLED = textwrap.dedent(
 
     out, times, seed, what = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
     from clacad.design import Design
-    from clacad.exporting.export_design import export
+    from clacad.exporting.run import export
     import clacad.exporting.run, clacad.report.content, clacad.report.report_files
     from clacad.report import write_report
 

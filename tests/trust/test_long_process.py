@@ -16,7 +16,7 @@ from trust.running import TINY
 
 from clacad.checks.file_kinds import CONVERGENCE
 from clacad.design import Design
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.verification import verify
 
 FORMATS = (

@@ -16,7 +16,7 @@ from trust.judging import alone, failed, read, tiny, vouched
 from trust.running import TINY
 from trust.spoiling import Change, Floats, Ints, changed, document_of, glb, model_changed, obj
 
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import verify
 

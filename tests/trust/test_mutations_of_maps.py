@@ -14,7 +14,7 @@ import pytest
 from filesonly import only_files
 from trust.judging import alone, failed, tiny, vouched
 
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 
 FORMATS = ("sag", "tiff", "png", "xyz", "table", "mask", "brep")
 Change = Callable[[bytes], bytes]

@@ -14,7 +14,7 @@ from filesonly import only_files
 from trust.running import TINY, command, environment
 
 from clacad.design import load
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.storage.atomic import Stage, file_hash, read_manifest, write_content
 from clacad.storage.errors import ExportRefused
 from clacad.verification import verify

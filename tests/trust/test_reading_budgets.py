@@ -19,8 +19,8 @@ from trust.running import TINY
 from trust.spoiling import glb
 
 from clacad.base.untrusted_files import BUDGETS
-from clacad.exporting.export_design import export
 from clacad.exporting.formats.registry import kind_of
+from clacad.exporting.run import export
 from clacad.formats.mesh.readers import read_mesh
 from clacad.storage.errors import OverBudget, UnreadableFile
 from clacad.verification import verify
@@ -254,7 +254,7 @@ def test_a_solid_that_takes_too_much_fails_readable_with_the_reason(
 def test_a_workers_limits_grow_with_the_file_and_end_at_what_is_free(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from clacad.exporting import reading_worker as asked
+    from clacad.exporting.formats import registry as asked
     from clacad.storage import worker as home
 
     path = tmp_path / "x.step"

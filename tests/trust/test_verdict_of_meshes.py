@@ -8,7 +8,7 @@ import pytest
 from filesonly import only_files
 from trust.bench import meshes, readers, sheets, tracer
 
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import verify
 

@@ -16,7 +16,7 @@ from trust import golden
 from trust.running import ROOT, TINY, clacad, command, environment
 
 from clacad.design import Design
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.verification import verify
 
 ALL = "stl,stl-parts,3mf,ply,glb,sag,tiff,png,xyz,table,mask"
@@ -87,7 +87,7 @@ def test_the_bytes_are_those_recorded_for_these_versions() -> None:
 ANOTHER_USER = """
 import os, sys
 from clacad.design import load
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 source, ours, theirs = sys.argv[1:]
 formats = ("stl", "3mf", "glb", "table", "png")
 export(load(source), ours, formats=formats, quads=4)

@@ -12,7 +12,7 @@ from trust.running import clacad as clacad_command
 import clacad
 from clacad.cli import main
 from clacad.cli.accuracy_command import accuracy_text
-from clacad.exporting.formats.storing import Holding
+from clacad.exporting.roles import Holding
 from clacad.mesh import tessellate
 from clacad.sheet.bundle import bundle
 from clacad.sheet.window import lens_height_and_normal

@@ -43,7 +43,7 @@ ELSEWHERE = {
     "stacking/assembly.py": "states in the manifest what was compared",
     "formats/step/lenses_on_cells.py": "field of what is read from a STEP file",
     "formats/step/read_back.py": "field of what is read from a STEP file",
-    "formats/drawing/drawing_tables.py": "measure of a study of tolerances",
+    "exporting/drawing/drawing_tables.py": "measure of a study of tolerances",
     "cli/tolerance_command.py": "measures of a study of tolerances",
     "cli/check_command.py": "field of JSON",
     "cli/export_command.py": "key of [check] in the manifest",

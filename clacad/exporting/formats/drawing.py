@@ -8,8 +8,7 @@ from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import BASE, Forecast, Format
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
@@ -28,9 +27,13 @@ SECONDS = BASE + 2.5
 
 def _write(job: Job) -> list[FileRecord]:
     """One DXF with all sheets, and one PDF."""
-    from clacad.formats.drawing.dxf import check_drawing_dxf, write_drawing_dxf
-    from clacad.formats.drawing.sheet_layout import sheets
-    from clacad.formats.drawing.sheets_pdf import check_drawing_pdf, write_drawing_pdf
+    from clacad.exporting.drawing.sheet_files import (
+        check_drawing_dxf,
+        check_drawing_pdf,
+        write_drawing_dxf,
+        write_drawing_pdf,
+    )
+    from clacad.exporting.drawing.sheet_layout import sheets
     from clacad.formats.study_file import study_of
     from clacad.sheet.feasibility import feasibility
 
@@ -52,7 +55,7 @@ def _write(job: Job) -> list[FileRecord]:
 
 def _require(_window: Window, _asked: Request, _worker: Worker) -> None:
     """Require the packages that write DXF and PDF."""
-    from clacad.formats.drawing.dxf import require_drawing
+    from clacad.exporting.drawing.sheet_files import require_drawing
 
     require_drawing()
 

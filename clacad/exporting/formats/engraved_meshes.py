@@ -9,11 +9,10 @@ from clacad.exporting.formats import indexed_meshes, stl
 from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import Forecast, Format
 from clacad.exporting.formats.parts import require_marks, solid_seconds
-from clacad.exporting.formats.storing import AS_PLAIN
+from clacad.exporting.roles import AS_PLAIN
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
 

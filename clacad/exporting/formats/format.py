@@ -6,12 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.exporting.formats.storing import NO_SURFACE, Storing
-from clacad.exporting.roles import Role
+from clacad.exporting.roles import NO_SURFACE, Role, Storing
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.roles import Prospect
     from clacad.exporting.rough_sizes import RoughSheet

@@ -15,11 +15,10 @@ from clacad.exporting.formats.records import (
     map_row,
     structured_cost,
 )
-from clacad.exporting.formats.storing import ABOVE_FACE, AT_POINTS, SIXTEEN_BITS
+from clacad.exporting.roles import ABOVE_FACE, AT_POINTS, SIXTEEN_BITS
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window

@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.units import millimetres
 from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import BASE, ChosenMesh, Forecast, Format, about_number
-from clacad.exporting.formats.storing import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORMALS
+from clacad.exporting.roles import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORMALS
 
 if TYPE_CHECKING:
     from clacad.base.types import Floats
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
-    from clacad.formats.mesh.repeated_pieces import Piece, Places
+    from clacad.formats.placements import Piece, Places
     from clacad.sheet.window import Window
 
 THREEMF, PLY, GLB = "3mf", "ply", "glb"
@@ -186,7 +185,7 @@ def _listed(sheet: RoughSheet) -> int:
     """Places that a 3MF file lists and its reader keeps: all, or for a large sheet its rows and one row's
     cells.
     """
-    from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+    from clacad.formats.placements import FLAT_LIMIT
 
     in_rows = sheet.repeats and sheet.cells > FLAT_LIMIT
     return sheet.bodies * (sum(sheet.count) if in_rows else sheet.cells)
@@ -194,7 +193,7 @@ def _listed(sheet: RoughSheet) -> int:
 
 def _rough_bytes(sheet: RoughSheet, quads: int) -> int:
     """Bytes of a 3MF file, within 40 %."""
-    from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+    from clacad.formats.placements import FLAT_LIMIT
 
     if not sheet.repeats:
         return 1000 + 8 * sheet.facets(quads) * sheet.cells
@@ -260,7 +259,7 @@ def _threemf_bytes(meshes: Meshes, quads: int) -> int:
 
 def _threemf_place_bytes(window: Window) -> int:
     """Bytes of a 3MF file for the positions of the repeated cells of each body."""
-    from clacad.formats.mesh.repeated_pieces import Places
+    from clacad.formats.placements import Places
 
     arrays = (next(f.array for f in (b.front, b.back) if f.array is not None) for b in window.bodies)
     return int(
@@ -287,7 +286,7 @@ def _places_bytes(places: Places, scale: float) -> float:
     import numpy as np
 
     from clacad.formats.mesh import threemf
-    from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT
+    from clacad.formats.placements import FLAT_LIMIT
 
     if places.count > FLAT_LIMIT:
         offsets, standing = places.rows()

@@ -19,11 +19,10 @@ from clacad.exporting.formats.file_kind import FaceFile, Misfit, Reading, Sample
 from clacad.exporting.formats.height_maps import GRID, PNG16, POINTS, TIFF16, TIFF32
 from clacad.exporting.formats.masks import GDS, MASK_DXF, MASK_SVG
 from clacad.exporting.formats.records import CALIBRATION
+from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.formats.table import POSES, SURFACES
-from clacad.exporting.reading_worker import longest_wait, reading_worker
 from clacad.formats.maps.gds import GRID as LAYOUT_GRID
-from clacad.formats.maps.gds import grey_cell
-from clacad.formats.maps.gds_reading import layer_counts
+from clacad.formats.maps.gds import grey_cell, layer_counts
 from clacad.formats.maps.mask import mask_misfit
 from clacad.formats.maps.pose_table import pose_lines, surface_table
 from clacad.formats.maps.raster import Pixels, read_png, read_tiff
@@ -42,7 +41,7 @@ from clacad.storage.reading import Spending
 SAME = 1e-9
 """Relative difference up to which two numbers of a table are equal; also that of two heights, in pitches."""
 
-GDS_MISFIT = "clacad.formats.maps.gds_reading:gds_misfit"
+GDS_MISFIT = "clacad.formats.maps.gds:gds_misfit"
 
 SampleReader = Callable[[FaceFile, tuple[int, int]], Samples]
 """Returns the heights over one cell that a file holds."""

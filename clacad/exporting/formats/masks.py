@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 from clacad.base.units import millimetres
 from clacad.exporting.formats.format import BASE, Forecast, Format, own_cells_note
 from clacad.exporting.formats.records import calibration_record, drawn_cost, map_kind, map_row
-from clacad.exporting.formats.storing import LAYERS
+from clacad.exporting.roles import LAYERS
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
@@ -55,8 +54,7 @@ def _write_mask(job: Job) -> list[FileRecord]:
 
 def _write_gds(job: Job) -> list[FileRecord]:
     """One GDSII file a structured face, and one calibration file for them all."""
-    from clacad.formats.maps.gds import grey_cell, write_gds
-    from clacad.formats.maps.gds_reading import check_gds
+    from clacad.formats.maps.gds import check_gds, grey_cell, write_gds
     from clacad.formats.maps.sag import structured_faces
 
     records, calibration = [], {}

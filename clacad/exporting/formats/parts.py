@@ -16,13 +16,12 @@ from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import STREAM_MEMORY, Forecast, Format
 from clacad.exporting.formats.stl import KIND as STL
 from clacad.exporting.formats.stl import seconds as stream_seconds
-from clacad.exporting.formats.storing import EXACT_FACES
+from clacad.exporting.roles import EXACT_FACES
 from clacad.storage.errors import FileDisagrees, LimitRefused
 
 if TYPE_CHECKING:
     from clacad.exporting.fixtures import BaffleMesh
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
@@ -211,7 +210,7 @@ def _require_frame(window: Window, _asked: Request, worker: Worker) -> None:
 
 def _require_pins(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require two plates with pin holes, a gap, and land for the shoulders."""
-    from clacad.exporting.fixtures.shoulder_pins import pin_spec
+    from clacad.exporting.fixtures.pins_and_coupon import pin_spec
 
     pin_spec(window)
 
@@ -237,7 +236,7 @@ def _require_brep(window: Window, _asked: Request, _worker: Worker) -> None:
 
 def _require_coupon(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require a patch of a few cells that is a solid."""
-    from clacad.exporting.fixtures.coupon import PATCH_CELLS
+    from clacad.exporting.fixtures.pins_and_coupon import PATCH_CELLS
 
     _require_solids(window.with_cells(PATCH_CELLS), COUPON)
 

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import Forecast, Format
 from clacad.exporting.formats.records import map_row, structured_cost
-from clacad.exporting.formats.storing import OWN_NUMBERS
+from clacad.exporting.roles import OWN_NUMBERS
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
@@ -21,7 +20,7 @@ WORD = "pov"
 
 def _write(job: Job) -> list[FileRecord]:
     """Write the scene; no program reads it back."""
-    from clacad.formats.pov.pov_scene import write_pov
+    from clacad.exporting.pov.pov_scene import write_pov
 
     path = job.stage.path(f"{job.stem}.pov")
     write_pov(job.window, path)
@@ -40,7 +39,7 @@ def _forecast(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
 
 def _bytes(window: Window) -> int:
     """Size of the POV-Ray scene, generated in full: its loops do not grow; 0 for a sheet it cannot hold."""
-    from clacad.formats.pov.pov_scene import pov_lines
+    from clacad.exporting.pov.pov_scene import pov_lines
     from clacad.storage.errors import ExportError
 
     try:

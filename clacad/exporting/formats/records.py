@@ -10,8 +10,7 @@ from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import BASE, Forecast, own_cells_note
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.rough_sizes import RoughSheet
     from clacad.sheet.window import Window

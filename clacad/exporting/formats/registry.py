@@ -1,4 +1,4 @@
-"""The file formats by their words, in the order in which messages and tables list them.
+"""The file formats by their words, in the order of messages and tables; workers that read them.
 
 To add a format, write its module with the tuples `FORMATS` and `FILES` and name the module here.
 """
@@ -14,8 +14,12 @@ from clacad.base.text import did_you_mean, near
 from clacad.storage.errors import UnknownFormat
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from clacad.exporting.formats.file_kind import FileKind
     from clacad.exporting.formats.format import Format
+    from clacad.storage.reading import Spending
+    from clacad.storage.worker import Worker
 
 MODULES = (
     "step",
@@ -102,3 +106,41 @@ def without_optics(word: str) -> bool:
     return (kind is not None and kind.family == "other") or any(
         one.word == word and not one.optical for one in formats()
     )
+
+
+# -- reading of an untrusted file by a native library ---------------------------------------------
+
+
+def reading_worker(path: Path) -> Worker:
+    """Start a worker that may read one STEP, BREP or GDSII file and trace light through its faces.
+
+    Raises
+    ------
+    OverBudget
+        The file is larger than the reader accepts.
+    OSError
+        The file does not exist.
+    """
+    from clacad.storage.worker import limited_worker
+
+    return limited_worker(_spending(path))
+
+
+def longest_wait(path: Path) -> float:
+    """Seconds after which a worker that has not answered is ended."""
+    from clacad.storage.worker import longest_wait
+
+    return longest_wait(_spending(path))
+
+
+def _spending(path: Path) -> Spending:
+    """Budget of a file, a separate one where only its text is read."""
+    from clacad.base.untrusted_files import BUDGETS
+    from clacad.storage.reading import Spending
+
+    size = path.stat().st_size
+    kind = kind_ending(path.suffix)
+    if kind is None or not kind.native:
+        kind = next(one for one in kinds() if one.text_budget)
+    by_text = kind.text_budget and size > BUDGETS["step"].bytes
+    return Spending(kind.text_budget if by_text else kind.word, path, size)

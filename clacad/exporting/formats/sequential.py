@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 
 from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import BASE, Forecast, Format
-from clacad.exporting.formats.storing import ONE_TELESCOPELET
+from clacad.exporting.roles import ONE_TELESCOPELET
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Literal
 
 from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import ChosenMesh, Forecast, Format, about_number, own_cells_note
-from clacad.exporting.formats.storing import EXACT_FACES
+from clacad.exporting.roles import EXACT_FACES
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes

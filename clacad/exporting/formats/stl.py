@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import BASE, STREAM_MEMORY, ChosenMesh, Forecast, Format, about_number
-from clacad.exporting.formats.storing import IN_SHEET
+from clacad.exporting.roles import IN_SHEET
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes

@@ -8,11 +8,10 @@ from clacad.base.units import millimetres
 from clacad.exporting.formats.file_kind import FileKind
 from clacad.exporting.formats.format import BASE, Forecast, Format
 from clacad.exporting.formats.records import drawn_cost, map_kind, map_row
-from clacad.exporting.formats.storing import OWN_NUMBERS
+from clacad.exporting.roles import OWN_NUMBERS
 
 if TYPE_CHECKING:
-    from clacad.exporting.job import Job
-    from clacad.exporting.manifest import FileRecord
+    from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window

@@ -18,8 +18,7 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 from clacad.base.units import MILLIMETRE
 from clacad.formats.mesh.file_mesh import FileMesh, Part, put
-from clacad.formats.mesh.repeated_pieces import Piece
-from clacad.formats.placements import Placements
+from clacad.formats.placements import Piece, Placements
 from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
 from clacad.storage.reading import Spending
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
-from clacad.formats.mesh.repeated_pieces import Piece
+from clacad.formats.placements import Piece
 from clacad.storage.atomic import scratch_folder
 from clacad.storage.errors import OverBudget, UnreadableFile, WorkerDied
 from clacad.storage.reading import Spending

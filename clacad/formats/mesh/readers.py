@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +20,6 @@ from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.storage.errors import OverBudget, UnreadableFile
 from clacad.storage.reading import Overheard, Spending
-
-if TYPE_CHECKING:
-    from clacad.scene import Scene, SceneObject
 
 
 def read_mesh(path: str | os.PathLike[str], heard: Overheard | None = None) -> FileMesh:
@@ -85,26 +81,25 @@ def _reader(head: bytes, suffix: str, heard: Overheard | None) -> Callable[[Path
     return partial(read_stl, heard=heard)
 
 
-def standing_corners(scene: Scene, thing: SceneObject) -> Floats:
-    """Corners (t, 3, 3) of a mesh object in its own frame, scene lengths.
+def standing_corners(path: str | os.PathLike[str], up: str, height: float) -> Floats:
+    """Corners (t, 3, 3) of a mesh, foot at the origin, y up, as high as `height`.
+
+    up : "y" or "z", the axis of the file that points up
 
     Raises
     ------
-    SceneError
-        The file is missing or outside the scene's folders.
     UnreadableFile
         It is no mesh, or damaged.
     """
-    assert thing.file is not None  # the scene's rules require it
-    corners = np.concatenate([np.zeros((0, 3, 3)), *read_mesh(scene.file(thing.file)).chunks()])
-    if thing.up == "z":  # x stays, the file's y points away from the viewer
+    corners = np.concatenate([np.zeros((0, 3, 3)), *read_mesh(path).chunks()])
+    if up == "z":  # x stays, the file's y points away from the viewer
         corners = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], axis=-1)
     if not len(corners):
         return corners
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     tall = high[1] - low[1]
-    return np.asarray((corners - foot) * (thing.size[0] / tall if tall > 0.0 else 1.0))
+    return np.asarray((corners - foot) * (height / tall if tall > 0.0 else 1.0))
 
 
 _GROUP = 10

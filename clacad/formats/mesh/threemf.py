@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Part, put
-from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT, Piece, Places
-from clacad.formats.placements import Placements, joined
+from clacad.formats.placements import FLAT_LIMIT, Piece, Placements, Places, joined
 from clacad.storage.archive import Attributes, open_archive, parse_xml
 from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
 from clacad.storage.reading import NUMBER, WHOLE, ElementRun, Spending

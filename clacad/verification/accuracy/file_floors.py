@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.exporting.formats.registry import formats
-from clacad.exporting.formats.storing import WAYS, Holding, Storing
+from clacad.exporting.roles import WAYS, Holding, Storing
 from clacad.light.compare import rms_between
 from clacad.mesh import Mesh
 from clacad.mesh.body_mesh import BodyMesh

@@ -255,7 +255,7 @@ def _surface_bytes(window: Window) -> int:
 
 def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     """Facets of one tessellation: facet and exact vertex normals, vertices in float64 and float32."""
-    from clacad.exporting.formats.storing import Holding
+    from clacad.exporting.roles import Holding
     from clacad.formats.mesh.stl import stl_bytes
     from clacad.mesh import tessellate
     from clacad.sheet.representative_cells import representative_cells

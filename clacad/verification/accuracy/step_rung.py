@@ -155,7 +155,7 @@ def _cast(
     for count in (1, 1, len(position)):
         began = seconds_of(worker.pid, time.monotonic())
         found = worker.run(
-            "clacad.formats.step.occ_rays:cast_rays",
+            "clacad.formats.step.rays_through_faces:cast_rays",
             path,
             position[:count],
             direction[:count],

@@ -19,7 +19,7 @@ from trust.judging import tiny
 from trust.spoiling import Floats, obj
 
 from clacad.cli.entry_point import status_of
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import verify
 

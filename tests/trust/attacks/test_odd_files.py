@@ -18,7 +18,7 @@ from trust.attacks.odd_values import NUMBERS, TEXTS, answered
 from trust.running import TINY, clacad, talk
 
 from clacad.design import load
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
 SIDES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))

@@ -29,7 +29,7 @@ from trust.running import TINY
 from trust.spoiling import Change, changed, model_changed
 
 from clacad.design import Design
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import verify
 

@@ -11,7 +11,7 @@ from trust.bench import readers, tracer
 from trust.bench.cases import RAYS
 
 from clacad.design import Design
-from clacad.exporting.export_design import export
+from clacad.exporting.run import export
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import verify
 

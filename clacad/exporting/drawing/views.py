@@ -17,9 +17,9 @@ import numpy as np
 from clacad.base.text import digits
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
-from clacad.formats.drawing.canvas import CHARACTER, Canvas
-from clacad.formats.drawing.notes import NO_ALLOWANCES, Allowances
+from clacad.exporting.drawing.body_outlines import across_cell, heights, outlines
+from clacad.exporting.drawing.canvas import CHARACTER, Canvas
+from clacad.exporting.drawing.notes import NO_ALLOWANCES, Allowances
 from clacad.sheet.feasibility import FaceShape, body_range
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Plate

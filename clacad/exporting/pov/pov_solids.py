@@ -14,7 +14,7 @@ from math import isnan
 
 import numpy as np
 
-from clacad.formats.pov.pov_cells import (
+from clacad.exporting.pov.pov_cells import (
     HeightRange,
     NotForPov,
     Substance,

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import clacad
-from clacad.exporting.export_design import export
-from clacad.formats.drawing import views
-from clacad.formats.drawing.canvas import CHARACTER, CircleMark, DimensionMark, LineMark, Words
-from clacad.formats.drawing.sheet_frame import PAPERS, frame_box
-from clacad.formats.drawing.sheet_layout import sheets
+from clacad.exporting.drawing import views
+from clacad.exporting.drawing.canvas import CHARACTER, CircleMark, DimensionMark, LineMark, Words
+from clacad.exporting.drawing.sheet_frame import PAPERS, frame_box
+from clacad.exporting.drawing.sheet_layout import sheets
+from clacad.exporting.run import export
 from clacad.sheet.feasibility import feasibility
 from clacad.storage.errors import FileDisagrees, NotPossible
 
@@ -207,7 +207,7 @@ def test_what_an_error_costs_is_taken_from_the_study_of_this_very_design(tmp_pat
 
 @pytest.mark.slow
 def test_the_same_design_gives_the_same_bytes_and_a_false_dimension_is_refused(tmp_path):
-    from clacad.formats.drawing.dxf import check_drawing_dxf
+    from clacad.exporting.drawing.sheet_files import check_drawing_dxf
 
     design = part("slab", (4, 4))
     for folder in ("a", "b"):
@@ -228,8 +228,8 @@ def test_the_same_design_gives_the_same_bytes_and_a_false_dimension_is_refused(t
 def test_neither_hash_seed_nor_home_changes_a_byte_of_the_dxf(tmp_path):
     script = (
         "import sys; from pathlib import Path; import clacad\n"
-        "from clacad.formats.drawing.dxf import write_drawing_dxf\n"
-        "from clacad.formats.drawing.sheet_layout import sheets\n"
+        "from clacad.exporting.drawing.sheet_files import write_drawing_dxf\n"
+        "from clacad.exporting.drawing.sheet_layout import sheets\n"
         "from clacad.sheet.feasibility import feasibility\n"
         f"design = clacad.load({str(DESIGNS / 'slab.toml')!r}).with_cells((2, 2)); window = clacad.prescribe(design)\n"
         "write_drawing_dxf(sheets(design, window, feasibility(window), 'a3', None), Path(sys.argv[1]))\n"
@@ -255,7 +255,7 @@ def test_neither_hash_seed_nor_home_changes_a_byte_of_the_dxf(tmp_path):
 
 
 def test_without_its_packages_the_drawing_names_the_extras_before_any_work(tmp_path, monkeypatch):
-    module = import_module("clacad.formats.drawing.dxf")
+    module = import_module("clacad.exporting.drawing.sheet_files")
     monkeypatch.setattr(module, "find_spec", lambda name: None)
     with pytest.raises(NotPossible, match=r"clacad\[dxf,pdf\]"):
         export(part("slab", (2, 2)), tmp_path / "x", ("drawing",))

@@ -11,9 +11,9 @@ import numpy as np
 from clacad.base.even_orders import POWER
 from clacad.base.units import millimetres
 from clacad.design.limits import TolerancesSpec
-from clacad.formats.drawing.canvas import CHARACTER, Canvas
-from clacad.formats.drawing.notes import Allowances, orientation
-from clacad.formats.drawing.views import LENS_FINISH, OTHER_FINISH, mm_text
+from clacad.exporting.drawing.canvas import CHARACTER, Canvas
+from clacad.exporting.drawing.notes import Allowances, orientation
+from clacad.exporting.drawing.views import LENS_FINISH, OTHER_FINISH, mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.formats.maps.sag import structured_faces
 from clacad.optics.surface import EvenPolynomial, conic_constants, principal_radii, sag

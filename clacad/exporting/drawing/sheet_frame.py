@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clacad.formats.drawing.canvas import CHARACTER, Canvas
+from clacad.exporting.drawing.canvas import CHARACTER, Canvas
 from clacad.sheet.window import Window
 
 PAPERS: Mapping[str, tuple[float, float]] = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "a2": (594.0, 420.0)}

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.units import millimetres
 from clacad.design.keys import LATTICE, LAW, PAIR
 from clacad.design.sections import AimedAt
-from clacad.formats.drawing import drawing_tables, views
-from clacad.formats.drawing.canvas import Canvas, scale_text
-from clacad.formats.drawing.drawing_tables import table
-from clacad.formats.drawing.notes import Allowances, allowances
-from clacad.formats.drawing.sheet_frame import PAPERS, Heading, frame_box, sheet_frame, title_block
-from clacad.formats.drawing.views import mm_text
+from clacad.exporting.drawing import drawing_tables, views
+from clacad.exporting.drawing.canvas import Canvas, scale_text
+from clacad.exporting.drawing.drawing_tables import table
+from clacad.exporting.drawing.notes import Allowances, allowances
+from clacad.exporting.drawing.sheet_frame import PAPERS, Heading, frame_box, sheet_frame, title_block
+from clacad.exporting.drawing.views import mm_text
 from clacad.optics.surface import principal_radii
 from clacad.sheet.own_steps import greatest_steps
 from clacad.sheet.representative_cells import representative_cells

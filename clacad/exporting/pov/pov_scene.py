@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.formats.pov.pov_cells import NotForPov, colour, matrix, number, vector
-from clacad.formats.pov.pov_solids import refuse, sheet_lines
+from clacad.exporting.pov.pov_cells import NotForPov, colour, matrix, number, vector
+from clacad.exporting.pov.pov_solids import refuse, sheet_lines
 from clacad.scene import chess_knight
 from clacad.scene.chess_knight import turned
 from clacad.sheet.window import Window
@@ -247,7 +247,8 @@ def _coordinates(w: float, h: float) -> str:
 def _mesh(scene: Scene, thing: SceneObject) -> Shapes:
     from clacad.formats.mesh.readers import standing_corners
 
-    corners = SCALE * standing_corners(scene, thing)
+    assert thing.file is not None  # the scene's rules require it
+    corners = SCALE * standing_corners(scene.file(thing.file), thing.up, thing.size[0])
     triangles = " ".join(f"triangle {{ {vector(a)}, {vector(b)}, {vector(c)} }}" for a, b, c in corners)
     return [(f"mesh {{ {triangles}", colour(thing.colour))]
 
