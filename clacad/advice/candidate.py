@@ -1,17 +1,193 @@
-"""Candidate designs for a wish: one form, one pitch, one separation."""
+"""Candidate designs for a wish: one form, one pitch, one separation, from closed formulas.
+
+The formulas give the ranges of pitch and separation in which a wish can be fulfilled. They are start values
+for the search (`clacad.advice.wish_search`), which builds and judges; they guarantee nothing. Sources:
+thin-lens relations and third-order sums as in Welford, *Aberrations of Optical Systems*; the pitch of least
+blur from the quarter-wave rule (wave-traced within 10 %).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import floor, inf, log10
+from math import floor, inf, isfinite, log10, sqrt
 from typing import Any, Final, Literal
 
-from clacad.advice.first_numbers import MILLIMETRES
 from clacad.advice.wish import KEYS, Wish, angle_text, wavelength_text
 from clacad.checks.check import NEAR
 from clacad.design import Design
 from clacad.design.process_profiles import profile
+from clacad.optics.material.catalogue import find
+from clacad.sheet.feasibility import pitch_for_eye
+
+MILLIMETRES = 1e3
+"""Millimetres per metre."""
+
+FRESNEL = 10.5
+"""Target Fresnel number; below 10 verify warns."""
+
+FEWEST_CELLS = 5
+"""Least number of cells across a sheet."""
+
+SPHERICAL = 1.5
+"""Rms error of a slab of spheres with eta = -1, over (pitch/separation)³."""
+
+
+@dataclass(frozen=True, slots=True)
+class PitchBound:
+    """Bound (millimetres) of a pitch, and its reason."""
+
+    value: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class FormNumbers:
+    """Numbers of a form: its radii over (n - 1) f, and the thickness of the part over its separation."""
+
+    radius: float
+    thickness: float
+
+
+def shape_of(form: str, index: float) -> FormNumbers:
+    """Numbers of a form: both faces of biconvex lenses share the power; a slab is n times its separation
+    thick.
+    """
+    return FormNumbers(2.0 if form == "biconvex" else 1.0, index if form == "slab" else 0.0)
+
+
+def index_of(wish: Wish) -> float:
+    """Refractive index at the design wavelength."""
+    return float(find(wish.material).index(wish.wavelength)) if wish.index is None else wish.index
+
+
+def powers(wish: Wish) -> list[float]:
+    """η of the meridians that have power."""
+    return [eta for eta in wish.eta if eta != 1.0]
+
+
+def returning(wish: Wish) -> float:
+    """Width of the light returned to the viewer from one cell, over the pitch: min(1, 1/|η|), the smaller
+    axis.
+    """
+    return min(1.0, *(1.0 / abs(eta) for eta in wish.eta))
+
+
+def balanced_pitch(wish: Wish) -> float:
+    """√(λD/min(1, 1/|η|)), millimetres: a pixel appears as large as the diffraction of the light returned
+    from it.
+    """
+    return sqrt(wish.wavelength * MILLIMETRES * wish.distance / returning(wish))
+
+
+def sharpest_pitch(wish: Wish, behind: float) -> float:
+    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer, in the
+    meridian blurred more.
+    """
+    distance, viewer, etas = behind / MILLIMETRES, wish.distance / MILLIMETRES, powers(wish)
+    pitches = [pitch_for_eye.sharpest_pitch(eta, distance, wish.wavelength) for eta in etas]
+    blurs = [pitch_for_eye.sharpest_blur(eta, distance, viewer, wish.wavelength) for eta in etas]
+    return MILLIMETRES * pitch_for_eye.pitch_of_more_blurred(pitches, blurs)
+
+
+def wanted_pitch(wish: Wish) -> PitchBound:
+    """The wished pitch, or the one that looks best, before limits of manufacture."""
+    if wish.pitch is not None:
+        return PitchBound(wish.pitch, "as wished")
+    if wish.object is not None:
+        return PitchBound(
+            sharpest_pitch(wish, wish.object),
+            f"least blur of what is {wish.object:g} mm behind the sheet",
+        )
+    return PitchBound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.distance:g} mm")
+
+
+def least_ratio(wish: Wish, error: float) -> float:
+    """Separation over pitch at which spherical aberration alone makes this rms error (radians).
+
+    The error of lens i grows as the cube of its aperture over f_i, pitch x (1 - eta)/separation; that of lens
+    1 is seen through lens 2, by a factor 1/|eta|.
+    """
+    sphere = max(SPHERICAL * abs(1.0 - eta) ** 3 * (1.0 + 1.0 / abs(eta)) / 16.0 for eta in powers(wish))
+    return float((sphere / error) ** (1.0 / 3.0))
+
+
+def _radii(wish: Wish, ratio: float, shape: FormNumbers, index: float) -> list[list[float]]:
+    """|R| of lens 1 and lens 2 in each meridian, over the pitch."""
+    first = [inf if eta == 1.0 else ratio / abs(1.0 - eta) for eta in wish.eta]
+    second = [f * abs(eta) for f, eta in zip(first, wish.eta, strict=True)]
+    return [[shape.radius * (index - 1.0) * f for f in lens] for lens in (first, second)]
+
+
+def _sags(wish: Wish, radii: list[list[float]]) -> list[float]:
+    """Height of each lens over its cell, over the pitch."""
+    corner = (
+        1.0 / 6.0 if wish.kind == "hexagonal" else 1.0 / 4.0
+    )  # square of the half width, averaged over all directions
+    return [sum(corner / (2.0 * r) for r in lens if isfinite(r)) for lens in radii]
+
+
+def lower_pitches(wish: Wish, ratio: float, shape: FormNumbers) -> Iterator[PitchBound]:
+    """Pitches that the wish must not fall below at a separation of `ratio` pitches, each with its reason."""
+    rules, index = profile(wish.process), index_of(wish)
+    radii = _radii(wish, ratio, shape, index)
+    least, flattest = min(min(lens) for lens in radii), min(_sags(wish, radii))
+    made = wish.process
+    yield PitchBound(
+        _fresnel_pitch(wish, ratio), f"Fresnel number {FRESNEL:g} at {ratio:g} pitches of separation"
+    )
+    yield PitchBound(MILLIMETRES * rules.pitch / NEAR, f"least pitch of {made}")
+    yield PitchBound(MILLIMETRES * 20.0 * rules.voxel, f"20 voxels of {made} across a cell")
+    yield PitchBound(MILLIMETRES * rules.radius / NEAR / least, f"least radius of {made}")
+    yield PitchBound(
+        MILLIMETRES * 10.5 * rules.tool / least, f"the tool of {made} leaves a tenth of a cell rounded"
+    )
+    if rules.layer > 0.0:
+        yield PitchBound(
+            MILLIMETRES * 21.0 * rules.layer / flattest, f"20 layers of {made} in the height of a lens"
+        )
+    if shape.thickness > 0.0:
+        yield PitchBound(MILLIMETRES * rules.edge / NEAR / (shape.thickness * ratio), f"least edge of {made}")
+
+
+def upper_pitches(wish: Wish, ratio: float, shape: FormNumbers) -> Iterator[PitchBound]:
+    """Pitches that the wish must not exceed at a separation of `ratio` pitches, each with its reason."""
+    rules = profile(wish.process)
+    steepest = max(_sags(wish, _radii(wish, ratio, shape, index_of(wish))))
+    yield PitchBound(min(wish.size.size) / FEWEST_CELLS, f"{FEWEST_CELLS} cells across the sheet")
+    yield PitchBound(
+        0.95 * MILLIMETRES * NEAR * rules.sag / steepest, f"greatest height of a lens of {wish.process}"
+    )
+
+
+def _fresnel_pitch(wish: Wish, ratio: float) -> float:
+    """Pitch (millimetres) of Fresnel number `FRESNEL`: (w/2)²/(λ f2), w = p min(1, |η|), f2 = |η| s/|1 −
+    η|.
+    """
+    worst = max(abs(eta) / (abs(1.0 - eta) * min(1.0, abs(eta)) ** 2) for eta in powers(wish))
+    turned = 1.2 if wish.kind == "hexagonal" else 1.0  # a hexagon's equivalent width is its breadth over √1.2
+    return FRESNEL * turned * 4.0 * wish.wavelength * MILLIMETRES * ratio * worst
+
+
+def undistorted_conic(form: str, curved: str, index: float) -> float | None:
+    """Conic constant of lens 2 at which light along the axis of an offset pair leaves by the law, to third
+    order.
+
+    It meets lens 2 at the height d = δ f1 and leaves at δ/|η| = d/f2, if the slope of the face grows with the
+    height as Snell's law requires of a collimating face: tan τ = u + (1 + K) u³/2 at u = d/R2, and its exit
+    slope (n − 1) u + c u³. None for biconvex lenses, where the form of both faces shares the work.
+    """
+    n = index
+    if form == "biconvex":
+        return None
+    if (
+        form == "slab" or curved == "outside"
+    ):  # glass to air at the curved face, the axis ray normal to the sheet
+        cubic = -n / 2.0 + n**3 / 6.0 + 1.0 / 3.0 + (n - 1.0) ** 3 / 3.0
+    else:  # air to glass at the curved face, then the plane one
+        cubic = -n / 3.0 + 0.5 - 1.0 / (6.0 * n**2) - (n - 1.0) ** 3 / (6.0 * n**2) + (n - 1.0) ** 3 / 2.0
+    return -1.0 - 2.0 * cubic / (n - 1.0)
+
 
 Form = Literal["slab", "plano", "biconvex"]
 Curved = Literal["outside", "inside"]

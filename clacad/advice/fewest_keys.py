@@ -15,8 +15,17 @@ from typing import Any
 
 from clacad.advice.hints import changes_text, outcome_text
 from clacad.advice.judged import Judged
-from clacad.advice.levers import Changes, levers_of, mends, settings, size_of
-from clacad.advice.trials import NoMoreTrials, Trials, badness, settled
+from clacad.advice.levers import (
+    Changes,
+    NoMoreTrials,
+    Trials,
+    badness,
+    levers_of,
+    mends,
+    settings,
+    settled,
+    size_of,
+)
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check

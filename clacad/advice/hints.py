@@ -16,8 +16,18 @@ from math import nan
 from typing import Any, Final
 
 from clacad.advice.judged import Judged
-from clacad.advice.levers import Changes, is_tried, levers_of, mends, settings, size_of
-from clacad.advice.trials import NoMoreTrials, Trials, found_in, settled
+from clacad.advice.levers import (
+    Changes,
+    NoMoreTrials,
+    Trials,
+    found_in,
+    is_tried,
+    levers_of,
+    mends,
+    settings,
+    settled,
+    size_of,
+)
 from clacad.base.text import digits, plain, shown
 from clacad.base.types import Progress
 from clacad.checks.check import Check

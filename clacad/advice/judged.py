@@ -11,15 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from clacad.checks.allowances import ALLOWANCE, accepted
-from clacad.checks.check import Check, passed, wrong
+from clacad.checks.check import ALLOWANCE, Check, accepted, passed, wrong
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
-from clacad.verification.design.design_rules import design_checks
+from clacad.verification.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
-from clacad.verification.viewed_remedies import name_remedies
+from clacad.verification.light.viewed import name_remedies
 
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle (65536 in verify), and of each field point (4096 in verify)."""

@@ -1,26 +1,203 @@
-"""Answer to a wish: a design that passes, the reasons for its numbers, and its file; or why there is none.
+"""Answer to a wish: a design that passes, with the reasons for its numbers; or the nearest wishes.
 
-The design file of a proposal, with comments.
+A proposal has a design file with comments. For a wish that cannot be fulfilled: the binding limits, and
+similar wishes that can.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from textwrap import wrap
 from typing import Any
 
+from clacad.advice.candidate import round_to
 from clacad.advice.judged import Judged
-from clacad.advice.nearest_wish import binding, nearest, plain_words
+from clacad.advice.lens_shape import Work
 from clacad.advice.trade_offs import Trade, rows_of, sentences, trade_offs
-from clacad.advice.wish import Wish, read_wish
-from clacad.advice.wish_search import Search, Tried
-from clacad.base.text import table
+from clacad.advice.wish import KEYS, Wish, read_wish, workable_material
+from clacad.advice.wish_search import Search, Tried, returned_share
+from clacad.base.text import shown, table
 from clacad.base.types import Progress, silent
+from clacad.checks.check import Check
 from clacad.checks.light_kinds import VIEWED
 from clacad.config.edit_text import to_toml
 from clacad.design import Design
+from clacad.design.body import Outline
 from clacad.design.keys import ROOT, SECTIONS
+
+FEW = 2
+"""Largest number of wishes that are named."""
+
+MOST_WORK = 1500
+"""Work after which no further wish is tried, in shares of thin lenses."""
+
+REASONS = 4
+"""Largest number of printed reasons why designs could not be built."""
+
+FARTHER = (16.0, 8.0, 4.0, 2.0, 1.3)
+"""Trial distances of the eye over the wished one; sheets are reduced by the same factors."""
+
+LESS = (0.2, 0.4, 0.7)
+"""Trial tilts and offsets over the wished ones."""
+
+PROCESSES = ("moulding", "diamond-turning", "greyscale", "sla", "two-photon", "none")
+
+
+def binding(search: Search) -> Iterator[str]:
+    """Binding limits: the failing checks of the design that fails least, and the reasons of designs not
+    built.
+    """
+    yield f"no design was found that passes; {len(search.tried)} were built and judged"
+    if search.tried:
+        best = min(search.tried, key=lambda t: (len(t.judged.failing), _excess(t)))
+        pair = best.judged.design.pair
+        yield (
+            f"  the nearest ({best.variant}, pitch {best.pitch.value:g} mm, separation {pair.separation:g}"
+            " mm):"
+        )
+        checks = best.judged.failing or best.judged.tight
+        yield from (f"    {_fault(check)}" for check in checks)
+    yield from (f"  {reason}" for reason in list(dict.fromkeys(search.refused))[:REASONS])
+
+
+def nearest(search: Search) -> Iterator[str]:
+    """Sentences on similar wishes that can be fulfilled, each tried.
+
+    Of each row the most demanding wish that comes true is named.
+    """
+    found, work = 0, Work(MOST_WORK)
+    for row in _rows(search):
+        if found == FEW or work.over:
+            break
+        best = _most_demanding(list(row), search, work)
+        if best is not None:
+            found += 1
+            words, one = best
+            yield f"  {words} comes true: {one.variant}, pitch {one.pitch.value:g} mm{_warned(one)}"
+    if not found and search.wish.viewing is not None:  # regardless of the work spent on the eye
+        words, plain = "leaving viewing out", replace(search.wish, viewing=None)
+        search.progress(f"trying {words}", 1.0)
+        unseen = Search(plain, search.name, search.overrides, work=Work(MOST_WORK), first=True).run()
+        if unseen is not None:
+            found += 1
+            yield f"  {words} comes true: {unseen.variant}, pitch {unseen.pitch.value:g} mm{_warned(unseen)}"
+    if not found:
+        yield "  none of the wishes near it that were tried comes true either"
+
+
+def _most_demanding(row: Sequence[tuple[str, Wish]], search: Search, work: Work) -> tuple[str, Tried] | None:
+    """Most demanding wish of a row that comes true, by bisection; the least demanding one comes first in a
+    row.
+    """
+    best, low, high = None, -1, len(row)
+    while high - low > 1 and not work.over:
+        middle = (low + high) // 2
+        words, wish = row[middle]
+        search.progress(f"trying {words}", min(work.done / work.most, 1.0))
+        one = Search(wish, search.name, search.overrides, work=work, first=True).run()
+        if one is None:
+            high = middle
+        else:
+            best, low = (words, one), middle
+    return best
+
+
+def _warned(one: Tried) -> str:
+    with_ = sorted({c.id for c in one.judged.warning})
+    return f" (with a warning: {', '.join(with_)})" if with_ else ""
+
+
+def _rows(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
+    """Rows of more and more demanding wishes near the one that cannot be fulfilled."""
+    wish = search.wish
+    if wish.form != "any":
+        yield [("form=any", replace(wish, form="any"))]
+    wide = max(wish.size.size)
+    if wide > search.widest > 0.0:
+        yield _changed(wish, [{"size": _resized(wish, search.widest / wide)}])
+    yield from _changed_for_the_eye(search)
+    if not wish.straight:
+        euler = (wish.euler[0], wish.euler[2])
+        yield _changed(
+            wish,
+            (
+                {
+                    "delta": _scaled(wish.delta, part),
+                    "euler": (euler[0], round(part * wish.euler[1], 4), euler[1]),
+                }
+                for part in LESS
+            ),
+        )
+    yield _changed(wish, [{"size": _resized(wish, 3.0)}])
+    yield _changed(wish, [{"field": 0.5 * wish.field}])
+    for process in PROCESSES:
+        if process != wish.process:
+            material = workable_material(process, wish.material, wish.wavelength)
+            yield _changed(wish, [{"process": process, "material": material}])
+
+
+def _changed_for_the_eye(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
+    """Rows with the eye farther away, or a smaller sheet, where that can help a stated eye."""
+    wish = search.wish
+    if wish.viewing is None or returned_share(wish) < search.limit:
+        return
+    yield _changed(wish, [{"viewing": round_to(wish.viewing * factor, 2)} for factor in FARTHER])
+    yield _changed(wish, [{"size": _resized(wish, 1.0 / factor)} for factor in FARTHER])
+
+
+def _changed(wish: Wish, changes: Iterable[dict[str, Any]]) -> Iterator[tuple[str, Wish]]:
+    """The wish with some changed values, and the words of the change."""
+    for values in changes:
+        changed = replace(wish, **values)
+        yield _difference(wish, changed), changed
+
+
+def _resized(wish: Wish, factor: float) -> Outline:
+    width, height = wish.size.size
+    return Outline(wish.size.shape, (round_to(width * factor, 3), round_to(height * factor, 3)))
+
+
+def _scaled(pair: tuple[float, float], part: float) -> tuple[float, float]:
+    return round(part * pair[0], 6), round(part * pair[1], 6)
+
+
+def _difference(before: Wish, after: Wish) -> str:
+    """Words that turn one wish into another, including those that return to their default."""
+    first, second = before.words(), after.words()
+    values = {
+        key: second.get(key, KEYS[key].default) for key in (*second, *(k for k in first if k not in second))
+    }
+    return ", ".join(f"{key}={_plain(value)}" for key, value in values.items() if first.get(key) != value)
+
+
+def plain_words(wish: Wish) -> str:
+    """A wish as typed after --for."""
+    return ", ".join(f"{key}={_plain(value)}" for key, value in wish.words().items())
+
+
+def _plain(value: Any) -> str:
+    """A value as typed: whole numbers without a point."""
+    if isinstance(value, list):
+        return f"[{', '.join(_plain(item) for item in value)}]"
+    return repr(value).removesuffix(".0") if isinstance(value, float) else str(value)
+
+
+def _excess(tried: Tried) -> float:
+    """Excess of failing numbers over their limits, in limits."""
+    return sum(
+        abs(check.value - check.limit) / abs(check.limit) if check.limit else 1.0
+        for check in tried.judged.failing
+        if isinstance(check.value, float) and isinstance(check.limit, float)
+    )
+
+
+def _fault(check: Check) -> str:
+    value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
+    return (
+        f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip()
+        + f" ({check.source}); {check.sentence}"
+    )
 
 
 class NoSuchSheet(ValueError):

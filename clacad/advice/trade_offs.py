@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan, degrees, inf
 
-from clacad.advice.candidate import round_to
-from clacad.advice.first_numbers import MILLIMETRES, returning, sharpest_pitch
+from clacad.advice.candidate import MILLIMETRES, returning, round_to, sharpest_pitch
 from clacad.advice.judged import Judged, judge
 from clacad.advice.wish import Wish
 from clacad.base.text import digits

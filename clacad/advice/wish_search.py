@@ -11,13 +11,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import cos, floor, inf, prod, radians, tan
 
-from clacad.advice.candidate import Variant, built, round_to
-from clacad.advice.first_numbers import (
+from clacad.advice.candidate import (
     MILLIMETRES,
     PitchBound,
+    Variant,
+    built,
     index_of,
     least_ratio,
     lower_pitches,
+    round_to,
     shape_of,
     upper_pitches,
     wanted_pitch,

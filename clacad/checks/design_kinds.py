@@ -21,15 +21,15 @@ from clacad.checks.levers import (
 
 FOUND_BY = {
     "cell": (
-        "clacad.verification.design.design_rules:one_piece",
-        "clacad.verification.design.design_rules:cover",
-        "clacad.verification.design.design_rules:graph",
-        "clacad.verification.design.design_rules:lengths",
-        "clacad.verification.design.process_rules:making",
+        "clacad.verification.design_rules:one_piece",
+        "clacad.verification.design_rules:cover",
+        "clacad.verification.design_rules:graph",
+        "clacad.verification.design_rules:lengths",
+        "clacad.verification.process_rules:making",
     ),
     "part": (
-        "clacad.verification.design.part_rules:workable",
-        "clacad.verification.design.part_rules:sizes",
+        "clacad.verification.process_rules:workable",
+        "clacad.verification.process_rules:sizes",
     ),
 }
 """Functions that compute these checks, by stage, in the order of the report."""

@@ -22,20 +22,20 @@ from clacad.checks.levers import (
 
 FOUND_BY = {
     "cell": (
-        "clacad.verification.design.design_rules:field",
-        "clacad.verification.design.design_rules:fresnel_number",
-        "clacad.verification.design.design_rules:residual",
-        "clacad.verification.design.design_rules:orders",
+        "clacad.verification.design_rules:field",
+        "clacad.verification.design_rules:fresnel_number",
+        "clacad.verification.design_rules:residual",
+        "clacad.verification.design_rules:orders",
     ),
     "light": (
         "clacad.verification.light.law_checks:law_checks",
         "clacad.verification.light.law_checks:throughput",
         "clacad.verification.light.law_checks:confocality_check",
-        "clacad.verification.light.field_lens_checks:field_lens_checks",
+        "clacad.verification.light.special_checks:field_lens_checks",
     ),
     "sheet": (
-        "clacad.verification.light.viewed_check:viewed_check",
-        "clacad.verification.light.image_checks:image_checks",
+        "clacad.verification.light.viewed:viewed_check",
+        "clacad.verification.light.special_checks:image_checks",
     ),
 }
 """Functions that compute these checks, by stage, in the order of the report."""

@@ -13,7 +13,7 @@ from clacad.cli.option_values import BadOption, load_counted, parse_angle, pictu
 
 if TYPE_CHECKING:
     from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable
-    from clacad.verification.accuracy.cheapest_file import FileWithin
+    from clacad.verification.accuracy.choose_setting import FileWithin
     from clacad.verification.accuracy.file_floors import Floor
 
 
@@ -47,10 +47,15 @@ def run(request: Accuracy, console: Console) -> int:
     from clacad.prescription.prescribe import prescribe
     from clacad.storage.atomic import require_writable
     from clacad.tracing.worst_cell import worst_cell
-    from clacad.verification.accuracy.accuracy_table import TASK, accuracy, accuracy_seconds
-    from clacad.verification.accuracy.cheapest_file import files_within
-    from clacad.verification.kernels_ahead import OF_TABLE, compiling_seconds
-    from clacad.verification.kernels_ahead import TASK as COMPILING
+    from clacad.verification.accuracy.accuracy_table import COMPILING_TASK as COMPILING
+    from clacad.verification.accuracy.accuracy_table import (
+        OF_TABLE,
+        TASK,
+        accuracy,
+        accuracy_seconds,
+        compiling_seconds,
+    )
+    from clacad.verification.accuracy.choose_setting import files_within
 
     picture_kind(request.out, "svg")
     if request.out is not None:

@@ -206,8 +206,7 @@ def _within_target(
 def _name_cheapest(design: Design, target: float, chosen: Sequence[str], console: Console) -> None:
     """Print which file is within the target for the fewest bytes if it is none of those chosen."""
     from clacad.prescription.prescribe import prescribe
-    from clacad.verification.accuracy.cheapest_file import files_within, whole_meshes
-    from clacad.verification.accuracy.choose_setting import mesh_floors
+    from clacad.verification.accuracy.choose_setting import files_within, mesh_floors, whole_meshes
 
     window = prescribe(design)
     best = files_within(design, window, mesh_floors(design, window, whole_meshes()), target)[0]

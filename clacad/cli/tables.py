@@ -164,7 +164,7 @@ def check_text(
 ) -> str:
     """Derived numbers, checks and forecasts of `clacad check`; the verdict is printed below."""
     from clacad.checks.light_kinds import RESIDUAL
-    from clacad.verification.light.viewed_check import headline
+    from clacad.verification.light.viewed import headline
 
     checks = list(checks)
     light = [check for check in checks if check.where.startswith("surfaces") and check.kind is not RESIDUAL]

@@ -83,7 +83,7 @@ def _announced(
     rays: int, delivery: Delivery | None, request: Verify, progress: Progress, console: Console
 ) -> Iterator[None]:
     """Print the cost of the block before it, and record its actual cost."""
-    from clacad.verification.verification_cost import seconds, task
+    from clacad.verification.run import seconds, task
 
     subjects, page = () if delivery is None else delivery.subjects, request.out is not None
     with console.forecast(task(subjects, page), seconds(rays, subjects, page)) as span:
@@ -95,8 +95,7 @@ def _judged(
     design: Design, delivery: Delivery | None, rays: int, request: Verify, progress: Progress
 ) -> Report:
     """The report, by the target if one is given; the verdict of the design alone is printed at once."""
-    from clacad.verification.error_target import judged_by
-    from clacad.verification.run import verified
+    from clacad.verification.run import judged_by, verified
 
     steps = verified(design, delivery, request.cells, rays, progress)
     report = next(steps)
@@ -120,7 +119,7 @@ def _write(report: Report, out: Path, request: Verify, progress: Progress) -> li
 def _text(report: Report, name: str) -> str:
     """Checks, verdicts and the final verdict."""
     from clacad.cli.tables import checks_text, verdicts_text
-    from clacad.verification.light.viewed_check import headline
+    from clacad.verification.light.viewed import headline
 
     first = headline(report.checks)
     lines = [name, *([f"  {first}"] if first else []), checks_text(report.checks)]
@@ -150,7 +149,7 @@ def _rays(design: Design, request: Verify, target: float) -> int:
     from clacad.exporting.formats.registry import kind_ending
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.choose_setting import floor_of, out_of_reach
-    from clacad.verification.error_target import rays_for
+    from clacad.verification.run import rays_for
 
     files, cells = request.files, request.cells
     window = prescribe(design if cells is None else design.with_cells(cells))

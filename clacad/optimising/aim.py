@@ -1,20 +1,24 @@
 """Objective of a search: the error over one field or several, of the perfect part or of parts as made.
 
-Parts as made: to first order an error e of a part, of standard deviation σ, adds σ² |∂r/∂e|² to the expected
-square of the residuals r. The slopes of `clacad.verification.tolerance` for every tolerance of the design,
-times σ, are therefore appended to the residuals of the perfect part. Least squares then minimise the expected
-error. The slopes are central differences over ±σ. Roughness changes no direction and is left out. Rotation
-and tilt of an array are evaluated at the cell farthest from the centre, where their effect is largest; other
-errors affect all cells equally.
+Parts as made: to first order an error e of a part, of standard deviation σ, adds σ² |∂r/∂e|² to the
+expected square of the residuals r. The slopes of `clacad.verification.tolerance` for every tolerance of the
+design, times σ, are therefore appended to the residuals of the perfect part. Least squares then minimise
+the expected error. The slopes are central differences over ±σ. Roughness changes no direction and is left
+out. Rotation and tilt of an array are evaluated at the cell farthest from the centre, where their effect is
+largest; other errors affect all cells equally. Start and end are compared over independent rays, not those
+of the search.
 
-Errors over independent rays, not those of the search, for the comparison of start and end.
+Light must stay in the cells of lens 2: rays that miss their partner's cell do not count in the error, and
+an unconstrained search would lose light to reduce it. `ShareOfLight` constrains the cones over which start
+and end are compared. `LightInCells` constrains the full field of a sheet with a field lens, where a weaker
+field lens looks sharper.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import degrees, isfinite, sqrt
+from math import atan, degrees, isfinite, sqrt
 
 import numpy as np
 
@@ -28,13 +32,15 @@ from clacad.design.keys import CHECK
 from clacad.light.measure import measure
 from clacad.optics.fit import AskedLight, law_residuals
 from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import trace_sequence
 from clacad.sheet.asked_focus import RequestedLaw
 from clacad.sheet.bundle import bundle, cone, launched, middle_direction
 from clacad.sheet.representative_cells import central_cell, places_of_errors
 from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.tolerance import Parameter, parameters, telescopelet
-from clacad.verification.tolerance.perturbations import SIGMAS
+from clacad.verification.tolerance.misaligned import SIGMAS
 from clacad.verification.tolerance.study import NO_TOLERANCES, NoTolerances
 
 RAYS = 1024
@@ -249,3 +255,103 @@ def measured(window: Window, field: float, design: Design) -> Seen:
         lambda lit: trace(small, lit.rays, path="numpy"), light, RequestedLaw(window.law), fewest=1
     )
     return Seen(field, found.rms, found.share)
+
+
+CELL_RAYS = 512
+
+PART = 0.9
+"""Cone of the rays as a share of the full field."""
+
+ROOM = 1e-5
+"""Allowed increase of the mean distance outside the cell over that of the start, in half widths."""
+
+LOST = 1.0
+"""Distance outside the cell (half widths) that is assigned to a lost ray."""
+
+MOST_LOST = 0.02
+"""Largest share of the light of a cone that a written design may lose, compared with the start."""
+
+SHARE_ROOM = 0.5 * MOST_LOST
+"""Share that a trial may lose: less than `MOST_LOST`, because a search has few rays."""
+
+BORDER = 0.02
+"""Width of the border (half cells) in which a ray counts partly; a share of whole rays has no derivative."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShareOfLight:
+    """Cones of rays over one cell, and the share of each in the cell of lens 2 at the start of the search.
+
+    cones : tuple of Rays
+    before : (c,)
+        Share of each cone.
+    """
+
+    cones: tuple[Rays, ...]
+    before: Floats
+
+    @staticmethod
+    def of(window: Window, fields: Sequence[float], centre: str) -> ShareOfLight:
+        """Constraint from the start window; half angles of the cones in radians, about the `centre` of
+        checks.
+        """
+        one = window.with_cells((1, 1))
+        cones = tuple(bundle(one, CELL_RAYS, field, centre).rays for field in fields)
+        return ShareOfLight(cones, _shares(window, cones))
+
+    def slack(self, window: Window) -> float:
+        """Least share that a cone may still lose, over `SHARE_ROOM`; below 0: violated."""
+        return 1.0 - float((self.before - _shares(window, self.cones)).max()) / SHARE_ROOM
+
+
+def _shares(window: Window, cones: Sequence[Rays]) -> Floats:
+    """Share (c,) of the rays of each cone that land in the cell of lens 2."""
+    rays = Rays(np.concatenate([c.position for c in cones]), np.concatenate([c.direction for c in cones]))
+    inside = np.clip(0.5 - _way_out(window, rays) / BORDER, 0.0, 1.0)
+    return np.asarray(inside.reshape(len(cones), -1).mean(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class LightInCells:
+    """Rays of the full field, and their distance outside their cells at the start of the search.
+
+    rays : Rays
+    before : float
+        Mean distance outside the border of lens 2's cell, in half widths.
+    """
+
+    rays: Rays
+    before: float
+
+    @staticmethod
+    def of(window: Window) -> LightInCells | None:
+        """Constraint from the start window; None without a field lens."""
+        if not window.thin.field:
+            return None
+        one = window.with_cells((1, 1))
+        rays = bundle(one, CELL_RAYS, atan(PART * min(half_field(thin_cells(window))))).rays
+        return LightInCells(rays, _beyond(window, rays))
+
+    def slack(self, window: Window) -> float:
+        """Remaining increase of the mean distance outside the cell, over `ROOM`; below 0: violated."""
+        return (self.before + ROOM - _beyond(window, self.rays)) / ROOM
+
+
+def _beyond(window: Window, rays: Rays) -> float:
+    """Mean distance (half widths of a cell) of rays outside the border of lens 2's cell."""
+    return float(np.clip(_way_out(window, rays), 0.0, LOST).mean())
+
+
+def _way_out(window: Window, rays: Rays) -> Floats:
+    """Distance (n,) of rays from the border of lens 2's cell, in half widths; negative inside, `LOST` if
+    lost.
+    """
+    seen = trace_sequence(interfaces(window), rays, record=True)
+    assert seen.hits is not None  # recorded
+    last = max(number for number, face in enumerate(window.faces) if face.array == 1)
+    local = seen.hits[last][:, :2] - np.asarray(window.shifts[1])
+    out = np.full(len(rays), -LOST)
+    for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
+        across = local @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)
+        out = np.maximum(out, across / half - 1.0)
+    return np.where(seen.fate == Fate.ALIVE, out, LOST)

@@ -26,13 +26,12 @@ from clacad.design.keys import PAIR
 from clacad.design.process_profiles import profile
 from clacad.optics.fit import minimise
 from clacad.optics.surface import Surface
-from clacad.optimising.aim import FIELDS, RAYS, Aim, AimedRays
-from clacad.optimising.light_in_cells import LightInCells, ShareOfLight
+from clacad.optimising.aim import FIELDS, RAYS, Aim, AimedRays, LightInCells, ShareOfLight
 from clacad.optimising.unknowns import Unknowns, given_design, trial_design, with_faces
 from clacad.prescription.bodies import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
-from clacad.verification.design.process_rules import process_limit
+from clacad.verification.process_rules import process_limit
 
 GRID = 21
 REAL = 0.02

@@ -22,9 +22,8 @@ from clacad.config.mistakes import Mistake
 from clacad.design import Design
 from clacad.design.faces import face_table
 from clacad.design.keys import PAIR
-from clacad.optimising.aim import FIELDS, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, measured
+from clacad.optimising.aim import FIELDS, MOST_LOST, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, measured
 from clacad.optimising.face_search import FaceSearch, Progress
-from clacad.optimising.light_in_cells import MOST_LOST
 from clacad.optimising.unknowns import chosen
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells

@@ -74,7 +74,7 @@ def before_and_after(found: Optimised) -> BeforeAndAfter:
 
 def _measured(design: Design) -> Report:
     """A design's checks and curves, by fewer rays than verify sends."""
-    from clacad.checks.allowances import accepted
+    from clacad.checks.check import accepted
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.feasibility import feasibility
     from clacad.tracing.trace import trace

@@ -108,7 +108,7 @@ class Content:
     @property
     def viewer(self) -> str:
         """What the viewer gets of the whole sheet, in a line; "" where that was not checked."""
-        from clacad.verification.light.viewed_check import headline
+        from clacad.verification.light.viewed import headline
 
         return headline(self.report.checks)
 

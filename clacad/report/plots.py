@@ -19,7 +19,8 @@ from clacad.imaging.image_by_rays import RungImage, heights, image, reach_of
 from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, Margins, panels, room_for, svg
 from clacad.sheet.own_steps import greatest_steps
 from clacad.verification.light.error_attribution import NAMES
-from clacad.verification.light.image_checks import RAYS, asked_image
+from clacad.verification.light.special_checks import IMAGE_RAYS as RAYS
+from clacad.verification.light.special_checks import asked_image
 from clacad.verification.light.viewed import share_map, viewer_of
 from clacad.verification.light.viewed import viewed as seen_from
 
@@ -28,8 +29,7 @@ if TYPE_CHECKING:
 
     from clacad.sheet.window import Window
     from clacad.verification import Report
-    from clacad.verification.evidence import Evidence
-    from clacad.verification.light.caustic import Fan, MeridianFocus
+    from clacad.verification.evidence import Evidence, Fan, MeridianFocus
     from clacad.verification.light.error_attribution import Attribution
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from clacad.checks.check import Check, passed
     from clacad.judging.unit_and_cells import CannotRegister
-    from clacad.verification.design.design_rules import design_checks
+    from clacad.verification.design_rules import design_checks
     from clacad.verification.run import verify
     from clacad.verification.verification_report import Report
 
@@ -26,7 +26,7 @@ _HOME = {
     "Check": "checks.check",
     "passed": "checks.check",
     "CannotRegister": "judging.unit_and_cells",
-    "design_checks": "verification.design.design_rules",
+    "design_checks": "verification.design_rules",
     "Report": "verification.verification_report",
     "verify": "verification.run",
 }

@@ -1,28 +1,39 @@
-"""The whole verification of a design and of the files made from it."""
+"""The whole verification of a design and of the files made from it; its cost, and a requested error.
+
+The cost is in processor seconds, by a model of one reference machine; see `clacad.base.machine_rates`. A
+requested direction error gives the rays that a verification needs, and a check of each file.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import ceil, log2
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress, silent
-from clacad.checks.allowances import accepted
-from clacad.checks.check import Check
-from clacad.judging.delivery import Delivery, declared_roles, list_files, with_copied_table, written_meanwhile
+from clacad.checks.check import Check, accepted
+from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
+from clacad.judging.delivery import (
+    Delivery,
+    Subject,
+    declared_roles,
+    list_files,
+    with_copied_table,
+    written_meanwhile,
+)
 from clacad.judging.judge_files import judge_files
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
-from clacad.verification.design.design_rules import design_checks
+from clacad.verification.design_rules import design_checks
 from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check, meridians
-from clacad.verification.light.law_checks import Optics
-from clacad.verification.light.through_window import judge_light
+from clacad.verification.light.through_window import Optics, judge_light
+from clacad.verification.light.viewed import name_remedies
 from clacad.verification.verification_report import Report
-from clacad.verification.viewed_remedies import name_remedies
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -149,3 +160,122 @@ def _convergence(design: Design, window: Window, progress: Progress) -> tuple[Co
     except ValueError as error:  # too little light passes one telescopelet to fit a law
         return None, convergence_check(None, str(error))
     return found, convergence_check(found)
+
+
+DESIGN, CONVERGENCE, MESH, SOLID, REPORT = 0.5, 2.0, 0.8, 3.0, 4.0
+"""Seconds, each without the part that depends on size: a design, the convergence study, a mesh, a solid, a
+report."""
+
+PER_RAY, PER_FACET, PER_LIT, PER_BYTE = 4.8e-6, 1.1e-6, 8e-6, 1e-6
+"""Seconds per ray of the main bundle, facet in a file, facet of the lit cells, and byte of a solid's text."""
+
+FOUND, PER_FOUND = 0.2, 1.5e-6
+"""Seconds to register a part without a manifest, and per facet of it; measured with 2,500 and 334,000
+facets."""
+
+MOST_LIT = 500_000
+"""Facets of one cell up to which the time to light it increases."""
+
+
+def seconds(rays: int, files: Sequence[Subject], report: bool = False) -> float:
+    """Processor seconds of verifying a design with `rays` rays, and some files.
+
+    Parameters
+    ----------
+    rays : int
+    files : sequence of Subject
+        Meshes cost their triangles, and one convergence study together; those without a manifest entry also
+        cost
+        registration; solids cost their text.
+    report : bool
+        Whether a report is written.
+    """
+    meshes = [subject for subject in files if subject.is_mesh]
+    solids = [subject for subject in files if subject.is_solid]
+    triangles = sum(MESH + PER_FACET * _facets(subject) + PER_LIT * _lit(subject) for subject in meshes)
+    triangles += sum(FOUND + PER_FOUND * _facets(subject) for subject in meshes if _returned(subject))
+    text = sum(SOLID + PER_BYTE * subject.bytes for subject in solids)
+    once = DESIGN + PER_RAY * rays + (CONVERGENCE if meshes else 0.0) + (REPORT if report else 0.0)
+    return once + triangles + text
+
+
+def task(files: Sequence[Subject], report: bool = False) -> str:
+    """Name under which the time of such a verification is recorded."""
+    kinds = [
+        name
+        for name, is_one in (("mesh", "is_mesh"), ("step", "is_solid"))
+        if any(getattr(s, is_one) for s in files)
+    ]
+    returned = ["returned"] if any(s.is_mesh and _returned(s) for s in files) else []
+    return " ".join(["verify", *kinds, *returned, *(["report"] if report else [])])
+
+
+def _returned(subject: Subject) -> bool:
+    """Whether no manifest lists a file, so that its pose is unknown."""
+    return not subject.entry
+
+
+def _lit(subject: Subject) -> float:
+    """Approximate facets of one cell, where its manifest gives the quads per side."""
+    quads = subject.entry.get("quads")
+    return min(8.0 * quads * quads, MOST_LIT) if isinstance(quads, int) else 0.0
+
+
+def _facets(subject: Subject) -> float:
+    """Facets that are examined: those stored in the file, each once regardless of its instances."""
+    for key in ("triangles_stored", "triangles"):
+        stated = subject.entry.get(key)
+        if isinstance(stated, (int, float)) and stated > 0:
+            return float(stated)
+    return subject.bytes / (50.0 if subject.kind is None else subject.kind.bytes_a_facet)
+
+
+FEWEST, MOST = 1 << 14, 1 << 20
+"""Fewest and most rays; with fewer, too few rays pass a file's triangles for the fits."""
+SURE = 10.0
+"""Least ratio of the target to the standard error of the mean."""
+
+
+def rays_for(target: float, spread: float) -> int:
+    """Fewest rays, a power of two, whose mean has a standard error of a tenth of a target.
+
+    Parameters
+    ----------
+    target : float, radians
+        Rms direction error that matters.
+    spread : float, radians
+        Rms error of a single ray; the mean of n has a standard error of spread/√n (less with Sobol points).
+    """
+    needed = (SURE * spread / target) ** 2
+    if needed >= MOST:
+        return MOST
+    return max(FEWEST, 1 << ceil(log2(max(1.0, needed))))
+
+
+def judged_by(report: Report, target: float) -> Report:
+    """Add checks to a report: whether light through each file is within a target of the exact surfaces
+    (radians).
+    """
+    return replace(report, checks=(*report.checks, *target_checks(report.checks, target)))
+
+
+def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
+    """One check for each file whose light was measured."""
+    found = []
+    for check in checks:
+        if check.kind is not FAITHFUL_RMS:
+            continue
+        if not isinstance(check.value, float):
+            found.append(replace(check, id=FILE_TARGET.id, limit=target, detail={}))
+            continue
+        within = "within" if check.value <= target else "not within"
+        text = (
+            f"light through it is {1e3 * check.value:.4g} mrad rms off the exact surfaces, {within} the "
+            f"{1e3 * target:.4g} mrad requested"
+        )
+        found.append(
+            FILE_TARGET.judge(
+                check.value, target, text, bundle=check.bundle, where=check.where, subject=check.subject
+            )
+        )
+    return found

@@ -21,7 +21,7 @@ from clacad.sheet.feasibility import Feasibility, describe, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.light.facet_convergence import Convergence, Meridian
-from clacad.verification.light.law_checks import Optics
+from clacad.verification.light.through_window import Optics
 from clacad.verification.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of
 
 if TYPE_CHECKING:

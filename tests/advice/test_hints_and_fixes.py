@@ -18,7 +18,7 @@ from clacad.cli.entry_point import main
 from clacad.design import Design, load
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import passed
-from clacad.verification.design.design_rules import design_checks
+from clacad.verification.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
 
 ROUND = """# Round window of polycarbonate.

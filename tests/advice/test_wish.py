@@ -11,10 +11,11 @@ import pytest
 from mpmath import asin, atan, mp, mpf, sin, sqrt, tan
 from trust.running import clacad
 
-from clacad.advice.candidate import Variant, built
-from clacad.advice.first_numbers import (
+from clacad.advice.candidate import (
     PitchBound,
+    Variant,
     balanced_pitch,
+    built,
     lower_pitches,
     shape_of,
     sharpest_pitch,
@@ -23,8 +24,7 @@ from clacad.advice.first_numbers import (
 )
 from clacad.advice.judged import judge
 from clacad.advice.lens_shape import AXIS, FAULTS, JUDGEMENT, UNEQUAL, Work
-from clacad.advice.nearest_wish import nearest
-from clacad.advice.proposal import NoSuchSheet, design_for, not_met
+from clacad.advice.proposal import NoSuchSheet, design_for, nearest, not_met
 from clacad.advice.wish import KEYS, Wish, parse_wish, read_wish
 from clacad.advice.wish_search import Search, impossible
 from clacad.design import DesignError, load, template

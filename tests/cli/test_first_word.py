@@ -17,8 +17,7 @@ from clacad.exporting.request import Request
 from clacad.exporting.roles import Role
 from clacad.exporting.run import forecast_rows, in_all
 from clacad.judging.delivery import Subject, find_files, list_files
-from clacad.verification.run import verified
-from clacad.verification.verification_cost import seconds, task
+from clacad.verification.run import seconds, task, verified
 
 TEXT = {
     "format": 1, "name": "small", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

@@ -57,9 +57,9 @@ OTHER_MEANINGS = {
     "step": {"advice/trade_offs.py", "cli/export_command.py", "explain/glossary.py", "exporting/request.py",
              "stacking/make_stack.py", "cli/stack_command.py",  # the option --step, a default
              "verification/accuracy/accuracy_plot.py", "verification/accuracy/accuracy_row.py",
-             "verification/accuracy/step_rung.py",  # a rung
+             "verification/accuracy/measure_rungs.py",  # a rung
              "judging/damage.py", "verification/tolerance/parameter_sweep.py",  # steps between cells
-             "verification/verification_cost.py"},  # a task whose time is recorded
+             "verification/run.py"},  # a task whose time is recorded
     "stl": {"explain/glossary.py", "exporting/request.py"},  # a synonym, a default
     "table": {"cli/shape_command.py", "config/edit_text.py", "config/key_positions.py", "design/varying.py",
               "optics/material/catalogue.py", "optics/material/material.py", "report/pdf.py",

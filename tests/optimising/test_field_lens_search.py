@@ -11,8 +11,8 @@ import pytest
 from clacad import DesignError, Fate, load, optimise, prescribe, trace
 from clacad.optics.law import angle_between
 from clacad.optics.surface import resized
+from clacad.optimising.aim import LightInCells
 from clacad.optimising.face_search import Walls
-from clacad.optimising.light_in_cells import LightInCells
 from clacad.optimising.unknowns import chosen
 from clacad.sheet.bundle import bundle
 

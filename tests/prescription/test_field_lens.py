@@ -20,7 +20,7 @@ from clacad.optics.sequence import trace_sequence
 from clacad.sheet.bundle import bundle
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, half_field, share, thin_cells
-from clacad.verification.light.caustic import foci
+from clacad.verification.evidence import foci
 from clacad.verification.light.confocality import confocality
 
 DESIGNS = Path(__file__).parents[2] / "designs"

@@ -21,7 +21,7 @@ from clacad.report.fabrication import fabrication
 from clacad.report.parts_in_3d import packed, parts, picture
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.volume_and_extent import whole_extent
-from clacad.verification.light.caustic import foci
+from clacad.verification.evidence import foci
 from clacad.verification.light.confocality import confocality
 from clacad.verification.light.error_attribution import ghost_map
 

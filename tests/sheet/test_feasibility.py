@@ -447,7 +447,7 @@ def test_the_index_ratio_is_that_of_the_interface_which_refracts_like_the_sheet(
 
 def test_one_piece_is_written_in_the_singular():
     from clacad.base.text import count_text
-    from clacad.verification.design.design_rules import design_checks
+    from clacad.verification.design_rules import design_checks
 
     design = clacad.load(DESIGNS / "plano.toml")
     window = clacad.prescribe(design)

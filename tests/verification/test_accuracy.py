@@ -21,8 +21,7 @@ from clacad.verification.accuracy.accuracy_plot import plot_svg
 from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable, TargetOutOfReach, accuracy
 from clacad.verification.accuracy.extended_precision import direction_errors
 from clacad.verification.accuracy.file_floors import EXACT, FAMILIES, Floor, family_floor, probe, rounded
-from clacad.verification.accuracy.measure_rungs import TracedRays
-from clacad.verification.accuracy.step_rung import _compared, step_row
+from clacad.verification.accuracy.measure_rungs import TracedRays, _compared, step_row
 
 
 @pytest.fixture(scope="module")

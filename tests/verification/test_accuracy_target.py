@@ -17,9 +17,9 @@ from clacad.cli import main
 from clacad.rendering.picture_cost import within_target
 from clacad.scene import load_scene
 from clacad.verification.accuracy.accuracy_table import AccuracyTable, TargetOutOfReach
-from clacad.verification.accuracy.cheapest_file import files_within
+from clacad.verification.accuracy.choose_setting import files_within
 from clacad.verification.accuracy.file_floors import Floor
-from clacad.verification.error_target import rays_for, target_checks
+from clacad.verification.run import rays_for, target_checks
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 SLAB = str(DESIGNS / "slab.toml")

@@ -14,8 +14,7 @@ from clacad.design import load
 from clacad.optics.rays import Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.tracing.compiled import surfaces
-from clacad.verification.accuracy.report_ladder import climb
-from clacad.verification.kernels_ahead import OF_TABLE, SECONDS, compiling_seconds
+from clacad.verification.accuracy.accuracy_table import OF_TABLE, SECONDS, climb, compiling_seconds
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 

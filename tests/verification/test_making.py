@@ -7,7 +7,7 @@ from math import asin, atan, cos, degrees, pi, radians, sin, sqrt, tan
 import numpy as np
 import pytest
 
-from clacad.checks.allowances import accepted
+from clacad.checks.check import accepted
 from clacad.design import Design
 from clacad.design.process_profiles import profile, profiles
 from clacad.prescription.prescribe import prescribe

@@ -235,7 +235,7 @@ def test_a_local_cluster_finds_the_same_tables(table):
 
 def test_tolerances_and_limits_that_are_angles_are_printed_in_mrad():
     from clacad.verification.tolerance.light_measures import MEASURES
-    from clacad.verification.tolerance.perturbations import Parameter
+    from clacad.verification.tolerance.misaligned import Parameter
     from clacad.verification.tolerance.study import Limit, Study
 
     nothing = np.zeros((1, len(MEASURES)))

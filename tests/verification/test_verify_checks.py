@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from clacad.base.text import plain
-from clacad.checks.allowances import accepted
-from clacad.checks.check import Check, passed
+from clacad.checks.check import Check, accepted, passed
 from clacad.checks.design_kinds import RADIUS
 from clacad.checks.light_kinds import ETA
 from clacad.design import Design

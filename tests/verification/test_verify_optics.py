@@ -16,17 +16,10 @@ from clacad.sheet.bundle import bundle, cone, field_points, middle_direction
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.representative_cells import central_cell
 from clacad.tracing.trace import trace
-from clacad.verification.design.design_rules import design_checks
+from clacad.verification.design_rules import design_checks
 from clacad.verification.light.confocality import confocality
-from clacad.verification.light.law_checks import (
-    Lit,
-    accounting,
-    confocality_check,
-    law_checks,
-    optics_of,
-    throughput,
-)
-from clacad.verification.light.through_window import judge_light
+from clacad.verification.light.law_checks import accounting, confocality_check, law_checks, throughput
+from clacad.verification.light.through_window import Lit, judge_light, optics_of
 
 BASE = Design.from_dict({
     "format": 1, "name": "base", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.02], "euler": [0.0, 0.5, 0.0]},

@@ -8,18 +8,15 @@ import tomllib
 
 import pytest
 
-from clacad.checks.allowances import accepted
-from clacad.checks.check import passed, wrong
+from clacad.checks.check import accepted, passed, wrong
 from clacad.cli.entry_point import main
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
-from clacad.verification.design.design_rules import design_checks
-from clacad.verification.light.law_checks import Lit
-from clacad.verification.light.through_window import judge_light
-from clacad.verification.light.viewed_check import viewed_check
+from clacad.verification.design_rules import design_checks
+from clacad.verification.light.through_window import Lit, judge_light
+from clacad.verification.light.viewed import name_remedies, viewed_check
 from clacad.verification.run import judge_window
-from clacad.verification.viewed_remedies import name_remedies
 
 SHEET = {
     "format": 1, "name": "window", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

@@ -66,7 +66,7 @@ def _note(window: Window) -> str:
     held = f"the places of {cells:,} lenses are a table" if tables else "a formula moves its lens, no larger"
     plain, whole = (_reading_seconds(cells * len(arrays), cells * n) for n in (0, len(moved)))
     return (
-        f"every cell differs: {held}; POV-Ray reads it in {whole:.2g} s, a uniform sheet in {plain:.2g} s, and"
+        f"every cell differs: {held}; POV-Ray reads it in {whole:.2g} s, a uniform one in {plain:.2g} s, and"
         " traces both as fast"
     )
 

@@ -1,24 +1,31 @@
-"""The accuracy table: the same rays on every rung, each with its error and its seconds.
+"""The accuracy table and the ladder of a report: the same rays on every rung, with error and seconds.
 
 The truth is rung surfaces in float64, which is itself checked against a trace in 50 digits. Every number in
-the
-table therefore has a reference, and the error of the reference is known.
+the table therefore has a reference, and the error of the reference is known.
+
+Seconds change from run to run and a report must not. The page therefore shows a forecast of the time from
+the rates below. Times measured in one run go to the run facts, and into the report only on request. Every
+rung traces the few rays of a ladder in numpy: compiling its kernels would take longer than the rest of a
+report. The time to compile the kernels of a table is forecast here, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 from clacad.base.types import Progress, silent
+from clacad.sheet.window import Window
 from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable, TargetOutOfReach
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.bundle import Bundle
-    from clacad.sheet.window import Window
     from clacad.verification.accuracy.measure_rungs import TracedRays
+
 
 __all__ = ["AccuracyRow", "AccuracyTable", "TargetOutOfReach", "accuracy"]
 
@@ -103,8 +110,7 @@ def _measured(
 ) -> AccuracyTable:
     """The table of a design; `traced` returns the requested number of rays with their truth."""
     from clacad.verification.accuracy.file_floors import floors, probe
-    from clacad.verification.accuracy.measure_rungs import exact_rows, mesh_rows, reference
-    from clacad.verification.accuracy.step_rung import step_row
+    from clacad.verification.accuracy.measure_rungs import exact_rows, mesh_rows, reference, step_row
 
     ladder = traced(rays)
     checked = reference(ladder)
@@ -206,3 +212,160 @@ def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
         ),
     ]
     return (*notes, *([step_note] if step_note else []))
+
+
+RAYS = 8192
+ORACLE_RAYS = 128
+QUADS = (4, 8, 16, 32)
+
+MICROSECONDS = {"law": 0.05, "thin": 0.25, "surfaces": 0.07, "mesh": 0.16, "mesh, a quad of the side": 0.003}
+"""Forecast of the processor time of one ray in compiled kernels, by rung, µs.
+
+The values are geometric means over traces of 20 000 rays through four shipped designs (plano, window-100mm,
+tilted-biconvex, hexagonal) on one core of an ordinary server. A design may differ from it by a factor of 8,
+because
+tilted lenses and hexagons cost more; another machine scales all points alike.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """Rows of the ladder, their forecast microseconds per ray, and the error of the truth itself.
+
+    rows : tuple of clacad.verification.accuracy.accuracy_row.AccuracyRow
+    forecast : tuple of float, microseconds
+    reference : float, radians
+        Rms of the truth against a trace in 50 digits.
+    """
+
+    rows: tuple[AccuracyRow, ...]
+    forecast: tuple[float, ...]
+    reference: float
+
+    @property
+    def conclusion(self) -> str:
+        """Conclusion from the errors and the forecast of the time, in words."""
+        from clacad.verification.accuracy.accuracy_row import conclusion
+
+        rows = [
+            replace(row, seconds=1e-6 * us * row.rays)
+            for row, us in zip(self.rows, self.forecast, strict=True)
+        ]
+        return f"{conclusion(rows)} Times are forecasts."
+
+    def measured(self) -> list[dict[str, Any]]:
+        """Run facts: seconds of this run, rung by rung."""
+        return [
+            {
+                "rung": r.rung,
+                "setting": r.setting,
+                "seconds": r.seconds,
+                "prepare_s": r.prepare_s,
+                "rays": r.rays,
+            }
+            for r in self.rows
+        ]
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """Numbers for the report, without measured times."""
+        return [
+            {
+                "rung": r.rung,
+                "setting": r.setting,
+                "model_rms": r.model_rms,
+                "model_max": r.model_max,
+                "law_rms": r.law_rms,
+                "law_max": r.law_max,
+                "disagree": r.disagree,
+                "rays": r.rays,
+                "quads": r.quads,
+                "normals": r.normals,
+                "triangles": r.triangles,
+                "forecast_us": us,
+            }
+            for r, us in zip(self.rows, self.forecast, strict=True)
+        ]
+
+
+def climb(design: Design, window: Window, progress: Progress) -> Ladder:
+    """Trace one bundle on the rungs law, thin, surfaces, and mesh at some refinements."""
+    from functools import partial
+
+    from clacad.mesh import tessellate
+    from clacad.sheet.asked_focus import RequestedLaw
+    from clacad.sheet.bundle import bundle
+    from clacad.tracing.trace import trace
+    from clacad.verification.accuracy import measure_rungs
+
+    lit = bundle(window, RAYS, design.check.field, design.check.field_centre)
+    ladder = measure_rungs.TracedRays(
+        window, lit.rays, trace(window, lit.rays, path="size"), RequestedLaw.of(window).expected(lit)
+    )
+    known = measure_rungs.reference(ladder, ORACLE_RAYS)["rms"]
+    rows, forecast = [], []
+    exact: tuple[Literal["law", "thin", "surfaces"], ...] = ("law", "thin", "surfaces")
+    for number, rung in enumerate(exact):
+        progress("accuracy against time", 0.1 * number)
+        found = measure_rungs.row(
+            ladder, rung, "exact", partial(trace, window, lit.rays, rung=rung, path="size"), repeats=0
+        )
+        rows.append(replace(found, model_rms=known) if rung == "surfaces" else found)
+        forecast.append(MICROSECONDS[rung])
+    for number, quads in enumerate(QUADS):
+        progress("accuracy against time", 0.3 + 0.7 * number / len(QUADS))
+        mesh = tessellate(window, quads=quads)
+        for normals in ("facet", "vertex"):
+            run = partial(trace, window, lit.rays, rung="mesh", mesh=mesh, normals=normals, path="size")
+            found = measure_rungs.row(ladder, "mesh", f"{quads} quads, {normals} normals", run, repeats=0)
+            rows.append(replace(found, quads=quads, normals=normals, triangles=mesh.facet_count))
+            forecast.append(MICROSECONDS["mesh"] + MICROSECONDS["mesh, a quad of the side"] * quads)
+    return Ladder(tuple(rows), tuple(forecast), known)
+
+
+Kernel = Literal["surfaces", "mesh", "float32", "law", "thin"]
+
+SECONDS: dict[Kernel, float] = {"surfaces": 40.0, "mesh": 41.0, "float32": 20.0, "law": 7.0, "thin": 9.0}
+"""Processor seconds to compile each kernel (`tests/benchmarks/kernel_compile.py`)."""
+
+OF_TABLE: tuple[Kernel, ...] = ("surfaces", "mesh", "float32", "law", "thin")
+"""Kernels of an accuracy table."""
+
+COMPILING_TASK = "compiling what traces"
+"""Name under which a machine's rate is looked up."""
+
+
+def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
+    """Processor seconds to compile those of some kernels that are not cached on this machine; 0 where all
+    are.
+
+    window : the kind of its layout determines the code; 0 for a non-uniform sheet
+    """
+    if not window.uniform:
+        return 0.0
+    return sum(SECONDS[name] for name in kernels if not _kept(window, name))
+
+
+def _kept(window: Window, kernel: Kernel) -> bool:
+    """Whether the code of one kernel is on disk; it depends on the argument types alone."""
+    from clacad.base.kernel_cache import is_kept
+    from clacad.optics.rays import Rays
+    from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk
+    from clacad.tracing.compiled.packing import in_single, pack
+    from clacad.tracing.compiled.surfaces import rung_is_kept
+    from clacad.tracing.compiled.threads import in_arrays
+    from clacad.tracing.facets.triangle_soup import facets_of
+    from clacad.tracing.layout import lay_out
+    from clacad.tracing.ledger import Ledger
+
+    layout = lay_out(window)
+    if kernel == "thin" and window.thin.field:  # computed by numpy
+        return True
+    if kernel == "surfaces" or kernel == "law" or kernel == "thin":
+        return rung_is_kept(kernel, layout)
+    rows, one = np.arange(1), Rays(np.zeros((1, 3)), np.ones((1, 3)))
+    traced = (rows, *in_arrays(one, Ledger.blank(1, 0)))
+    if kernel == "mesh":
+        facets = facets_of(window.with_cells((1, 1)), 2, "facet")
+        return is_kept(trace_chunk, (facets.found_in, pack(facets.layout), *traced))
+    sheet = pack(layout)
+    return is_kept(straight_chunk_single, (sheet, in_single(sheet), *traced, np.empty_like(rows)))

@@ -1,4 +1,4 @@
-"""Every check by light of a window as built: the law, the transmitted share, confocality.
+"""Light through a window as built, measured and judged by every check by light.
 
 In a non-uniform sheet one cell represents all: the cell whose light leaves farthest from the law. It is
 chosen from
@@ -9,7 +9,8 @@ through the whole sheet, neighbours included.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,22 +18,135 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.checks.check import Check, found_by
 from clacad.checks.light_kinds import DELTA, ETA, TILT
-from clacad.light.measure import Light
+from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
 from clacad.optics.rays import Rays
 from clacad.sheet.asked_focus import RequestedLaw
+from clacad.sheet.bundle import bundle, field_points
+from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import SeenCell, through_all, tried_cells, worst_of
-from clacad.verification.light.law_checks import (
-    FIT_SCALE,
-    POINT_RAYS,
-    Lit,
-    Optics,
-    optics_of,
-    turn_of,
-)
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
+FIT_SCALE = 0.1
+"""Aperture and field of the bundle on which η and δ are fitted, over those of the main bundle."""
+
+POINT_RAYS = 4096
+"""Rays of each of the nine field points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Optics:
+    """Results of all measurements with light on one object (exact surfaces, or a file's triangles).
+
+    main : Light
+        Over the cell and the cone of the field.
+    points : tuple of Light
+        Parallel light over the whole cell, from the middle of the field and eight directions of its rim.
+    closed_form : (9,)
+        Share of light of each of these directions, in closed form.
+    narrow : Light
+        Of the bundle on which η and δ are fitted.
+    turn : Turn or None
+        Turn of the lens meridians about the lens axis; None where no law could be fitted.
+    """
+
+    main: Light
+    points: tuple[Light, ...]
+    closed_form: Floats
+    narrow: Light
+    turn: Turn | None
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Turn of the lens meridians about the lens axis relative to the requested ones, measured with light.
+
+    angle : radians
+        In (−π/2, π/2]; positive means φ is larger than requested.
+    doubt : radians
+        Turn that the light unexplained by the fit could cause; infinite where η is the same in both
+        meridians.
+    """
+
+    angle: float
+    doubt: float
+
+
+def optics_of(design: Design, window: Window, send: Send, rays: int, point_rays: int = POINT_RAYS) -> Optics:
+    """Send the bundles of the checks through one object and measure their light.
+
+    Parameters
+    ----------
+    design : Design
+        Gives the field and its middle.
+    window : Window
+    send : callable
+        Bundle → TraceResult.
+    rays : int
+        Rays of the main bundle; the fit takes a quarter.
+    point_rays : int
+        Rays of each of the nine field points.
+    """
+    spec, law = design.check, RequestedLaw.of(window)
+    main = measure(send, bundle(window, rays, spec.field, spec.field_centre), law)
+    directions = field_points(window, spec.field, spec.field_centre)
+    beams = [bundle(window, point_rays, 0.0, middle=direction) for direction in directions]
+    # the fewest rays that count scale with those traced, so the same field points are too dark
+    points = measure_each(send, beams, law, max(8, FEWEST * point_rays // POINT_RAYS))
+    narrow = bundle(window, max(1024, rays // 4), FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
+    light = measure(send, narrow, law)
+    return Optics(main, points, share(thin_cells(window), directions), light, turn_of(light))
+
+
+def turn_of(light: Light) -> Turn | None:
+    """Measure the turn of the lens meridians about the lens axis; None where no law can be fitted.
+
+    The requested law gives the axis and the meridians, and which η belongs to which meridian.
+
+    Notes
+    -----
+    In the lens frame the law is affine in slopes, t' = J t + b; lenses turned by α about their axis have
+    J = ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. A turn α is therefore visible
+    in
+    first order. A lean of the axis is not: it shifts b alone, as δ does. Only squared slopes separate lean
+    and δ,
+    and aberration hides those.
+    """
+    if light.fit is None:
+        return None
+    law, good = light.law.law, light.alive
+    lens = (d[good] @ law.rotation for d in (light.lit.rays.direction, light.direction))
+    slope, exit_slope = (d[:, :2] / d[:, 2:] for d in lens)
+    slope = slope - slope.mean(axis=0)
+    system = np.column_stack([slope, np.ones(len(slope))])
+    found = np.linalg.lstsq(system, exit_slope, rcond=None)[0]
+    rest = exit_slope - system @ found
+    unlike = 1.0 / law.eta_x - 1.0 / law.eta_y
+    sense = -1.0 if unlike < 0.0 else 1.0
+    angle = 0.5 * np.arctan2(sense * (found[0, 1] + found[1, 0]), sense * (found[0, 0] - found[1, 1]))
+    seen = abs(unlike) * float(np.sqrt(np.mean(slope**2, axis=0)).min())
+    return Turn(float(angle), float(np.sqrt(np.mean(rest**2))) / seen if seen > 0.0 else inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """Light through a window, to be judged: what every function of these checks takes.
+
+    design : Design
+        Gives the limits.
+    window : Window
+        The whole sheet.
+    like : Window
+        Uniform equivalent of the cell whose light was measured.
+    optics : Optics
+    """
+
+    design: Design
+    window: Window
+    like: Window
+    optics: Optics
 
 
 def _named(seen: SeenCell, check: Check) -> Check:

@@ -16,12 +16,10 @@ from typing import TYPE_CHECKING, Any
 from clacad.formats.study_file import read_study
 
 if TYPE_CHECKING:
-    from clacad.verification.tolerance.checkpoint import Checkpoint, OtherStudy
-    from clacad.verification.tolerance.farm import Farm
+    from clacad.verification.tolerance.farm import Checkpoint, Farm, OtherStudy
     from clacad.verification.tolerance.light_measures import MEASURES, Bench, bench
-    from clacad.verification.tolerance.misaligned import as_made, telescopelet
+    from clacad.verification.tolerance.misaligned import Parameter, as_made, draw, parameters, telescopelet
     from clacad.verification.tolerance.parameter_sweep import Sweep, parse_vary, sweep
-    from clacad.verification.tolerance.perturbations import Parameter, draw, parameters
     from clacad.verification.tolerance.study import NoTolerances, Study, tolerance
     from clacad.verification.tolerance.study_files import (
         plot_sweep,
@@ -31,18 +29,18 @@ if TYPE_CHECKING:
     )
 
 _HOME = {
-    "Checkpoint": "checkpoint",
-    "OtherStudy": "checkpoint",
+    "Checkpoint": "farm",
+    "OtherStudy": "farm",
     "NoTolerances": "study",
     "Farm": "farm",
     "MEASURES": "light_measures",
     "Bench": "light_measures",
     "bench": "light_measures",
-    "Parameter": "perturbations",
-    "draw": "perturbations",
-    "parameters": "perturbations",
-    "plot_sweep": "study_plots",
-    "plot_tolerances": "study_plots",
+    "Parameter": "misaligned",
+    "draw": "misaligned",
+    "parameters": "misaligned",
+    "plot_sweep": "study_files",
+    "plot_tolerances": "study_files",
     "Study": "study",
     "tolerance": "study",
     "Sweep": "parameter_sweep",

@@ -218,7 +218,7 @@ def _point(
 ) -> dict[str, Any]:
     """Row of one point of the grid: its varied keys, its geometry, and its measures of light."""
     from clacad.design import DesignError
-    from clacad.verification.design.design_rules import design_checks
+    from clacad.verification.design_rules import design_checks
 
     row: dict[str, Any] = {"state": "error", "failed": "", "message": ""}
     row |= dict.fromkeys([*BUILT, *TRACED, *BEAM], nan) | {"orders": {}}

@@ -20,10 +20,9 @@ from clacad.design.keys import CHECK, TOLERANCES
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.tracing.worst_cell import worst_cell
-from clacad.verification.tolerance.checkpoint import Checkpoint
-from clacad.verification.tolerance.farm import Farm, WorkersLost
+from clacad.verification.tolerance.farm import Checkpoint, Farm, WorkersLost
 from clacad.verification.tolerance.light_measures import MEASURES, RAYS, Bench, bench
-from clacad.verification.tolerance.perturbations import Parameter, draw, parameters
+from clacad.verification.tolerance.misaligned import Parameter, draw, parameters
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -1,22 +1,26 @@
-"""Checks of a field lens: it lies at the foci, images lens 1 onto lens 2, fills the field and preserves the
-law.
+"""Checks of field lenses and of imaging sheets.
 
-Light along the axis and through the middle of cell 1 is traced face by face through the window as built. The
-checks do not use how the faces were computed.
+A field lens lies at the foci, images lens 1 onto lens 2, fills the field and preserves the law. Light along
+the axis and through the middle of cell 1 is traced face by face through the window as built. The checks do
+not use how the faces were computed.
+
+An imaging sheet: where the image of the requested point lies, and how narrow it is there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import sqrt
+from math import hypot, inf, isfinite, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Pair2
 from clacad.checks.check import Check
-from clacad.checks.light_kinds import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, PUPIL
+from clacad.checks.light_kinds import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, IMAGE_POINT, PUPIL, SPOT
+from clacad.imaging.image_by_rays import image, lens_plane
 from clacad.light.measure import Light
+from clacad.optics.law.imaging import spot_widths
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, Interface, trace_sequence
 from clacad.sheet.asked_focus import RequestedLaw
@@ -26,10 +30,11 @@ from clacad.sheet.vignetting import aperture_slope, half_field, share, thin_cell
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.verification.light.confocality import axis_start, field_onto_axis
-from clacad.verification.light.law_checks import Lit
+from clacad.verification.light.through_window import Lit
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
 
 FOCUS, MOVED, SHARE, LAW = 0.01, 0.02, 0.95, 1.2
 """Limits: face from focus over f1; du/dt over s; share over that of thin lenses; rms error over that without
@@ -41,7 +46,7 @@ PART = 0.9
 SLOPE = 1e-4
 """Change of slope for the finite difference du/dt."""
 
-RAYS = 4096
+FIELD_LENS_RAYS = 4096
 
 
 def field_lens_checks(lit: Lit) -> Iterator[Check]:
@@ -130,7 +135,7 @@ def _throughput(window: Window) -> Check:
             direction = turn @ np.array([*slope, 1.0])
             if not direction[2] > 0.0:
                 continue
-            lit = bundle(window, RAYS, 0.0, middle=direction / sqrt(float(direction @ direction)))
+            lit = bundle(window, FIELD_LENS_RAYS, 0.0, middle=direction / sqrt(float(direction @ direction)))
             passed = float((trace(window, lit.rays, path="size").fate == Fate.ALIVE).mean())
             closed = float(share(cells, lit.middle[None])[0])
             ratio = passed / closed if closed > 0.0 else np.nan
@@ -141,7 +146,7 @@ def _throughput(window: Window) -> Check:
         " lenses pass"
     )
     value = worst if worst < np.inf else np.nan
-    text = f"4 directions, {RAYS} Sobol rays each over the whole cell"
+    text = f"4 directions, {FIELD_LENS_RAYS} Sobol rays each over the whole cell"
     return FIELD_THROUGHPUT.judge(value, SHARE, sentence, bundle=text)
 
 
@@ -159,7 +164,7 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
         why = f"the same pair without a field lens cannot be built: {str(error).splitlines()[0]}"
         return FIELD_LAW.not_run(why, limit=LAW, where=FIELD_LAW.where, required=False)
     lit = [
-        bundle(one, min(len(main.rays), 2 * RAYS), design.check.field, design.check.field_centre)
+        bundle(one, min(len(main.rays), 2 * FIELD_LENS_RAYS), design.check.field, design.check.field_centre)
         for one in (window, plain)
     ]
     law = RequestedLaw(window.law)
@@ -175,3 +180,87 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
         f" with it, {1e3 * rms[1]:.4g} mrad without"
     )
     return FIELD_LAW.judge(ratio, LAW, sentence, bundle=str(lit[0]))
+
+
+IMAGE_RAYS = 16_384
+NEAR = 0.01
+"""Allowed error of the image point over the image distance, where the image of a cell is narrower."""
+SPREAD = 1.5
+"""Limit over the combined width that the cells, the limit of the law's error and diffraction cause."""
+
+
+def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | None:
+    """Point that a design images, and its image's distance behind array 2 (lengths); None for other designs.
+
+    A sheet of two focal lengths has no image point, and an image at infinity has no distance.
+    """
+    spec, planes = design.law_spec.varying, design.pair.focus
+    if spec is None and planes is None:
+        return None
+    if spec is not None and spec.conjugates is not None:
+        planes = spec.conjugates
+    if planes is not None:
+        return ((0.0, 0.0, planes.object), planes.image) if isfinite(planes.image) else None
+    if (
+        spec is not None
+        and spec.f_image is not None
+        and spec.f_image[0] == spec.f_image[1]
+        and isfinite(spec.f_image[0])
+    ):
+        return (0.0, 0.0, -inf), spec.f_image[0]
+    return None
+
+
+def image_checks(lit: Lit) -> Iterator[Check]:
+    """Judge the image of the point on the axis; no checks for a design that images no point."""
+    design, window = lit.design, lit.window
+    asked = asked_image(design)
+    if asked is None:
+        return
+    source, distance = asked
+    found = image(window, source, ("surfaces",), IMAGE_RAYS)
+    (one,) = found.rungs
+    if not np.isfinite(one.found.point).all():
+        yield from (
+            kind.not_run("no light of the requested point gets through") for kind in (IMAGE_POINT, SPOT)
+        )
+        return
+    place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
+    across = one.found.point[:2] - one.predicted.point[:2]
+    off = hypot(*across.tolist(), float(place[2]) - distance)
+    text = f"{IMAGE_RAYS} Sobol rays over all cells, of which {one.found.rays} get through"
+    unit = design.unit
+    width = found.width
+    assert width is not None  # an imaging design has no table
+    limit = max(*width, NEAR * abs(distance))
+    yield IMAGE_POINT.judge(
+        off,
+        limit,
+        f"light of the requested point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g},"
+        f" {place[1]:.3g}), {off:.3g} {unit} from where the law has it ({distance:.6g})",
+        unit=unit,
+        bundle=text,
+        detail={"found": place.tolist(), "share": one.share},
+    )
+    narrow = _allowed(design, window, width, distance)
+    worst = max(range(2), key=lambda k: one.found.spot[k] / narrow[k])
+    yield SPOT.judge(
+        one.found.spot[worst],
+        narrow[worst],
+        f"there it is {one.found.spot[0]:.4g}, {one.found.spot[1]:.4g} {unit} wide (rms in x and y); cells"
+        f" alone leave {width[worst] / sqrt(12.0):.4g}",
+        unit=unit,
+        bundle=text,
+        detail={"spot": list(one.found.spot), "width": list(width)},
+    )
+
+
+def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> Pair2:
+    """Largest rms width of the image along x and y (lengths) within the limits of the design."""
+    waves = design.pair.wavelength / design.unit_m
+    _, _, wave = spot_widths(window.law, window.lattice.pitch, abs(distance), 0.0, waves)
+    x, y = (
+        SPREAD * sqrt(w * w / 12.0 + (design.check.law_rms * distance) ** 2 + d * d)
+        for w, d in zip(width, wave, strict=True)
+    )
+    return x, y

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.text import count_text, digits
-from clacad.checks.allowances import accepted
-from clacad.checks.check import DEFAULT, NEAR, Check, CheckKind, State, found_by
+from clacad.checks.check import DEFAULT, NEAR, Check, CheckKind, State, accepted, found_by
 from clacad.checks.design_kinds import (
     CLEARANCE,
     COVER,
@@ -35,7 +34,7 @@ from clacad.sheet.own_steps import highest_step
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import order_steps
 from clacad.sheet.window import Window
-from clacad.verification.design.process_rules import Built
+from clacad.verification.process_rules import Built
 
 if TYPE_CHECKING:
     from clacad.design import Design
