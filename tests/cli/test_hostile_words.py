@@ -21,7 +21,7 @@ DESIGN = str(Path(__file__).parents[2] / "designs/window-100mm.toml")
     (["stack", "DESIGN", "--gap", "5 mm", "-o", "OUT/s"], 2, "two sheets or more"),
     (["stack", "DESIGN", "DESIGN", "--gap", "5 mm", "--set", "a.lattice.pitch_2=0.49", "-o", "OUT/s"], 2, "CL139: sheet a in GLB"),
     (["export", "DESIGN", "--format", "3mf", "--fused", "--quads", "100000", "-o", "OUT/e"], 3, "8192 at most"),
-    (["export", "DESIGN", "--format", "tiff,stl", "--fused", "-o", "OUT/e"], 2, "it is said of step, 3mf, glb"),
+    (["export", "DESIGN", "--format", "tiff,stl", "--fused", "-o", "OUT/e"], 2, "it applies to step, 3mf, glb"),
     (["export", "DESIGN", "--format", "stl", "--role", "stl=preview", "--role", "stl=master", "-o", "OUT/e"], 2, "stl is named twice"),
     (["export", "DESIGN", "--format", "stl", "--role", "preview", "--role", "master", "-o", "OUT/e"], 2, "it is one value, or FORMAT"),
     (["export", "DESIGN", "--format", "stl", "--quads", "stl=4", "--quads", "stl=8", "-o", "OUT/e"], 2, "stl is named twice"),

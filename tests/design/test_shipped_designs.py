@@ -46,7 +46,7 @@ def test_a_misspelt_figure_is_told_the_nearest(tmp_path):
 
 def test_the_folder_of_an_installed_package_comes_before_the_one_beside_it(tmp_path, monkeypatch):
     monkeypatch.setattr(starter_designs, "_PACKAGE", tmp_path / "clacad")
-    with pytest.raises(FileNotFoundError, match="install it anew"):
+    with pytest.raises(FileNotFoundError, match="install it again"):
         starter_designs.shipped_designs()
     beside, within = tmp_path / "designs", tmp_path / "clacad" / "designs"
     for folder in (beside, within):

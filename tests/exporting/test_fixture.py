@@ -249,7 +249,7 @@ def test_a_shoulder_keeps_off_cells_edges_and_other_holes():
     close = window_of(**PINNED | {"holes": [{"diameter": 1.0, "at": [[4.3, 0.2]]}]})
     with pytest.raises(
         NoFixture,
-        match=r"at \(4.3, -1\) stands 0.7 mm from the next cell, edge or hole: its shoulder needs 0.7684",
+        match=r"at \(4.3, -1\) is 0.7 mm from the next cell, edge or hole: its shoulder needs 0.7684",
     ):
         pin_spec(close)
     beside = window_of(**PINNED | {"pins": PINNED["pins"] | {"at": [[-3.0, 1.0], [4.3, -1.0]]}})
@@ -295,7 +295,7 @@ def test_the_coupon_is_one_solid_with_five_scaled_patches():
         ({"baffle": None, "baffle_wall": None}, baffle_meshes, "has no baffle"),
         ({"border": 0.5}, lambda w: frame_spec(w, 1.0), "body.border >= '1 mm'"),
         ({"border": None}, lambda w: frame_spec(w, 1.0), "no flat border"),
-        ({}, pin_spec, "body.pins says where"),
+        ({}, pin_spec, "body.pins states where"),
         (PINNED, lambda w: frame_spec(w, 1.0), "--format pins"),
     ],
     ids=["no baffle", "narrow border", "no border", "no pins", "pins in a frame"],

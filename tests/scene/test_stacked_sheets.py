@@ -209,7 +209,7 @@ def test_a_picture_says_of_every_sheet_how_light_passed_it(tmp_path, capsys):
     ]
     assert main([*line, "--set", "effects.mode=none"]) == 0
     (shown,) = json.loads(capsys.readouterr().out)["pictures"]
-    assert shown["metadata"]["clacad:rung"] == "a: thin (as asked); b: thin (as asked)"
+    assert shown["metadata"]["clacad:rung"] == "a: thin (as requested); b: thin (as requested)"
     assert set(shown["plans"]) == {"a", "b"}
 
 

@@ -339,7 +339,7 @@ def test_lens_planes_within_one_another_are_refused_on_ideal_rungs_alone():
     plate = clacad.prescribe(clacad.load(ROOT / "designs" / "plano.toml"))
     made = stacked([plate, plate], [0.0])
     crossed = replace(made, sheets=(made.sheets[0], replace(made.sheets[1], z=made.sheets[1].z - 5.0)))
-    with pytest.raises(BadStack, match="rung thin cannot tell them apart"):
+    with pytest.raises(BadStack, match="rung thin cannot distinguish them"):
         StackTracer(crossed, "thin")
     StackTracer(crossed, "surfaces")
 
