@@ -10,15 +10,16 @@ Input of a block of camera rays: the stage, the sheet and how light passes it.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.hashing import GOLDEN, mixed
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
+from clacad.base.vectors import picture_axes
 from clacad.rendering.scene_arrays import SceneArrays
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.spectrum import SpectralLine
@@ -61,18 +62,10 @@ def aim(camera: Camera) -> View:
     """Prepare a camera: right = look × up, or its opposite in a mirrored view."""
     position, target = np.array(camera.position), np.array(camera.target)
     look = target - position
-    distance = float(np.linalg.norm(look))
-    ahead = look / distance
-    right = np.cross(ahead, np.array(camera.up))
-    right /= np.linalg.norm(right)
-    up = np.cross(right, ahead)
+    distance, right, up = picture_axes(position, target, np.array(camera.up))
     if camera.mirror:
         right = -right
-    if camera.frame is not None:
-        across = camera.frame
-    else:
-        assert camera.fov is not None  # the scene's rules require one of the two
-        across = 2.0 * distance * math.tan(0.5 * camera.fov)
+    across = camera.width_at(distance)
     width, height = camera.pixels
     focus = 1.0 if camera.focus is None else camera.focus / distance
     return View(
@@ -109,12 +102,8 @@ def digits(first: int, count: int) -> NDArray[np.uint64]:
 
 
 def _hash(number: Ints, salt: int) -> NDArray[np.uint64]:
-    """Well-mixed 64 bits of a number: the finaliser of splitmix64 (Steele, Lea & Flood, OOPSLA 2014)."""
-    with np.errstate(over="ignore"):
-        z = (number.astype(np.uint64) * np.uint64(4) + np.uint64(salt + 1)) * np.uint64(0x9E3779B97F4A7C15)
-        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        return np.asarray(z ^ (z >> np.uint64(31)))
+    """Well-mixed 64 bits of a number."""
+    return mixed((number.astype(np.uint64) * np.uint64(4) + np.uint64(salt + 1)) * np.uint64(GOLDEN))
 
 
 def rays(view: View, pixels: Ints, points: Floats) -> tuple[Floats, Floats]:

@@ -16,8 +16,9 @@ from clacad.base.machine_rates import Span
 from clacad.base.types import Ints, Rung
 from clacad.design import Design
 from clacad.effects.engine.bounds import Situation
-from clacad.effects.engine.probe_rays import rms_angle, situation_of_scene
+from clacad.effects.engine.probe_rays import situation_of_scene
 from clacad.exporting.formats.indexed_meshes import THREEMF
+from clacad.light.compare import rms_between
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, Viewing, aim, rays
@@ -248,4 +249,5 @@ def _compared(situation: Situation, rung: Rung, mesh: str | None) -> tuple[float
     found = trace(situation.window, situation.rays, rung, mesh=mesh, path="size")
     truth = situation.probe
     both = (truth.fate == Fate.ALIVE) & (found.fate == Fate.ALIVE)
-    return rms_angle(truth.direction[both], found.direction[both]), float(np.mean(truth.fate != found.fate))
+    rms = rms_between(truth.direction, found.direction, both) if both.any() else 0.0
+    return rms, float(np.mean(truth.fate != found.fate))

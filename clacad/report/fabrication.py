@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.even_orders import MONOMIALS, POWER, RAISED
+from clacad.base.polygons import polygon_area
 from clacad.base.text import digits
 from clacad.base.units import millimetres
 from clacad.checks.design_kinds import RADIUS
 from clacad.formats.drawing.notes import orientation
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.feasibility.as_rows import cells_text
-from clacad.sheet.lattice import Circle, polygon_area
+from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
 from clacad.sheet.window import Window, optical_tile

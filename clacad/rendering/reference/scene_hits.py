@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Bools, Floats, Ints
+from clacad.base.vectors import doubled_normals
 from clacad.rendering.scene_arrays import (
     BOX,
     CHECKER,
