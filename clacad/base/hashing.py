@@ -1,7 +1,7 @@
 """Hashes of 64 bits: words, points by their coordinates, rows of bits.
 
 The finaliser of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014); its compiled counterpart is
-`clacad.base.compiled_arithmetic.mixed`.
+`clacad.base.compiled.mixed`.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from pathlib import Path
 from secrets import token_hex
 from typing import Any
 
-from clacad.base.foreign_settings import without_settings
+from clacad.base.untrusted_files import without_settings
 
 numba = without_settings("numba")
 FunctionCache: Any = numba.core.caching.FunctionCache
@@ -32,6 +32,7 @@ SOURCES = (
     "tracing/ledger.py",
     "**/*compiled*.py",
     "**/compiled/*.py",
+    "base/hashing.py",
     "optics/*.py",
     "optics/surface/*.py",
     "sheet/window.py",

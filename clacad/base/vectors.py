@@ -12,7 +12,7 @@ from clacad.base.types import Floats
 
 
 def doubled_normals(corners: Floats) -> Floats:
-    """Right-hand normals (k, 3) of triangles (k, 3, 3), with twice the triangle's area as length (length²)."""
+    """Right-hand normals (k, 3) of triangles (k, 3, 3), as long as twice the triangle's area (length²)."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.ascontiguousarray(np.moveaxis(corners, 0, -1))
     ux, uy, uz = bx - ax, by - ay, bz - az
     vx, vy, vz = cx - ax, cy - ay, cz - az

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from clacad.base.even_orders import POWER
 from clacad.base.types import Ints
+from clacad.base.units import POWER
 from clacad.formats.maps.sag import structured_faces
 from clacad.optics.law.orientation import rotation_degrees
 from clacad.optics.surface import EvenPolynomial

@@ -13,8 +13,7 @@ from math import atan2, inf, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, multiply_add, owning
-from clacad.base.compiled_pairs import two_sum
+from clacad.base.compiled import exact, least, multiply_add, owning, two_sum
 from clacad.base.types import Bytes, Floats, Rows
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Fate, Rays

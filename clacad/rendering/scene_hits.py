@@ -202,8 +202,6 @@ def _inside(outline: Floats, x: Floats, y: Floats) -> Bools:
 
 
 # -- light -------------------------------------------------------------------------------------
-
-
 def background(stage: SceneArrays, direction: Floats) -> Floats:
     """Light (n, 3) of the sky, linear in elevation, or of the ground below the horizon."""
     down = (direction[:, 1] < 0.0)[:, None]
