@@ -11,9 +11,10 @@ from math import fsum
 
 import numpy as np
 
+from clacad.base.polygons import polygon_area
 from clacad.base.roots import bisect, sign_changes
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Circle, polygon_area
+from clacad.sheet.lattice import Circle
 from clacad.sheet.window import Body, Face, Window, lens_height, optical_tile
 
 _ANGLES, _RADII = 40, 24  # Gauss nodes per smooth stretch

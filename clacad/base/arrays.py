@@ -1,21 +1,23 @@
-"""Arrays: distinct numbers and rows, and vectors of many triangles at once.
+"""Equal and connected things: distinct numbers and rows, equal rows and points, components of graphs.
 
-Distinct numbers, and distinct rows of integers, compared as single numbers where a row fits into one.
-
-Vectors of many triangles at once: normals, lengths of vectors, centroids.
+Distinct rows of integers are compared as single numbers where a row fits into one. Equal rows of bits are
+found by a hash; if different rows share a hash, the rows themselves are sorted.
 """
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from math import prod
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
+from clacad.base.hashing import hashed_rows
+from clacad.base.types import Floats, Ints, Words
 
 Number = TypeVar("Number", bound=np.number[Any])
+Node = TypeVar("Node", bound=Hashable)
 
 
 def distinct(numbers: NDArray[Number]) -> NDArray[Number]:
@@ -52,24 +54,70 @@ def unique_rows(rows: Ints) -> tuple[Ints, Ints]:
     return found, number.reshape(-1)
 
 
-def doubled_normals(corners: Floats) -> Floats:
-    """Right-hand normals (k, 3) of triangles (k, 3, 3), with twice the triangle's area as length (length²).
+def same_rows(words: Words) -> tuple[Ints, Ints]:
+    """First row of each kind of equal rows (k,), in the order they come, and the kind of every row (n,).
 
-    Computed column by column: the result of ``numpy.cross`` of two edges in a third of its time.
+    Vertices numbered in the order of the facets compress and cache better than sorted ones.
+
+    Parameters
+    ----------
+    words : (n, c)
+        The bits of the rows.
     """
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.ascontiguousarray(np.moveaxis(corners, 0, -1))
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    vx, vy, vz = cx - ax, cy - ay, cz - az
-    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]).T
+    _, first, kind = np.unique(hashed_rows(words), return_index=True, return_inverse=True)
+    if (words[first[kind]] != words).any():
+        _, first, kind = np.unique(words, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[kind.reshape(-1)]
 
 
-def lengths(vectors: Floats) -> Floats:
-    """Lengths (k,) of vectors (k, 3)."""
-    x, y, z = vectors.T
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
+def welded(corners: Floats) -> tuple[Floats, Ints]:
+    """Merge points (..., 3) that agree in all bits; −0 is 0.
+
+    Returns
+    -------
+    vertices (v, 3), in the order they come, and the vertex number of each point (...)
+    """
+    points = corners.reshape(-1, 3) + 0.0
+    first, number = same_rows(points.view(np.uint64))
+    return points[first], number.reshape(corners.shape[:-1])
 
 
-def middles(corners: Floats) -> Floats:
-    """Centroids (k, 3) of triangles (k, 3, 3)."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    return np.asarray((a + b + c) / 3.0)
+def components(count: int, edges: Ints) -> Ints:
+    """Label the components of a graph of `count` nodes and edges (n, 2):
+    least node of each node's component, (count,).
+    """
+    label = np.arange(count, dtype=np.int64)
+    a, b = edges[:, 0], edges[:, 1]
+    while True:
+        la, lb = label[a], label[b]
+        differ = la != lb
+        if not differ.any():
+            return label
+        a, b, la, lb = a[differ], b[differ], la[differ], lb[differ]
+        np.minimum.at(label, np.maximum(la, lb), np.minimum(la, lb))
+        while True:  # pointer jumping: every node to its root
+            jumped = label[label]
+            if np.array_equal(jumped, label):
+                break
+            label = jumped
+
+
+class Groups(Generic[Node]):
+    """Groups of nodes, each alone until it is joined with another (union-find)."""
+
+    def __init__(self) -> None:
+        self._above: dict[Node, Node] = {}
+
+    def of(self, node: Node) -> Node:
+        """Return the node that represents the group of a node."""
+        while (above := self._above.get(node, node)) != node:
+            self._above[node] = self._above.get(above, above)
+            node = above
+        return node
+
+    def join(self, a: Node, b: Node) -> None:
+        """Make the groups of two nodes one group, represented by b's representative."""
+        self._above[self.of(a)] = self.of(b)

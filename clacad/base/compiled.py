@@ -13,6 +13,9 @@ The usual compiler optimises each function together with all its callees and mak
 A walk of six call levels is compiled six times, and only the outermost version ever runs. A part stops at
 intermediate code, which its callers link in. Only a function that Python calls (`clacad.base.compiled.entry`)
 is optimised and compiled to machine code, once, as a whole. This halves the compilation time.
+
+Error-free sums and products of single numbers are counterparts of `clacad.base.pairs`, and the hash of a word
+is that of `clacad.base.hashing`.
 """
 
 from __future__ import annotations
@@ -21,6 +24,9 @@ import ctypes
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numpy as np
+
+from clacad.base.hashing import MIX, STIR
 from clacad.base.kernel_cache import keep, numba
 
 JITCodeLibrary: Any = numba.core.codegen.JITCodeLibrary
@@ -96,6 +102,9 @@ _REFUSAL = ctypes.cast(ctypes.pythonapi.PyVectorcall_Call, ctypes.c_void_p).valu
 """Address of a C function with Python's call signature; it raises TypeError: the object is not callable."""
 
 
+LOW, MIDDLE, HIGH = np.uint64(30), np.uint64(27), np.uint64(31)
+"""Shifts of a hash."""
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PLAIN: dict[str, Any] = {"error_model": "numpy", "nogil": True}
@@ -156,3 +165,64 @@ multiply_add: Callable[[float, float, float], float] = numba.extending.intrinsic
 def least(a: float, b: float) -> float:
     """Return the lesser of two numbers, a where b is NaN: one machine instruction."""
     return b if b < a else a
+
+
+_SPLITTER = 134217729.0  # 2**27 + 1 halves a 53-bit significand
+
+
+@exact
+def two_sum(a: float, b: float) -> tuple[float, float]:
+    """Rounded sum and its exact rounding error."""
+    s = a + b
+    v = s - a
+    return s, (a - (s - v)) + (b - v)
+
+
+@exact
+def two_product(a: float, b: float) -> tuple[float, float]:
+    """Rounded product and its exact rounding error."""
+    p = a * b
+    t = _SPLITTER * a
+    ah = t - (t - a)
+    al = a - ah
+    t = _SPLITTER * b
+    bh = t - (t - b)
+    bl = b - bh
+    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
+
+
+@exact
+def less_product(x: float, a: float, b: float) -> float:
+    """Value of x − a b with the product unrounded."""
+    product = a * b
+    total, rest = two_sum(x, -product)
+    return total + (rest - multiply_add(a, b, -product))
+
+
+@exact
+def pair_product(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
+    """Product of two pairs."""
+    p, e = two_product(ah, bh)
+    return two_sum(p, e + (ah * bl + al * bh))
+
+
+@exact
+def pair_sum(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
+    """Sum of two pairs."""
+    s, e = two_sum(ah, bh)
+    return two_sum(s, e + (al + bl))
+
+
+@exact
+def less_multiple(x: float, k: float, step: float) -> float:
+    """Return x − k·step without rounding the product."""
+    high, low = two_product(k, step)
+    return (x - high) - low
+
+
+@inlined
+def mixed(word: np.uint64) -> np.uint64:
+    """Hash a word; see `clacad.base.hashing.mixed`."""
+    word = (word ^ (word >> LOW)) * MIX
+    word = (word ^ (word >> MIDDLE)) * STIR
+    return word ^ (word >> HIGH)

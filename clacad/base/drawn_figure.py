@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.base.foreign_settings import without_settings
+from clacad.base.untrusted_files import without_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,7 +20,7 @@ from pathlib import Path
 from secrets import token_hex
 from typing import Any
 
-from clacad.base.foreign_settings import without_settings
+from clacad.base.untrusted_files import without_settings
 
 numba = without_settings("numba")
 FunctionCache: Any = numba.core.caching.FunctionCache
@@ -33,6 +33,7 @@ SOURCES = (
     "light/sums.py",
     "**/*compiled*.py",
     "**/compiled/*.py",
+    "base/hashing.py",
     "optics/*.py",
     "optics/surface/*.py",
     "sheet/window.py",

@@ -3,6 +3,8 @@
 Design lengths become multiples of the design's unit, angles degrees or radians, wavelengths metres.
 A quantity with a unit is converted exactly (rational arithmetic) and rounded once: "250 um" in a
 design in mm is exactly the float 0.25.
+
+Even-order terms of faces: their monomials, and the units of their coefficients.
 """
 
 from __future__ import annotations
@@ -161,3 +163,24 @@ def nanometres(metres: float) -> float:
 def metres_from_nanometres(number: float) -> float:
     """Return a wavelength in metres from bare nm, rounded once from the written decimal digits."""
     return float(Fraction(repr(float(number))) / 10**9)
+
+
+MONOMIALS: Final = {
+    "a4": ("x⁴", "x² y²", "y⁴"),
+    "a6": ("x⁶", "x⁴ y²", "x² y⁴", "y⁶"),
+    "a8": ("x⁸", "x⁶ y²", "x⁴ y⁴", "x² y⁶", "y⁸"),
+}
+"""Key of an order → monomials that its coefficients multiply."""
+
+POWER: Final = {"a4": 3, "a6": 5, "a8": 7}
+"""Key of an order → unit of its coefficients as a power of 1/length."""
+
+RAISED: Final = {3: "³", 5: "⁵", 7: "⁷"}
+"""Power of 1/length → printed exponent."""
+
+A4 = tuple[float, float, float]
+A6 = tuple[float, float, float, float]
+A8 = tuple[float, float, float, float, float]
+NO_A4: Final[A4] = (0.0, 0.0, 0.0)
+NO_A6: Final[A6] = (0.0, 0.0, 0.0, 0.0)
+NO_A8: Final[A8] = (0.0, 0.0, 0.0, 0.0, 0.0)

@@ -1,19 +1,25 @@
 """Reading of untrusted paths: regular files only, within the budget of each reader.
 
 Only regular files are opened, so that no read blocks. One table has the limits of each reader: bytes, items
-and
-processor seconds. Readers enforce them (`clacad.storage.reading`) and `clacad doctor` prints them.
+and processor seconds. Readers enforce them (`clacad.storage.reading`) and `clacad doctor` prints them.
+
+Libraries that read a settings file of the current folder are imported without it. numba reads
+`.numba_config.yaml` there, which can name the folder that compiled code is loaded from; matplotlib reads
+`matplotlibrc`, which changes pictures.
 """
 
 from __future__ import annotations
 
 import os
 import stat
+import sys
 from collections.abc import Mapping
+from contextlib import chdir, nullcontext
 from dataclasses import dataclass
 from errno import EFBIG, EINVAL
+from importlib import import_module
 from math import inf
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Final
 
 KINDS: Final = (
@@ -166,3 +172,22 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType(
 
 Limits of bytes and items are the same on every machine; seconds are many times the need of a legitimate file.
 """
+
+
+SETTINGS = {"numba": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
+"""Library → settings file that it looks for."""
+
+
+def without_settings(library: str) -> ModuleType:
+    """Import a library of `SETTINGS`; a library imported before keeps the settings it has read.
+
+    The current folder changes during the import, but only where it contains such a file.
+    """
+    if library in sys.modules:
+        return import_module(library)
+    hidden = os.path.lexists(SETTINGS[library])
+    with chdir(os.path.dirname(__file__)) if hidden else nullcontext():
+        module = import_module(library)
+    if library == "numba":
+        module.core.config._config_fname = ""  # numba looks again at each compilation
+    return module

@@ -12,7 +12,7 @@ from clacad.cli.console import Console, show_json, size, table
 
 if TYPE_CHECKING:
     from clacad.doctor import Diagnosis
-    from clacad.explain.entry import Entry
+    from clacad.explain.design_mistakes import Entry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ def explain(request: Explain, console: Console) -> int:
 
 def _command_entries() -> list[Entry]:
     """Entries of the commands, from the registry."""
-    from clacad.explain.entry import Entry
+    from clacad.explain.design_mistakes import Entry
 
     return [
         Entry("", one.word, f"command {one.word}", one.sentence, "", "", f"see clacad {one.word} --help")

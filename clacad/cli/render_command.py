@@ -68,8 +68,9 @@ def _render_scene(request: Render, console: Console) -> int:
 
     Where the drawing kernels must be compiled first, a coarse picture of numpy is written before that.
     """
-    from clacad.rendering.coarse_first import BLOCK, must_compile, view_coarsely
     from clacad.rendering.picture import view_through
+    from clacad.rendering.picture_cost import PIXELS_A_BLOCK as BLOCK
+    from clacad.rendering.picture_cost import must_compile, view_coarsely
     from clacad.rendering.picture_files import write_picture
     from clacad.scene import load_scene
     from clacad.storage.atomic import require_writable
@@ -133,8 +134,7 @@ def _announced(
 ) -> Iterator[None]:
     """Try some pixels of a still, and print the cost of all before the block; that of compiling first."""
     from clacad.base.machine_rates import Rates
-    from clacad.rendering.coarse_first import must_compile
-    from clacad.rendering.picture_cost import COMPILED, COMPILING, picture_seconds, task
+    from clacad.rendering.picture_cost import COMPILED, COMPILING, must_compile, picture_seconds, task
 
     rates = Rates.here()
     with ExitStack() as compiling:
@@ -178,8 +178,9 @@ def _movie(scene: Scene, request: Render, console: Console) -> int:
 
     Where the drawing kernels must be compiled first, a coarse first frame of numpy is written before that.
     """
-    from clacad.rendering.coarse_first import BLOCK, must_compile, view_coarsely
     from clacad.rendering.picture import checked_frames, render_movie
+    from clacad.rendering.picture_cost import PIXELS_A_BLOCK as BLOCK
+    from clacad.rendering.picture_cost import must_compile, view_coarsely
     from clacad.rendering.picture_files import write_movie
 
     assert scene.animation is not None
@@ -245,8 +246,9 @@ def _document(picture: Picture, file: Path) -> dict[str, Any]:
 
 def _render_eye(request: Render, photo: Path, console: Console) -> int:
     """Render a photograph behind the sheet, seen by an eye, with and without the sheet."""
-    from clacad.rendering.coarse_first import BLOCK, view_coarsely
     from clacad.rendering.photograph_view import EyeRequest, eye_scene, without_sheet
+    from clacad.rendering.picture_cost import PIXELS_A_BLOCK as BLOCK
+    from clacad.rendering.picture_cost import view_coarsely
     from clacad.rendering.picture_files import write_picture
     from clacad.storage.atomic import require_writable
 

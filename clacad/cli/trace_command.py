@@ -1,19 +1,44 @@
-"""`clacad trace`: rays of a file through the window into another file, in chunks of bounded memory."""
+"""Light through a sheet: `clacad trace`, `clacad wave` and `clacad effects`.
+
+Rays of a file are traced into another file in chunks of bounded memory; one telescopelet's light is compared
+with its rays as a wave; the effects that a scene or design requires are listed with reasons.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from clacad.cli.command import Command, OfDesign, option, overwrite_option, required
-from clacad.cli.console import Console, Progress, table
-from clacad.cli.option_values import BadOption, load_counted, words_of
+from clacad.cli.command import (
+    Command,
+    OfDesign,
+    Overridden,
+    dry_run_option,
+    flag,
+    option,
+    overwrite_option,
+    required,
+)
+from clacad.cli.console import Console, Progress, size, table
+from clacad.cli.option_values import (
+    BadOption,
+    load_counted,
+    parse_two_angles,
+    parse_wavelength,
+    picture_kind,
+    words_of,
+)
 
 if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.effects import Plan
     from clacad.formats.ray_file import RayFile
+    from clacad.scene import Scene
+    from clacad.waves import WaveReport
+
 
 CHUNK = 1_000_000
 """Rays traced at once."""
@@ -35,7 +60,7 @@ class Trace(OfDesign):
     overwrite: bool = overwrite_option()
 
 
-def run(request: Trace, console: Console) -> int:
+def run_trace(request: Trace, console: Console) -> int:
     """Trace every ray of a file; print the number of rays of each fate."""
     design = load_counted(request.design, request.set)
     from clacad.formats.ray_file import RayFile
@@ -175,4 +200,191 @@ def _write(
     gather(private, parts, last, rays.count)
 
 
-COMMANDS = (Command("trace", "look", Trace, run),)
+TASK = "wave"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wave(OfDesign):
+    """Light as a wave through one telescopelet: far field, Strehl ratio, share to the partner, its rays."""
+
+    out: Path | None = option("-o, --out FILE", "Write the picture here, .png or .svg.")
+    field: tuple[float, float] | None = option(
+        "--field A[,B]",
+        "Angles of the light off the middle of the field along x and y, e.g. '0.5 deg,0'; default the "
+        "middle.",
+        read=parse_two_angles,
+    )
+    wavelength: float | None = option(
+        "--wavelength L", "Default the design's, e.g. '633 nm'.", read=parse_wavelength
+    )
+    field_lens: bool = flag(
+        "--field-lens", "As if a lens at the common focus imaged lens 1 onto lens 2: ideal lenses only."
+    )
+    dry_run: bool = dry_run_option("Print grid and cost; write nothing.")
+    overwrite: bool = overwrite_option()
+
+
+def run_wave(request: Wave, console: Console) -> int:
+    """Print far field, Strehl ratio and share of waves and rays, draw them with -o."""
+    kind = picture_kind(request.out)
+    design = load_counted(request.design, request.set)
+    from clacad.storage.atomic import require_writable, write_content
+    from clacad.waves.through_sheet import look, outlook, situation
+
+    if request.out is not None:
+        require_writable(request.out, overwrite=request.overwrite)
+    lit = situation(design, request.field or (0.0, 0.0), request.wavelength, field_lens=request.field_lens)
+    ahead = outlook(lit)
+    if request.dry_run:
+        console.show(lambda: {"forecast": ahead}, lambda: _forecast_text(ahead))
+        return 0
+    with console.progress() as progress, console.forecast(TASK, ahead["seconds"]) as span:
+        progress.expect(span.middle)
+        progress("sending waves through a telescopelet", None)
+        found = look(lit, design.name)
+    written = None if request.out is None else str(request.out)
+    if request.out is not None:
+        write_content(request.out, found.picture(kind), overwrite=request.overwrite)
+    console.show(
+        lambda: found.to_dict() | {"forecast": ahead, "file": written},
+        lambda: wave_text(found) + ("" if written is None else f"\nwrote {written}"),
+    )
+    return 0
+
+
+def _forecast_text(ahead: dict[str, float]) -> str:
+    return (
+        f"{ahead['rays']:.0f} x {ahead['rays']:.0f} rays, a grid of {ahead['points']:.0f} points a side, "
+        f"about {ahead['seconds']:.2g} s of processor time, {size(ahead['bytes'])} of memory; nothing is "
+        "written"
+    )
+
+
+def wave_text(found: WaveReport) -> str:
+    """Table of the numbers of waves and rays, angles in mrad along lens x and y."""
+    from clacad.waves.wave_report import HEAD, head, rows, sentences
+
+    return "\n".join(
+        [
+            f"{found.design}: {head(found)}",
+            table([HEAD, *rows(found)]),
+            "angles in mrad, lens x, y",
+            *sentences(found),
+        ]
+    )
+
+
+SIGNS = {"on": "on", "off": "-", "forced": "forced", "without": "LEFT OUT", "unknown": "unknown"}
+
+T = TypeVar("T")
+
+
+class NoPlan(ValueError):
+    """An unknown effect, or a wavelength outside a material's data; exit status 2."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effects(Overridden):
+    """Which physical effects the scene calls for, why, and what is left out."""
+
+    scene: Path = required("SCENE", "Scene file; or a design file.")
+    exact: bool = flag("--exact-bounds", "Measure every bound by a trace with and without the effect.")
+    force: tuple[str, ...] = option("--force A,B", "Effects to switch on anyway.", (), read=words_of)
+    without: tuple[str, ...] = option("--without A,B", "Effects to leave out anyway.", (), read=words_of)
+
+
+def run_effects(request: Effects, console: Console) -> int:
+    """Print the plan; of several sheets the plan of each."""
+    from clacad.design import Design
+    from clacad.exporting.limits import refuse_uncountable
+
+    target = load_target(request.scene, request.set)
+    for design in (target,) if isinstance(target, Design) else target.designs():
+        refuse_uncountable(design)
+    from clacad.effects import plan_effects
+
+    if not isinstance(target, Design) and len(target.sheets) > 1:
+        return _show_sheets(target, request, console)
+    plan = _planned(
+        lambda: plan_effects(target, exact=request.exact, force=request.force, without=request.without)
+    )
+    console.show(plan.to_dict, lambda: plan_text(plan))
+    return 0
+
+
+def _show_sheets(scene: Scene, request: Effects, console: Console) -> int:
+    """Print the plan of each of several sheets, by its id."""
+    from clacad.effects import plan_sheets
+    from clacad.rendering.sheet_passage import stack_of
+
+    still = scene.at(0) if scene.animation is not None else scene
+    stack = stack_of(still)
+    plans = _planned(
+        lambda: plan_sheets(still, stack, exact=request.exact, force=request.force, without=request.without)
+    )
+    named = list(zip((one.id for one in stack.sheets), plans, strict=True))
+    console.show(
+        lambda: {"sheets": [{"id": name, **plan.to_dict()} for name, plan in named]},
+        lambda: "\n\n".join(f"sheet {name}\n{plan_text(plan)}" for name, plan in named),
+    )
+    return 0
+
+
+def _planned(plan: Callable[[], T]) -> T:
+    """The plan; a request that has none is bad input.
+
+    Raises
+    ------
+    NoPlan
+    """
+    try:
+        return plan()
+    except ValueError as error:
+        raise NoPlan(str(error)) from error
+
+
+def load_target(path: Path, overrides: tuple[str, ...]) -> Scene | Design:
+    """Read a scene; a file with a [law] and no [sheet] is read as a design."""
+    from clacad.config.toml_text import top_keys
+
+    keys = top_keys(str(path))
+    if "law" in keys and "sheet" not in keys:
+        from clacad.design import load
+
+        return load(path, overrides)
+    from clacad.scene import load_scene
+
+    return load_scene(path, overrides)
+
+
+def plan_text(plan: Plan) -> str:
+    """The plan as text: its rung, a table of effects, the predicted time."""
+    rows = [["effect", "", "angle", "radiance", "cost", "why"]]
+    for row in plan.rows:
+        angle, radiance = _amount(1e3 * row.angle, " mrad"), _amount(100.0 * row.radiance, " %")
+        rows.append([row.effect, SIGNS[row.state], angle, radiance, f"x{row.cost:.3g}", row.why])
+    kind = "measured" if any(row.measured for row in plan.rows) else "first-order"
+    return "\n".join(
+        [
+            f"rung {plan.rung}: {plan.rung_why}",
+            f"what matters: {1e3 * plan.angle:.3g} mrad, {plan.radiance:.2%} of the light; {kind} bounds "
+            "of what each effect changes:",
+            table(rows),
+            f"predicted time: {plan.cost:.3g} x the bare trace",
+            plan.summary(),
+        ]
+    )
+
+
+def _amount(value: float, unit: str) -> str:
+    """A bound with its unit, or nothing for 0."""
+    return f"{value:.3g}{unit}" if value else ""
+
+
+COMMANDS = (
+    Command("trace", "look", Trace, run_trace),
+    Command("wave", "look", Wave, run_wave),
+    Command("effects", "look", Effects, run_effects),
+)

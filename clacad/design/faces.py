@@ -8,8 +8,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from clacad.base.even_orders import A4, A6, A8, MONOMIALS, NO_A4, NO_A6, NO_A8, POWER, RAISED
-from clacad.base.units import LENGTHS, SHOWN, Unit, split
+from clacad.base.units import (
+    A4,
+    A6,
+    A8,
+    LENGTHS,
+    MONOMIALS,
+    NO_A4,
+    NO_A6,
+    NO_A8,
+    POWER,
+    RAISED,
+    SHOWN,
+    Unit,
+    split,
+)
 from clacad.config.compound_kinds import ListOf, Several
 from clacad.config.keys import REQUIRED, key, written
 from clacad.config.quantities import LENGTH, Quantity

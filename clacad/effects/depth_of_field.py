@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from clacad.base.vectors import axes_across, unit
 from clacad.effects.engine.block import disc
 from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
 from clacad.optics.rays import Rays
@@ -25,11 +26,10 @@ def effect(window: Window, setting: Setting) -> Effect:
     def launch(_: Window, rays: Rays) -> Rays:
         if setting.aperture == 0.0:
             return rays
-        axis = np.array(setting.axis) / np.linalg.norm(setting.axis)
-        across = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
-        across /= np.linalg.norm(across)
+        axis = unit(np.array(setting.axis))
+        one, two = axes_across(axis, 1 if abs(axis[1]) < 0.9 else 0).T
         points = 0.5 * setting.aperture * disc(rays, setting.seed, SALT)
-        offset = points[:, :1] * across + points[:, 1:] * np.cross(axis, across)
+        offset = -(points[:, :1] * one + points[:, 1:] * two)
         reach = setting.focus / (rays.direction @ axis)
         sharp = rays.position + reach[:, None] * rays.direction
         start = rays.position + offset

@@ -1,8 +1,38 @@
-"""Explanations of what a design file, or a body made from it, can have wrong: CL100 … CL149."""
+"""Entries of explanations, and those of the mistakes CL100 … CL149 in designs and bodies."""
 
 from __future__ import annotations
 
-from clacad.explain.entry import Text
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """An explanation.
+
+    Parameters
+    ----------
+    code : str
+        Stable code; "" for a word.
+    name : str
+        Name of the check, or the word.
+    title : str
+        One line.
+    means, why, formula, do : str
+        What it means, why it matters, what is computed ("" where nothing is), what to do.
+    """
+
+    code: str
+    name: str
+    title: str
+    means: str
+    why: str
+    formula: str
+    do: str
+
+
+Text = tuple[str, str, str, str]
+"""means, why, formula, do"""
+
 
 _NOTHING_MADE = (
     "Nothing is computed from a file that is not understood: a guess would be another part than the intended"

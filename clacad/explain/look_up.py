@@ -1,21 +1,242 @@
-"""Look up what a code, check, word, process, effect or material means, why it matters, and what to do."""
+"""Look up what a code, check, word, process, effect or material means, why it matters, and what to do.
+
+Processes, effects, formats and materials are explained from their own tables and docstrings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ast
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
+from math import inf, pi
+from pathlib import Path
+from string import ascii_letters
 
-from clacad.base.text import did_you_mean, near, whole_number
+from clacad.base.text import did_you_mean, near, table, whole_number
 from clacad.base.units import LENGTHS, Unit
 from clacad.checks.check import kinds
 from clacad.config.mistakes import CODES as IN_DESIGNS
+from clacad.design.combinations import BUILT, ITSELF, matrix
 from clacad.design.keys import DESIGN, PAIR, ROOT, SECTIONS
-from clacad.explain.design_mistakes import MISTAKES
-from clacad.explain.entry import Entry
+from clacad.design.process_profiles import ProcessProfile, profiles
+from clacad.effects import registry
+from clacad.explain.design_mistakes import MISTAKES, Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
-from clacad.explain.named_things import materials_text, named_things
-from clacad.optics.material.catalogue import find
+from clacad.exporting.formats.format import Format
+from clacad.exporting.formats.registry import formats
+from clacad.optics.material.catalogue import find, names
+from clacad.optics.material.material import Material
 from clacad.topology.cannot_build import CODES as BODIES
+
+SHOWN = (550e-9, 4e-6, 10.6e-6)
+"""Wavelengths, metres, at which an index is printed where it is known: the eye's, the middle and the far
+infrared."""
+
+
+def named_things() -> Iterator[Entry]:
+    """Entries of all processes, effects, formats and materials."""
+    yield _combinations()
+    yield from map(_process, profiles())
+    yield from map(_effect, registry.NAMES)
+    yield _formats()
+    yield from map(_format, formats())
+    yield from (_material(find(name)) for name in names())
+
+
+def _combinations() -> Entry:
+    """Features that combine with non-uniform sheets: a matrix, from the table by which the reader refuses
+    the others.
+    """
+    (_, *sheets), *rows = matrix()
+    codes: dict[str, str] = {}
+    lines = [["", *(sheet.rpartition(".")[2] for sheet in sheets)]]
+    for feature, *cells in rows:
+        lines.append([feature, *(_combined(cell, codes) for cell in cells)])
+    legend = [f"{code}  {reason}" for reason, code in codes.items()]
+    return Entry(
+        "",
+        "combinations",
+        "non-uniform sheets (columns) with other features (rows)",
+        "\n  ".join(
+            [
+                *table(lines, indent="").splitlines(),
+                f"columns: {', '.join(sheets)}",
+                "yes: built; -: the same key; a letter: refused by CL125, because",
+                *legend,
+            ]
+        ),
+        "",
+        "",
+        "see CL125",
+    )
+
+
+def _combined(cell: str, codes: dict[str, str]) -> str:
+    """A cell of the matrix: yes, - or the letter of a reason, which is added to `codes` when it is new."""
+    if cell in (BUILT, ITSELF):
+        return "yes" if cell == BUILT else "-"
+    return codes.setdefault(cell, ascii_letters[len(codes)])
+
+
+def materials_text() -> str:
+    """Names of all materials, by kind."""
+    kinds: dict[str, list[str]] = {}
+    for name in names():
+        kinds.setdefault(find(name).kind, []).append(name)
+    return "; ".join(f"{kind}: {', '.join(those)}" for kind, those in kinds.items())
+
+
+# --- processes ----------------------------------------------------------------------------------------------
+_LIMITS = (
+    ("edge", "edge at least {}"),
+    ("neck", "between lenslets at least {}"),
+    ("radius", "radii at least {}"),
+    ("pitch", "pitch at least {}"),
+    ("sag", "structures up to {} high"),
+    ("part_height", "parts up to {} high"),
+    ("part_width", "parts up to {} wide"),
+    ("wall", "walls up to {} high"),
+    ("clearance", "gap between bodies at least {}"),
+    ("tool", "tool nose {}"),
+    ("voxel", "voxels of {}"),
+    ("layer", "layers of {}"),
+)
+"""Limits in metres, and their sentences; 0 and infinity set none."""
+
+
+def _process(one: ProcessProfile) -> Entry:
+    told = [
+        words.format(_length(value)) for name, words in _LIMITS if 0.0 < (value := getattr(one, name)) < inf
+    ]
+    told += [f"draft at least {one.draft * 180 / pi:g}°"] if one.draft > 0.0 else []
+    told += [f"slopes up to {one.slope * 180 / pi:g}°"] if one.slope < 0.5 * pi else []
+    told += [] if one.undercut else ["no undercut"]
+    told += [f"works {', '.join(_worked(one))}"] if one.materials else []
+    limits = ", ".join(told) or "A part must exist, nothing more: no limit of a process is checked"
+    return Entry(
+        "",
+        one.name,
+        f"process {one.name}",
+        f"{limits[0].upper()}{limits[1:]}.",
+        f"Limits from: {one.source}.",
+        "",
+        f'check.process = "{one.name}" in the design file; a limit may be allowed to be passed with a reason'
+        " (check.allow).",
+    )
+
+
+def _worked(one: ProcessProfile) -> list[str]:
+    """Materials a process works: kinds as a whole with their names, then single ones."""
+    kinds: dict[str, list[str]] = {}
+    for name in names():
+        material = find(name)
+        if one.works(material):
+            kinds.setdefault(material.kind, []).append(name)
+    return [f"{kind} ({', '.join(those)})" for kind, those in kinds.items()]
+
+
+def _length(metres: float) -> str:
+    return f"{1e3 * metres:g} mm" if metres >= 1e-4 else f"{1e6 * metres:g} µm"
+
+
+# --- effects ------------------------------------------------------------------------------------------------
+def _effect(name: str) -> Entry:
+    """An effect by the docstring of its module: title, *Model*, *Law*, *On when*."""
+    place = find_spec(f"clacad.effects.{name}")
+    assert place is not None
+    assert place.origin is not None
+    text = Path(place.origin).read_text(encoding="utf-8")
+    title, _, body = (ast.get_docstring(ast.parse(text)) or "").partition("\n")
+    parts = re.split(r"\n\*(Model|Law|On)\b([^*]*)\*", f"\n{body.strip()}")
+    found = {
+        word: " ".join(f"{more.strip(' .')} {said}".split())
+        for word, more, said in zip(parts[1::3], parts[2::3], parts[3::3])
+    }
+    return Entry(
+        "",
+        name,
+        f"effect {name}: {title.rstrip('.')}",
+        found["Model"],
+        f"Its law: {found['Law']}",
+        "",
+        f"It is simulated {found['On']} A scene switches it on or leaves it out by effects.force and"
+        " effects.without; `clacad effects SCENE` shows the plan.",
+    )
+
+
+# --- formats ------------------------------------------------------------------------------------------------
+def _formats() -> Entry:
+    """List of all formats."""
+    listed = table([[one.word, one.about] for one in formats()], indent="")
+    return Entry(
+        "",
+        "formats",
+        "formats of files",
+        "\n  ".join(listed.splitlines()),
+        "",
+        "",
+        "clacad export DESIGN --format A,B",
+    )
+
+
+def _format(one: Format) -> Entry:
+    """A format by what it declares."""
+    name = f"format {one.word}" if DESIGN.homes(one.word) else one.word
+    sheets = "non-uniform sheets too" if one.any_cells else "uniform sheets only"
+    repeats = "; it stores one cell of a uniform sheet and its places" if one.repeats else ""
+    return Entry(
+        "",
+        name,
+        f"format {one.word}",
+        f"{one.about[0].upper()}{one.about[1:]}.",
+        f"It holds {sheets}{repeats}. Accuracy: {'; '.join(way.note for way in one.stored)}.",
+        "",
+        f"clacad export DESIGN --format {one.word}",
+    )
+
+
+# --- materials ----------------------------------------------------------------------------------------------
+def _material(one: Material) -> Entry:
+    assert one.range_m is not None, "every material of the table has its range"
+    short, long = one.range_m
+    waves = [wave for wave in SHOWN if short <= wave <= long] or [0.5 * (short + long)]
+    abbe, thermal = one.abbe_number, one.thermal
+    means = [
+        ", ".join(f"n = {one.index(wave):.4f} at {_wave(wave)}" for wave in waves),
+        f"V_d = {abbe:.1f}" if abbe is not None else "V_d is not published",
+        f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm",
+        "density not published" if one.density_kg_m3 is None else f"{one.density_kg_m3:g} kg/m³",
+        "dn/dT not published" if thermal.dn_dt is None else _dn_dt(*thermal.dn_dt),
+        (
+            "expansion not published"
+            if thermal.expansion is None
+            else f"expansion {1e6 * thermal.expansion:.3g}e-6/K"
+        ),
+        "absorption known" if one.extinction else "absorption not published",
+    ]
+    made = [rules.name for rules in profiles() if rules.materials and rules.works(one)]
+    means.append(f"worked by {', '.join(made)}" if made else "worked by no process known here")
+    why = f"From: {one.source}." + (f" Thermal numbers: {thermal.source}." if thermal.source else "")
+    return Entry(
+        "",
+        one.name,
+        f"material {one.name} ({one.kind})",
+        f"{'; '.join(means)}.",
+        why,
+        "",
+        f'pair.material = "{one.name}" in the design file.',
+    )
+
+
+def _dn_dt(change: float, wave: float) -> str:
+    return f"dn/dT {1e6 * change:.3g}e-6/K at {_wave(wave)}"
+
+
+def _wave(metres: float) -> str:
+    return f"{1e9 * metres:.0f} nm" if metres < 1e-6 else f"{1e6 * metres:g} µm"
+
 
 __all__ = ["Entry", "Unexplained", "entries", "explain"]
 

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Bools, Floats
+from clacad.base.vectors import doubled_normals
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.light.compare import Comparison, change_with_shift
 from clacad.light.measure import FEWEST, Light, Send, measure, measure_each

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Floats, Ints
+from clacad.base.arrays import same_rows
+from clacad.base.types import Floats
 from clacad.formats.mesh.compare_triangles import Promise
 from clacad.formats.placements import Piece, Places
 from clacad.sheet.cell_places import CellPlacement
@@ -171,27 +172,6 @@ def _piece(body: Body, part: BodyMesh, places: Places | None) -> Piece:
 def weld(body: Body, corners: Floats, normals: Floats) -> Piece:
     """Weld facets (n, 3, 3) whose corners and normals agree bit by bit into a piece."""
     both = np.concatenate([corners + 0.0, normals + 0.0], axis=2).reshape(-1, 6)
-    first, inverse = _same_rows(both.view(np.uint64))
+    first, inverse = same_rows(both.view(np.uint64))
     shared = both[first]
     return Piece(body.name, shared[:, :3], inverse.reshape(-1, 3), shared[:, 3:], None, body.index)
-
-
-def _same_rows(words: np.ndarray[Any, np.dtype[np.uint64]]) -> tuple[Ints, Ints]:
-    """First row of each kind of row (k,), in the order they come, and the kind of every row (n,).
-
-    Vertices numbered in the order of the facets compress and cache better than sorted ones. Rows are
-    distinguished by a hash; if different rows share a hash, the rows themselves are sorted.
-    """
-    key = words[:, 0].copy()
-    for column in words.T[1:]:
-        key ^= key >> np.uint64(29)
-        key *= np.uint64(0xBF58476D1CE4E5B9)
-        key += column * np.uint64(0x9E3779B97F4A7C15)
-    key ^= key >> np.uint64(32)
-    _, first, kind = np.unique(key, return_index=True, return_inverse=True)
-    if (words[first[kind]] != words).any():
-        _, first, kind = np.unique(words, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[kind.reshape(-1)]

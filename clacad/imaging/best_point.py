@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
+from clacad.base.vectors import axes_near, unit
 
 PARALLEL = 1e-24
 """Mean square of slopes about their mean below which rays count as parallel: 1e-12 rad squared."""
@@ -54,7 +55,8 @@ def best_point(position: Floats, direction: Floats) -> BestPoint:
     along = np.einsum("ni,ni->n", place, direction)
     across = place - along[:, None] * direction
     # Σ(1 − d dᵀ) as a sum of squares about the mean direction loses nothing where rays are nearly parallel
-    basis = _frame(axis / np.linalg.norm(axis))
+    mean = unit(axis)
+    basis = np.stack([*axes_near(mean), mean], axis=1)
     d = direction @ basis
     matrix = np.empty((3, 3))
     matrix[:2, :2] = len(d) * np.eye(2) - d[:, :2].T @ d[:, :2]
@@ -72,10 +74,3 @@ def spot_at(position: Floats, direction: Floats, point: Floats) -> Pair2:
         off = position[:, :2] + reach[:, None] * direction[:, :2] - point[:2]
     x, y = np.sqrt(np.mean(off**2, axis=0)).tolist()
     return x, y
-
-
-def _frame(axis: Floats) -> Floats:
-    """Orthonormal columns (3, 3) whose last is `axis`."""
-    side = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
-    side /= np.linalg.norm(side)
-    return np.stack([side, np.cross(axis, side), axis], axis=1)

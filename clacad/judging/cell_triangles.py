@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import doubled_normals, lengths, middles
 from clacad.base.types import Floats, Ints
+from clacad.base.vectors import doubled_normals, lengths, middles
 from clacad.formats.mesh.compare_instances import levels as levels
 from clacad.formats.mesh.compare_instances import owner as owner
 from clacad.formats.mesh.compare_triangles import rounding

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
+from clacad.base.vectors import doubled_normals
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.judging.cell_triangles import levels, owner
 from clacad.judging.face_deviation import STEEP, WIDE, believed, distance_to_faces, drawn_in

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.drawn_figure import drawn, no_formula
 from clacad.base.text import plain, printable
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
+from clacad.base.vectors import doubled_normals
 from clacad.judging.cell_triangles import levels
 from clacad.judging.damage import MICRON, Dent
 from clacad.judging.face_deviation import STEEP, believed, distance_to_faces, drawn_in

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.polygons import within
 from clacad.base.types import Floats, Progress
 from clacad.checks.check import Check, LimitSource, other
 from clacad.checks.file_kinds import CLOSED, FAITHFUL_RMS, FILE_LAW_RMS, PIECES, SCALE, SHAPE, VOLUME
@@ -71,11 +72,7 @@ def cut_to(corners: Floats, polygon: Floats) -> Floats:
     """Parts of facets (k, 3, 3) over a convex counter-clockwise polygon (m, 2), as facets of the same
     orientation.
     """
-    inside = np.ones(len(corners), dtype=bool)
-    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        edge = end - start
-        side = edge[0] * (corners[..., 1] - start[1]) - edge[1] * (corners[..., 0] - start[0])
-        inside &= (side >= 0.0).all(axis=1)
+    inside = within(polygon, corners[..., 0], corners[..., 1]).all(axis=1)
     found = [corners[inside]]
     for facet in corners[~inside]:
         piece = _clipped(facet, polygon)

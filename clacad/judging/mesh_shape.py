@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats
+from clacad.base.vectors import doubled_normals
 from clacad.checks.check import Check, LimitSource, derived, other
 from clacad.checks.file_kinds import SHAPE, VOLUME
 from clacad.formats.mesh.closed_stream import Measure

@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import distinct
+from clacad.base.arrays import components, distinct, welded
 from clacad.base.text import count_text
 from clacad.base.types import Floats
 from clacad.checks.check import Check, State
 from clacad.checks.file_kinds import CLOSED, PIECES, SCALE
-from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes, welded
+from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.judging.cell_triangles import CellFacets
 from clacad.sheet.feasibility import body_facts
-from clacad.sheet.pieces_and_holes import connect
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 
@@ -88,7 +87,7 @@ class PartCount:
     def of(cls, part: Part) -> PartCount:
         """Count a part that fits in memory."""
         vertices, facets = part.welded()
-        pieces = len(distinct(connect(len(vertices), facets[:, [0, 1, 0, 2]].reshape(-1, 2))))
+        pieces = len(distinct(components(len(vertices), facets[:, [0, 1, 0, 2]].reshape(-1, 2))))
         edges, times = edge_times(facets), len(part.places)
         euler = len(vertices) - len(edges) + len(facets)
         return cls(pieces * times, (pieces - euler / 2) * times, crowded_edges(edges))
@@ -320,9 +319,6 @@ class Rims:
 
 def rims(mesh: FileMesh) -> Rims:
     """Find the boundary of a mesh, and the number of pieces without a boundary."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     corners, facets = welded(np.concatenate(list(mesh.chunks())))
     start, end = facets.ravel(), np.roll(facets, -1, axis=1).ravel()
     size = np.int64(len(corners))
@@ -331,16 +327,12 @@ def rims(mesh: FileMesh) -> Rims:
     keys, back = np.unique(low * size + high, return_inverse=True)
     balance = np.bincount(back, np.where((start < end)[~same], 1.0, -1.0))
     open_keys = keys[balance != 0.0]
-    links = coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(len(corners), len(corners)))
-    number, piece = connected_components(links, directed=False)
-    is_open = np.zeros(number, dtype=bool)
-    is_open[piece[open_keys // size]] = True
-    used = np.zeros(number, dtype=bool)
-    used[piece[facets.ravel()]] = True
+    piece = components(len(corners), np.stack([low, high], axis=1))
+    closed = np.setdiff1d(piece[start], piece[open_keys // size])
     middles = 0.5 * (corners[open_keys // size] + corners[open_keys % size])
     count = int(np.abs(balance).sum())
     place = middles[0] if len(middles) else np.full(3, np.nan)
-    return Rims(count, place, middles, int((used & ~is_open).sum()), corners)
+    return Rims(count, place, middles, len(closed), corners)
 
 
 def is_open_surface(found: Rims, turn: Floats | None = None) -> bool:

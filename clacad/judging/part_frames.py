@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats
+from clacad.base.vectors import doubled_normals
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.judging.face_deviation import STEEP
 from clacad.judging.unit_and_cells import CannotRegister

@@ -6,8 +6,7 @@ from math import atan2, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, owning
-from clacad.base.compiled_pairs import less_product, two_sum
+from clacad.base.compiled import exact, less_product, owning, two_sum
 from clacad.base.types import Bytes, Floats
 from clacad.light.sums import GRADIENT, KNOWN, NORMAL, NUMBERS, OUT, SQUARE
 from clacad.optics.rays import Fate

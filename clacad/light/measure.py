@@ -18,6 +18,7 @@ from typing import cast
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.base.vectors import axes_near
 from clacad.optics.law import Fit, Law, angle_between, linear_numbers, with_linear_numbers
 from clacad.optics.law.law import law_in_axes
 from clacad.optics.rays import Fate, Rays, TraceResult, joined_results
@@ -139,9 +140,7 @@ class Light:
         expected = self.expected[0]
         if self.dark or not np.isfinite(expected).all():
             return np.empty((0, 2))
-        u = np.array([1.0, 0.0, 0.0]) - expected[0] * expected
-        u = u / np.linalg.norm(u)
-        return np.asarray(self.direction[self.alive] @ np.stack([u, np.cross(expected, u)], axis=1))
+        return np.asarray(self.direction[self.alive] @ np.stack(axes_near(expected), axis=1))
 
     @cached_property
     def share(self) -> float:

@@ -282,10 +282,3 @@ def split(triangles: Ints, zone: Tags, xy: Floats, number: Ints, middle: Ints) -
         out += [np.stack(piece, axis=1) for piece in pieces]
         tags += [zone[rows]] * len(pieces)
     return np.concatenate(out), np.concatenate(tags)
-
-
-def signed_areas(xy: Floats, triangles: Ints) -> Floats:
-    """Twice the signed area of each triangle, (m,)."""
-    a, b, c = xy[triangles[:, 0]], xy[triangles[:, 1]], xy[triangles[:, 2]]
-    ab, ac = b - a, c - a
-    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])

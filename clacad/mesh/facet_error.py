@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import doubled_normals
+from clacad.base.vectors import doubled_normals
 from clacad.mesh.integer_heights import LENS
 from clacad.mesh.prototile import Prototile
 from clacad.optics.law.orientation import angle_between

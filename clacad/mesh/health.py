@@ -13,21 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
 from math import fsum
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.arrays import components
+from clacad.base.hashing import mixed, point_hashes
 from clacad.base.types import Floats, Ints, Words
-from clacad.sheet.pieces_and_holes import connect
 
 Chunks = Callable[[], Iterable[NDArray[Any]]]
 
 _EDGES_A_PASS = 60_000_000  # 0.5 GB of edge hashes
 _JOINED_A_PASS = 8_000_000  # with owners and their order: 0.3 GB
-_FEW = 200_000  # largest number of triangles for which starting a compiler is not worthwhile
 _LISTED = 64  # largest number of bad edges in a report
 
 
@@ -89,7 +88,7 @@ def check_closed(
     chunks = _as_chunks(source)
     count, degenerate, volume = 0, 0, []
     for corners in chunks():
-        keys = vertex_hashes(corners)
+        keys = point_hashes(corners)
         degenerate += int(_degenerate(keys).sum())
         volume.append(_flux(corners))
         count += len(corners)
@@ -130,29 +129,6 @@ def _as_chunks(source: NDArray[Any] | tuple[NDArray[Any], NDArray[Any]] | Chunks
     return plain
 
 
-def vertex_hashes(corners: NDArray[Any]) -> Words:
-    """Hash corner coordinates (..., 3) to 64 bits; equal coordinates have equal hashes (0 and −0 too)."""
-    bits = np.ascontiguousarray(corners + np.zeros(1, dtype=corners.dtype)).view(
-        np.uint32 if corners.dtype == np.float32 else np.uint64
-    )
-    out = np.zeros(bits.shape[:-1], dtype=np.uint64)
-    for axis in range(3):
-        out = _mix(
-            out + bits[..., axis].astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15 * (axis + 1) % 2**64)
-        )
-    return out
-
-
-def _mix(x: Words) -> Words:
-    """The finalizer of splitmix64, a bijection; works in place."""
-    x ^= x >> np.uint64(30)
-    x *= np.uint64(0xBF58476D1CE4E5B9)
-    x ^= x >> np.uint64(27)
-    x *= np.uint64(0x94D049BB133111EB)
-    x ^= x >> np.uint64(31)
-    return x
-
-
 def _degenerate(keys: Words) -> NDArray[np.bool_]:
     return np.asarray((keys[:, 0] == keys[:, 1]) | (keys[:, 1] == keys[:, 2]) | (keys[:, 2] == keys[:, 0]))
 
@@ -160,7 +136,7 @@ def _degenerate(keys: Words) -> NDArray[np.bool_]:
 def _edge_hashes(keys: Words) -> Words:
     """Hash each triangle's directed edges (t, 3): the last bit is the direction, the rest the edge."""
     a, b = keys, np.roll(keys, -1, axis=1)
-    undirected = _mix(_mix(np.minimum(a, b)) + np.maximum(a, b))
+    undirected = mixed(mixed(np.minimum(a, b)) + np.maximum(a, b))
     return np.asarray((undirected & ~np.uint64(1)) | (a < b).astype(np.uint64))
 
 
@@ -168,7 +144,7 @@ def _edges(chunks: Chunks, number: int, passes: int, owners: bool) -> tuple[Word
     """Directed edges of one partition, and the triangle of each."""
     found, owner, start = [], [], 0
     for corners in chunks():
-        keys = vertex_hashes(corners)
+        keys = point_hashes(corners)
         edges = _edge_hashes(keys).ravel()
         keep = np.repeat(~_degenerate(keys), 3)
         if passes > 1:
@@ -214,40 +190,14 @@ def _join(label: Ints, edges: Words, owner: Ints) -> Ints:
     order = np.argsort(plain, kind="stable")
     same = plain[order[1:]] == plain[order[:-1]]
     one, two = owner[order[:-1][same]], owner[order[1:][same]]
-    if len(label) <= _FEW:
-        pairs = np.stack([label[one], label[two]], axis=1)
-        return np.asarray(connect(len(label), pairs)[label])
-    return _union()(label, one, two)
-
-
-@cache
-def _union() -> Callable[[Ints, Ints, Ints], Ints]:
-    """Union by least root with path halving, compiled."""
-    from clacad.base.foreign_settings import without_settings
-
-    @without_settings("numba").njit
-    def union(label, one, two):  # type: ignore[no-untyped-def]
-        for n in range(len(one)):
-            a, b = one[n], two[n]
-            while label[a] != a:
-                label[a] = label[label[a]]
-                a = label[a]
-            while label[b] != b:
-                label[b] = label[label[b]]
-                b = label[b]
-            label[max(a, b)] = min(a, b)
-        for n in range(len(label)):  # roots are least members, so one sweep upwards flattens all
-            label[n] = label[label[n]]
-        return label
-
-    return cast("Callable[[Ints, Ints, Ints], Ints]", union)
+    return np.asarray(components(len(label), np.stack([label[one], label[two]], axis=1))[label])
 
 
 def _decide(chunks: Chunks, doubtful: Words) -> tuple[int, int, Floats]:
     """Count the doubtful edges by their coordinates: (open, with more than two faces, listed ends)."""
     uses: dict[tuple[bytes, bytes], list[int]] = {}
     for corners in chunks():
-        keys = vertex_hashes(corners)
+        keys = point_hashes(corners)
         edges = _edge_hashes(keys) >> np.uint64(1)
         at, side = np.nonzero(np.isin(edges, doubtful) & ~_degenerate(keys)[:, None])
         real = corners[at].astype(np.float64) + 0.0

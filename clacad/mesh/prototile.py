@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.polygons import doubled_areas
 from clacad.base.roots import bisect
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
@@ -248,10 +249,10 @@ def _warp(
         plan.xy[other[order]] - plan.xy[point[order]]
     )
     moved[point] = True
-    before = pl.signed_areas(plan.xy, plan.triangles)
+    before = doubled_areas(plan.xy, plan.triangles)
     while True:
         xy = np.where(moved[:, None], target, plan.xy)
-        bad = pl.signed_areas(xy, plan.triangles) < 0.2 * before
+        bad = doubled_areas(xy, plan.triangles) < 0.2 * before
         if not (bad.any() and moved[plan.triangles[bad]].any()):
             break
         moved[plan.triangles[bad]] = False

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.polygons import doubled_areas
 from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import settle_inside
@@ -98,7 +99,7 @@ def bevelled(
 
 def added_volume(plan: pl.Planar, before: Ints, after: Ints, step: float) -> float:
     """Volume (length³) between two sets of levels (m, 3, 2) of the same triangles."""
-    area = 0.5 * pl.signed_areas(plan.xy, plan.triangles)
+    area = 0.5 * doubled_areas(plan.xy, plan.triangles)
     grown = (before[..., 0] - after[..., 0]) + (after[..., 1] - before[..., 1])
     return float(np.sum(area * grown.mean(axis=1)) * step)
 

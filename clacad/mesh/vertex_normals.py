@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats, Ints
+from clacad.base.vectors import doubled_normals
 from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.cell_template import BACK, FRONT, Template
 from clacad.sheet.lattice import Lattice

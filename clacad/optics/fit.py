@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.vectors import axes_near, unit
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
 
@@ -55,12 +56,8 @@ class AskedLight:
     @staticmethod
     def of(rays: Rays, asked: Floats) -> AskedLight:
         """Build it from rays and requested directions (n, 3), whose mean fixes both vectors across."""
-        middle = asked.mean(axis=0)
-        middle = middle / np.linalg.norm(middle)
-        u = np.eye(3)[int(np.argmin(np.abs(middle)))]
-        u = u - (u @ middle) * middle
-        u = u / np.linalg.norm(u)
-        return AskedLight(rays, asked, np.stack([u, np.cross(middle, u)]))
+        middle = unit(asked.mean(axis=0))
+        return AskedLight(rays, asked, np.stack(axes_near(middle, int(np.argmin(np.abs(middle))))))
 
 
 def law_residuals(sequence: Sequence[Interface], light: AskedLight) -> Floats:

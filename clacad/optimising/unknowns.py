@@ -16,9 +16,9 @@ from math import inf, sqrt
 
 import numpy as np
 
-from clacad.base.even_orders import MONOMIALS, POWER
 from clacad.base.text import did_you_mean, near
 from clacad.base.types import Floats
+from clacad.base.units import MONOMIALS, POWER
 from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown

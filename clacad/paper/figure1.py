@@ -25,7 +25,7 @@ from clacad.mesh import BodyMesh, Mesh, check_closed, tessellate
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate, Rays
 from clacad.paper.figure1_section import parallel_bundle
-from clacad.paper.finding import AtlasFinding
+from clacad.paper.paper_figures import AtlasFinding
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import aim, offsets, rays
 from clacad.rendering.compiled.scene_hits import look_all

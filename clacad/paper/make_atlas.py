@@ -18,9 +18,8 @@ from clacad.base.types import Bytes
 from clacad.design import Design
 from clacad.design.sections import AimedAt
 from clacad.paper.figure1 import section_findings, solid_findings
-from clacad.paper.finding import AtlasFinding
 from clacad.paper.paper_figures import FIGURES as PAPER
-from clacad.paper.paper_figures import MOVIES, Figure, piece_on_sheet
+from clacad.paper.paper_figures import MOVIES, AtlasFinding, Figure, piece_on_sheet
 from clacad.paper.sheet_figures import DIFFERING, FIELD_LENS, ghosts_marked
 from clacad.rendering.camera import aim
 from clacad.rendering.picture import Picture, Progress, checked_frames, view_through

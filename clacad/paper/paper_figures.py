@@ -10,14 +10,40 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from clacad.base.roots import bisect
 from clacad.base.types import Floats
-from clacad.paper.finding import AtlasFinding
 from clacad.rendering.screen_measure import ScreenMap, fitted, ghost_shifts, measure
 from clacad.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class AtlasFinding:
+    """One measured number with its expected value."""
+
+    what: str
+    measured: float
+    expected: float
+    tolerance: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it lies within the tolerance."""
+        return bool(abs(self.measured - self.expected) <= self.tolerance)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "what": self.what,
+            "measured": self.measured,
+            "expected": self.expected,
+            "tolerance": self.tolerance,
+            "passed": self.passed,
+        }
+
 
 Loader = Callable[[str], Scene]
 

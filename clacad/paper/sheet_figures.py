@@ -27,8 +27,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate
-from clacad.paper.finding import AtlasFinding
-from clacad.paper.paper_figures import RAYS, Figure, Loader
+from clacad.paper.paper_figures import RAYS, AtlasFinding, Figure, Loader
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import aim, rays
 from clacad.rendering.picture import Picture, view_through

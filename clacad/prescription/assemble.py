@@ -123,7 +123,6 @@ def _recipe(intent: Intent, lenses: LensPair, offset: Floats) -> Mapping[str, An
         "wavelength_nm": pair.wavelength * 1e9,
         "material": pair.material,
         "curved": pair.curved if pair.form == "plano" else None,
-        "warnings": [],
     } | _search(pair)
 
 

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, Viewing, aim, offsets, rays
-from clacad.rendering.pixel_input import SampleRange, Sums, sample
 from clacad.rendering.sheet_passage import Passage
-from clacad.rendering.view import radiance, set_up
+from clacad.rendering.view import SampleRange, Sums, radiance, sample, set_up
 from clacad.scene import Scene, SceneError, load_scene
 from clacad.sheet.window import Window
 
@@ -53,7 +52,7 @@ class Picture:
         Rung, effects and their reasons.
     window : Window
     blockwise : tuple of (effect, pixels)
-        Effects that were added by their means over blocks, with pixels a side of a block; see `coarse_first`.
+        Effects that were added by their means over blocks, with pixels a side of a block; see `picture_cost`.
     """
 
     light: Floats

@@ -1,4 +1,7 @@
-"""Content of a report as rows of text: one source for the page and for the paper version."""
+"""Content of a report as rows of text: one source for the page and for the paper version.
+
+Drawings of the part are the views of `formats.drawing` with the measured light, as SVG.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,45 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import bound, plain, shown
 from clacad.checks.check import Origin
-from clacad.exporting.drawing.notes import orientation
-from clacad.report.fabrication import FabricationLine, fabrication
-from clacad.report.light_rows import LightRows
+from clacad.exporting.drawing import views
+from clacad.exporting.drawing.notes import allowances, orientation
+from clacad.report.rows import FabricationLine, LightRows, fabrication
 from clacad.sheet.feasibility import FactRow, describe
 from clacad.sheet.feasibility.as_rows import cells_text
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress
-    from clacad.report.parts_in_3d import Parts
-    from clacad.report.view_through_sheet import Look
+    from clacad.report.pictures import Look, Parts
     from clacad.sheet.window import Window
     from clacad.verification import Check, Report
     from clacad.verification.evidence import Evidence
+
+
+def assembly(sheet: Window) -> str:
+    """The whole sheet from the side, cut through a row of cells."""
+    return views.assembly(sheet).svg()
+
+
+def plan(sheet: Window) -> str:
+    """The sheet seen along the light."""
+    return views.plan(sheet).svg()
+
+
+def telescopelet(report: Report) -> str:
+    """One telescopelet cut along x, with rays and the focal plane where they were measured."""
+    from clacad.report.figures import ray_fan
+
+    light = None
+    if report.evidence is not None and report.evidence.foci is not None:
+        focus = report.evidence.foci[0].lens1.focus[0] * report.window.thin.rotation[2, 2]
+        light = views.DrawnLight(ray_fan(report.window), float(focus))
+    return views.telescopelet(report.window, report.facts, light, allowances(report.design)).svg()
+
+
+def lens_detail(report: Report, array: int) -> str:
+    """One lens over its cell, enlarged."""
+    return views.lens_detail(report.window, report.facts, array, allowances(report.design)).svg()
+
 
 WORDS = {"pass": "pass", "fail": "FAIL", "warn": "warning", "not run": "not run"}
 SIGNS = {"<=": "≤", ">=": "≥", "=": "=", "in": "in"}
@@ -251,8 +280,8 @@ class Content:
 
 def numbers(content: Content) -> dict[str, Any]:
     """All numbers of the page: the content of report.json."""
-    from clacad.report.fabrication import fabrication_dict
     from clacad.report.figures import budget_rows
+    from clacad.report.rows import fabrication_dict
 
     report = content.report
     found = report.to_dict() | {
@@ -277,8 +306,7 @@ def _title(check: Check) -> str:
 
 def content(report: Report, progress: Progress, timings: bool = False) -> Content:
     """Gather what the page of a report shows: evidence, a picture, the parts."""
-    from clacad.report.parts_in_3d import parts
-    from clacad.report.view_through_sheet import look, seen_by_viewer
+    from clacad.report.pictures import look, parts, seen_by_viewer
     from clacad.verification.verification_report import of_worst_cell
 
     shown, words = of_worst_cell(report)

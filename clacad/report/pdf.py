@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clacad.report import drawing, figures, plots
-from clacad.report.content import Content
+from clacad.report import figures, plots
+from clacad.report.content import Content, assembly, lens_detail, plan, telescopelet
 from clacad.storage.atomic import scratch_folder
 
 Block = dict[str, Any]
@@ -183,25 +183,23 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
         _figure(
             shelf,
             "assembly",
-            drawing.assembly(content.sheet),
+            assembly(content.sheet),
             "Assembly, cut along x, to scale; millimetres.",
         )
     )
-    blocks.append(
-        _figure(shelf, "pair", drawing.telescopelet(report), "One telescopelet, cut along x; millimetres.")
-    )
+    blocks.append(_figure(shelf, "pair", telescopelet(report), "One telescopelet, cut along x; millimetres."))
     lenses = [
         {
-            "file": shelf.put(f"lens{k}", drawing.lens_detail(report, k)),
+            "file": shelf.put(f"lens{k}", lens_detail(report, k)),
             "caption": f"Lens {k + 1} over its cell.",
             "alt": f"lens {k + 1}",
         }
         for k in (0, 1)
     ]
-    from clacad.report.parts_in_3d import picture
+    from clacad.report.pictures import picture
 
-    plan = {
-        "file": shelf.put("plan", drawing.plan(content.sheet)),
+    whole = {
+        "file": shelf.put("plan", plan(content.sheet)),
         "caption": "The sheet as light sees it.",
         "alt": "plan",
     }
@@ -210,7 +208,7 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
         "alt": "the part",
         "caption": f"{content.parts.cells} × {content.parts.cells} cells, from the side of lens 2.",
     }
-    return [*blocks, {"kind": "pair", "items": lenses}, {"kind": "pair", "items": [plan, solid]}]
+    return [*blocks, {"kind": "pair", "items": lenses}, {"kind": "pair", "items": [whole, solid]}]
 
 
 def _checks(content: Content) -> list[Block]:

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.untrusted_files import read_regular
-from clacad.report import drawing, figures, plots
-from clacad.report.content import Content, data_uri
-from clacad.report.light_rows import number
+from clacad.report import figures, plots
+from clacad.report.content import Content, assembly, data_uri, lens_detail, plan, telescopelet
 from clacad.report.plots import varying
+from clacad.report.rows import number
 from clacad.report.self_contained import HERE, environment, one_script
 from clacad.storage.atomic import RUN_FACTS, write_set
 
@@ -169,19 +169,19 @@ Drawings = Callable[[Content], dict[str, str]]
 def _fabrication(content: Content) -> dict[str, str]:
     report = content.report
     return {
-        "plan": drawing.plan(content.sheet),
-        "assembly": drawing.assembly(content.sheet),
-        "pair": drawing.telescopelet(report),
-        "lens1": drawing.lens_detail(report, 0),
-        "lens2": drawing.lens_detail(report, 1),
-        "field": "".join(drawing.lens_detail(report, k) for k in range(2, len(report.facts.lenses))),
+        "plan": plan(content.sheet),
+        "assembly": assembly(content.sheet),
+        "pair": telescopelet(report),
+        "lens1": lens_detail(report, 0),
+        "lens2": lens_detail(report, 1),
+        "field": "".join(lens_detail(report, k) for k in range(2, len(report.facts.lenses))),
     }
 
 
 def _parts(content: Content) -> dict[str, str]:
     from markupsafe import escape
 
-    from clacad.report.parts_in_3d import packed, picture
+    from clacad.report.pictures import packed, picture
 
     facts, triangles = packed(content.parts)
     return {"facts": str(escape(facts)), "triangles": triangles, "picture": data_uri(picture(content.parts))}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import tan
 from typing import Any, Final, Literal
 
 from clacad.config import keys
@@ -125,6 +126,13 @@ class Camera:
     encoding: Literal["srgb", "linear"] = keys.key(
         Word(("srgb", "linear")), "encoding of picture files", "srgb"
     )
+
+    def width_at(self, distance: float) -> float:
+        """Width of the picture at the target, `distance` from the camera; scene lengths."""
+        if self.frame is not None:
+            return self.frame
+        assert self.fov is not None  # the scene's rules require one of the two
+        return 2.0 * distance * tan(0.5 * self.fov)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
+from clacad.base.vectors import axes_near
 from clacad.optics.rays import Rays
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import aperture_slope
@@ -54,20 +55,13 @@ def cone(middle: Floats, half_angle: float, unit_square: Floats) -> Floats:
     """Unit directions (n, 3), uniform in solid angle over a cone about `middle`,
     from points (n, 2) of the unit square.
     """
-    u, v = _frame(middle)
+    u, v = axes_near(middle)
     # 1 − cos without cancellation, so that a cone of a microradian is resolved
     lift = 2.0 * sin(0.5 * half_angle) ** 2 * unit_square[:, 0]
     radius = np.sqrt(lift * (2.0 - lift))
     azimuth = 2.0 * pi * unit_square[:, 1]
     side = (radius * np.cos(azimuth))[:, None] * u + (radius * np.sin(azimuth))[:, None] * v
     return np.asarray(side + (1.0 - lift)[:, None] * middle)
-
-
-def _frame(middle: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors perpendicular to `middle`, the first as close to +x as possible."""
-    u = np.array([1.0, 0.0, 0.0]) - middle[0] * middle
-    u = u / np.linalg.norm(u)
-    return u, np.cross(middle, u)
 
 
 def bundle(
@@ -140,6 +134,6 @@ def field_about(middle: Floats, field: float) -> Floats:
     """Nine unit directions (9, 3): `middle` (3,), and eight at angle `field` (radians) from it,
     45 degrees apart.
     """
-    u, v = _frame(middle)
+    u, v = axes_near(middle)
     rim = [cos(field) * middle + sin(field) * (cos(k * pi / 4) * u + sin(k * pi / 4) * v) for k in range(8)]
     return np.array([middle, *rim])

@@ -17,19 +17,6 @@ from clacad.sheet.pattern import Kind, Pattern, in_hexagon, turned, turned_pairs
 from clacad.sheet.plate import Plate
 
 
-def polygon_area(points: Floats) -> float:
-    """Signed area of a polygon (m, 2), length²; counter-clockwise is positive."""
-    return 0.0 if len(points) < 3 else float(polygon_areas(points[None])[0])
-
-
-def polygon_areas(points: Floats) -> Floats:
-    """Signed areas (k,), length², of polygons (k, m, 2) with equal numbers of corners."""
-    x, y = np.moveaxis(
-        points - points[:, :1], -1, 0
-    )  # shoelace about a corner: no cancellation far from the origin
-    return np.asarray(0.5 * np.sum(x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y, axis=1))
-
-
 def runs(columns: Ints) -> Ints:
     """Runs (k, 2) of consecutive integers, first and one past the last, the longest run first."""
     if not len(columns):

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clacad.base.types import Bools, Ints
+from clacad.base.arrays import components
+from clacad.base.types import Bools
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import Step, node_cells
 
@@ -56,26 +57,6 @@ def count_together(lattice: Lattice, cells: Sequence[Step]) -> int:
         spans = np.ptp(np.array(cells), axis=0)
         return int(np.prod(np.maximum(np.array(lattice.count) - spans, 0)))
     return int(_together(_kept(lattice), cells).sum())
-
-
-def connect(count: int, edges: Ints) -> Ints:
-    """Label the components of a graph of `count` nodes and edges (n, 2):
-    least node of each node's component, (count,).
-    """
-    label = np.arange(count, dtype=np.int64)
-    a, b = edges[:, 0], edges[:, 1]
-    while True:
-        la, lb = label[a], label[b]
-        differ = la != lb
-        if not differ.any():
-            return label
-        a, b, la, lb = a[differ], b[differ], la[differ], lb[differ]
-        np.minimum.at(label, np.maximum(la, lb), np.minimum(la, lb))
-        while True:  # pointer jumping: every node to its root
-            jumped = label[label]
-            if np.array_equal(jumped, label):
-                break
-            label = jumped
 
 
 def _filled_nodes(lattice: Lattice, joints: Sequence[BorderJoint]) -> int:
@@ -123,4 +104,4 @@ def _count_pieces(lattice: Lattice, steps: Sequence[Step]) -> int:
         both = _together(kept, [(0, 0), step])
         other = np.roll(number, (-step[0], -step[1]), axis=(0, 1))
         pairs.append(np.stack([number[both], other[both]], axis=1))
-    return len(np.unique(connect(int(kept.sum()), np.concatenate(pairs))))
+    return len(np.unique(components(int(kept.sum()), np.concatenate(pairs))))

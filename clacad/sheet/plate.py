@@ -20,6 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from clacad.base.polygons import within
 from clacad.base.types import Bools, Floats
 from clacad.sheet.plate_edges import (
     Vertex,
@@ -33,7 +34,6 @@ from clacad.sheet.plate_edges import (
     keeps_off,
     loop_area,
     nearest_edges,
-    within_polygon,
 )
 
 CLEARANCE = 1e-3
@@ -168,7 +168,7 @@ class Plate:
     def _clear(self, polygon: Floats) -> bool:
         """Whether no edge has a point in a convex polygon (m, 2)."""
         return not bool(
-            (distances(self.edges, polygon) == 0.0).any() or within_polygon(polygon, self.edges[:, :2]).any()
+            (distances(self.edges, polygon) == 0.0).any() or within(polygon, *self.edges[:, :2].T).any()
         )
 
     def inside(self, points: Floats) -> Bools:

@@ -10,6 +10,7 @@ from math import atan, ceil, cos, hypot, pi, sin, sqrt, tan
 
 import numpy as np
 
+from clacad.base.polygons import within
 from clacad.base.types import Bools, Floats
 from clacad.sheet.edge_columns import CX, CY, RADIUS, SENSE, X0, X1, Y0, Y1
 
@@ -201,10 +202,7 @@ def keeps_off(edge: Floats, tile: Floats, centres: Floats, room: float) -> Bools
     gaps = polygon_gaps(edge, tile, centres)
     held = gaps >= room
     ends = edge[:2] - centres
-    within = np.ones(len(centres), dtype=bool)
-    for p, q in zip(tile, np.roll(tile, -1, axis=0), strict=True):
-        within &= (q[0] - p[0]) * (ends[:, 1] - p[1]) >= (q[1] - p[1]) * (ends[:, 0] - p[0])
-    return np.asarray(held & ~within)
+    return np.asarray(held & ~within(tile, ends[:, 0], ends[:, 1]))
 
 
 def polygon_gaps(edge: Floats, polygon: Floats, centres: Floats) -> Floats:
@@ -239,14 +237,6 @@ def _near_points(edge: Floats, way: Floats) -> Floats:
     a, b = ends
     left = (b[0] - a[0]) * (both[:, 1] - a[1]) > (b[1] - a[1]) * (both[:, 0] - a[0])
     return np.concatenate([ends, both[~left if edge[SENSE] > 0.0 else left]])
-
-
-def within_polygon(polygon: Floats, points: Floats) -> Bools:
-    """Which points (n, 2) lie in a convex, counter-clockwise polygon (m, 2)."""
-    found = np.ones(len(points), dtype=bool)
-    for p, q in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        found &= (q[0] - p[0]) * (points[:, 1] - p[1]) >= (q[1] - p[1]) * (points[:, 0] - p[0])
-    return found
 
 
 # -- many edges -------------------------------------------------------------------------------------

@@ -26,11 +26,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.arrays import distinct
+from clacad.base.polygons import clip, common_areas, polygon_area
 from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
-from clacad.sheet.lattice import Lattice, polygon_area, polygon_areas
+from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
@@ -141,7 +141,7 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     slopes = cells.slopes(directions)
     target = cells.zone + cells.neighbour(order)
     whole = polygon_area(cells.image)
-    common = _common_areas(cells.image, arrivals(cells, slopes), target)
+    common = common_areas(cells.image, arrivals(cells, slopes), target)
     return np.asarray(cells.part * common * _in_channels(cells, slopes) / whole)
 
 
@@ -197,7 +197,7 @@ def share_of_zone(cells: ThinCells, shift: Floats, ratio: Floats | None) -> Floa
     image, whole = cells.image, np.asarray(polygon_area(cells.image))
     if ratio is not None:
         image, whole = image * ratio[:, None, None], whole * ratio**2
-    return np.asarray(cells.part * _common_areas(image, shift, partner_zone(cells)) / whole)
+    return np.asarray(cells.part * common_areas(image, shift, partner_zone(cells)) / whole)
 
 
 def scale_of_image(cells: ThinCells, index: Ints) -> Floats | None:
@@ -376,56 +376,6 @@ def ghost_onset(cells: ThinCells) -> tuple[float, float]:
 
 def _half_width(polygon: Floats, axis: int) -> float:
     return 0.5 * float(np.ptp(polygon[:, axis]))
-
-
-def _common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
-    """Areas (k,), length², of the intersections of a convex polygon (m, 2), or one (k, m, 2) each, moved to
-    positions (k, 2), with another convex polygon.
-
-    Vectorised `clip` with identical bits: rows with fewer corners than others are padded.
-    """
-    corners = polygon + places[:, None]
-    count = np.full(len(places), polygon.shape[-2])
-    for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
-        slots = np.arange(corners.shape[1])
-        follower = np.where(slots + 1 < count[:, None], slots + 1, 0)
-        there = np.take_along_axis(corners, follower[..., None], axis=1)
-        edge = end - start
-        a = edge[0] * (corners[..., 1] - start[1]) - edge[1] * (corners[..., 0] - start[0])
-        b = np.take_along_axis(a, follower, axis=1)
-        real = slots < count[:, None]
-        crossed = real & ((a < 0.0) != (b < 0.0))
-        part = np.divide(a, a - b, out=np.zeros_like(a), where=crossed)
-        made = np.stack([corners, corners + (there - corners) * part[..., None]], axis=2)
-        kept = np.stack([real & (a >= 0.0), crossed], axis=2).reshape(len(places), 2 * len(slots))
-        count = kept.sum(axis=1)
-        order = np.argsort(~kept, axis=1, kind="stable")[:, : count.max(initial=0)]
-        corners = np.take_along_axis(made.reshape(len(places), -1, 2), order[..., None], axis=1)
-    areas = np.zeros(len(places))
-    for n in distinct(count[count > 2]):
-        here = count == n
-        areas[here] = polygon_areas(corners[here, :n])
-    return areas
-
-
-def clip(subject: Floats, window: Floats) -> Floats:
-    """Clip a convex polygon (m, 2), lengths, by another one,
-    both counter-clockwise (Sutherland and Hodgman).
-    """
-    for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
-        if len(subject) == 0:
-            break
-        edge = end - start
-        inside = edge[0] * (subject[:, 1] - start[1]) - edge[1] * (subject[:, 0] - start[0])
-        following, ahead = np.roll(subject, -1, axis=0), np.roll(inside, -1)
-        kept = []
-        for here, there, a, b in zip(subject, following, inside, ahead, strict=True):
-            if a >= 0.0:
-                kept.append(here)
-            if (a < 0.0) != (b < 0.0):
-                kept.append(here + (there - here) * (a / (a - b)))
-        subject = np.array(kept) if kept else np.empty((0, 2))
-    return subject
 
 
 def order_steps(lattice: Lattice, wavelength: float) -> Pair2:

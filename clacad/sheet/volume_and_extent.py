@@ -15,9 +15,10 @@ from math import inf, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import CellPlacement, LensPlaces
-from clacad.sheet.lattice import Circle, Lattice, Rectangle, polygon_area
+from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 
@@ -205,17 +206,13 @@ def _cell_integral(window: Window, height: Height, depth: int) -> Integral:
         m = len(tile)
         for k in range(m):  # trapezoids of flat land: any rule is exact; two triangles each
             a, b, c, d = zone[k], zone[(k + 1) % m], tile[(k + 1) % m], tile[k]
-            area = _triangle_area(a, d, c) + _triangle_area(a, c, b)
+            area = sum(abs(polygon_area(np.stack(three))) for three in ((a, d, c), (a, c, b)))
             middle = 0.25 * (a + b + c + d)
             value += area * float(height(middle[:1], middle[1:])[0])
     for region in regions:
         part = _adaptive(height, *region, depth)
         value, error = value + part.value, error + part.error
     return Integral(value, error)
-
-
-def _triangle_area(a: Floats, b: Floats, c: Floats) -> float:
-    return 0.5 * abs(float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
 
 
 def _parallelograms(polygon: Floats) -> list[tuple[Floats, Floats, Floats]]:

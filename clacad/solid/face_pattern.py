@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.polygons import within
 from clacad.base.types import Floats
 from clacad.topology.cannot_build import CannotBuild
 
@@ -197,7 +198,7 @@ def _closed_rim(zone: Floats, conic: Floats) -> tuple[Floats, Floats] | None:
     points = centre + np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ root.T
     dense = 2.0 * np.pi * np.arange(64) / 64
     around = centre + np.stack([np.cos(dense), np.sin(dense)], axis=-1) @ root.T
-    return (points, centre) if inside_convex(zone, around).all() else None
+    return (points, centre) if within(zone, around[:, 0], around[:, 1], open_rim=True).all() else None
 
 
 def _to_circle(conic: Floats) -> tuple[Floats, Floats] | tuple[None, None]:
@@ -213,13 +214,6 @@ def _to_circle(conic: Floats) -> tuple[Floats, Floats] | tuple[None, None]:
         return None, None
     lower = np.linalg.cholesky(form / level)
     return np.asarray(np.linalg.inv(lower).T), np.asarray(centre)
-
-
-def inside_convex(zone: Floats, points: Floats) -> NDArray[np.bool_]:
-    """Which points (n, 2) lie inside a convex polygon."""
-    edge = np.roll(zone, -1, axis=0) - zone
-    relative = points[:, None, :] - zone
-    return np.asarray((edge[:, 0] * relative[..., 1] - edge[:, 1] * relative[..., 0] > 0.0).all(axis=1))
 
 
 def _chains(zone: Floats, conic: Floats, proud: Proud, ends: list[tuple[int, float]]) -> list[Chain]:
@@ -272,7 +266,7 @@ def _arcs(zone: Floats, conic: Floats, points: Floats) -> list[tuple[int, int, F
         direction = np.stack([np.cos(inner), np.sin(inner), np.zeros_like(inner)], axis=-1)
         reach = -2.0 * (direction @ tangent) / np.einsum("ki,ij,kj->k", direction, form, direction)
         path = (local[0] + reach[:, None] * direction[:, :2]) @ root.T + centre
-        if inside_convex(zone, path).all():
+        if within(zone, path[:, 0], path[:, 1], open_rim=True).all():
             arcs.append((i, j, path))
     return arcs
 
@@ -286,7 +280,7 @@ def _straight_arcs(
         for j in range(i + 1, len(points)):
             middle = 0.5 * (points[i] + points[j])
             on_conic = abs(float(np.append(middle, 1.0) @ conic @ np.append(middle, 1.0))) < 1e-9
-            if on_conic and inside_convex(zone, middle[None] * scale).all():
+            if on_conic and within(zone, middle[0] * scale, middle[1] * scale, open_rim=True):
                 arcs.append((i, j, middle[None] * scale))
     return arcs
 

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.polygons import within
 from clacad.base.roots import sign_changes
 from clacad.base.types import Floats
 from clacad.sheet.window import Face, lens_height_and_normal
-from clacad.solid.face_pattern import SNAP, Kind, Pattern, Proud, inside_convex
+from clacad.solid.face_pattern import SNAP, Kind, Pattern, Proud
 from clacad.solid.rational_conics import Arc, bernstein
 from clacad.solid.regions import cut_pattern
 from clacad.topology.build_complex import trace_zero
@@ -178,7 +179,7 @@ def _hidden(gap: Gap, zone: Floats, pattern: Pattern) -> bool:
     for _ in range(8):
         step = np.linspace(-1.0, 1.0, 17)
         x, y = (grid.ravel() for grid in np.meshgrid(middle[0] + half[0] * step, middle[1] + half[1] * step))
-        value = np.where(inside_convex(zone, np.column_stack([x, y])), gap.value(x, y), np.nan)
+        value = np.where(within(zone, x, y, open_rim=True), gap.value(x, y), np.nan)
         if np.isnan(value).all():
             break
         best = int(np.nanargmax(value))

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats
-from clacad.sheet.lattice import polygon_area
 from clacad.solid.edge_classes import Cylinder, Plane
 from clacad.solid.face_pattern import encloses
 from clacad.solid.node_sectors import Touch

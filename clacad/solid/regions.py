@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats
-from clacad.sheet.lattice import polygon_area
 from clacad.solid.face_pattern import (
     SNAP,
     Chain,

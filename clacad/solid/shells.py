@@ -14,6 +14,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from clacad.base.arrays import Groups
 from clacad.base.types import Floats
 from clacad.solid.edge_classes import Levels, SegmentClass, Surface, WallEnd
 from clacad.solid.rational_conics import Arc, RationalPatch, line
@@ -136,31 +137,29 @@ class Shells:
         self.counts = ShellCounts()
         self.faces: dict[int, list[int]] = defaultdict(list)
         self.flat: dict[tuple[str, int], list[FlatEdge]] = defaultdict(list)
-        self._parent: list[int] = []
+        self._owners = 0
+        self._joined: Groups[int] = Groups()
         self._verticals: dict[float, Arc] = {}
 
     # -- connected columns ------------------------------------------------------------------------
 
     def owner(self) -> int:
         """Register a column; its number identifies its faces."""
-        self._parent.append(len(self._parent))
-        return len(self._parent) - 1
+        self._owners += 1
+        return self._owners - 1
 
     def join(self, a: int, b: int) -> None:
         """Record that two columns share material."""
-        self._parent[self.root(a)] = self.root(b)
+        self._joined.join(a, b)
 
     def root(self, a: int) -> int:
         """The representative of everything connected with column a."""
-        while self._parent[a] != a:
-            self._parent[a] = self._parent[self._parent[a]]
-            a = self._parent[a]
-        return a
+        return self._joined.of(a)
 
     def pieces(self) -> list[list[int]]:
         """Face numbers of every connected piece, in the order of their first column."""
         pieces: dict[int, list[int]] = {}
-        for owner in range(len(self._parent)):
+        for owner in range(self._owners):
             if owner in self.faces:
                 pieces.setdefault(self.root(owner), []).extend(self.faces[owner])
         if self._edges is None:
@@ -291,20 +290,14 @@ class Shells:
 
 def _parts_by_edges(faces: list[int], edges: dict[int, list[int]]) -> list[list[int]]:
     """Split faces into those connected by edges (land in several strips has one owner); `edges` of each."""
-    label = {face: face for face in faces}
-
-    def root(face: int) -> int:
-        while label[face] != face:
-            face = label[face]
-        return face
-
+    joined: Groups[int] = Groups()
     first: dict[int, int] = {}
     for face in faces:
         for edge in edges[face]:
-            label[root(first.setdefault(edge, face))] = root(face)
+            joined.join(first.setdefault(edge, face), face)
     parts: dict[int, list[int]] = {}
     for face in faces:
-        parts.setdefault(root(face), []).append(face)
+        parts.setdefault(joined.of(face), []).append(face)
     return list(parts.values())
 
 

@@ -18,6 +18,7 @@ from math import ceil, hypot, inf, isfinite
 
 import numpy as np
 
+from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats
 from clacad.storage.errors import LimitRefused
 from clacad.waves.far_field import Complex
@@ -283,15 +284,9 @@ def coverage(stop: Floats, grid: Grid) -> Floats:
         return np.asarray(np.clip(within / step, 0.0, 1.0))
     # depth inside each border, in points: exact but at corners, where up to half of the last point is
     # uncertain
-    corners = stop if _turns_left(stop) else stop[::-1]
+    corners = stop if polygon_area(stop) > 0.0 else stop[::-1]
     found = np.ones((grid.points, grid.points))
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         inwards = ((x1 - x0) * (x - y0)[None, :] - (y1 - y0) * (x - x0)[:, None]) / hypot(x1 - x0, y1 - y0)
         np.minimum(found, np.clip(inwards / step + 0.5, 0.0, 1.0), out=found)
     return found
-
-
-def _turns_left(corners: Floats) -> bool:
-    """Whether a convex polygon runs counter-clockwise."""
-    x, y = corners.T
-    return bool(x @ np.roll(y, -1) > y @ np.roll(x, -1))

@@ -19,14 +19,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.polygons import clip, polygon_area
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.asked_focus import asked_power
-from clacad.sheet.lattice import polygon_area
 from clacad.sheet.vignetting import (
     ThinCells,
     aperture_slope,
-    clip,
     focal_ratio,
     fresnel_numbers,
     half_field,
@@ -166,7 +165,7 @@ class LitSheet:
     @property
     def share(self) -> float:
         """Share of the light on lens 1's optical zone that reaches the partner, by rays and ideal lenses."""
-        return area(self.lit) / area(self.cells.image) if len(self.lit) else 0.0
+        return abs(polygon_area(self.lit) / polygon_area(self.cells.image))
 
     @cached_property
     def lit(self) -> Floats:
@@ -235,11 +234,6 @@ def situation(
             f" and {y} mrad off its middle along lens x and y"
         )
     return found
-
-
-def area(corners: Floats) -> float:
-    """Area of a polygon (m, 2), length²."""
-    return abs(float(polygon_area(corners)))
 
 
 SECONDS = 0.15

@@ -18,7 +18,7 @@ from clacad.cli.tables import checks_text
 from clacad.design import load
 from clacad.prescription.prescribe import prescribe
 from clacad.report.content import row
-from clacad.report.fabrication import FabricationLine
+from clacad.report.rows import FabricationLine
 from clacad.sheet.feasibility import describe, feasibility
 from clacad.verification.design_rules import design_checks
 from clacad.verification.light.law_checks import confocality_check

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clacad.base.arrays import doubled_normals, lengths, middles, unique_rows
+from clacad.base.arrays import unique_rows
+from clacad.base.vectors import doubled_normals, lengths, middles
 
 
 def corners(count: int) -> np.ndarray:

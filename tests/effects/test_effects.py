@@ -16,6 +16,7 @@ import pytest
 from often import often
 
 from clacad import Design, load, prescribe
+from clacad.base.polygons import clip
 from clacad.base.sobol import sobol
 from clacad.effects import Setting, light_reaching_camera, trace_with
 from clacad.effects.engine.block import inside_plate
@@ -35,7 +36,6 @@ from clacad.optics.surface.fresnel_coefficients import (
     transmission,
 )
 from clacad.sheet.cell_places import CellPlacement
-from clacad.sheet.vignetting import clip
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")

@@ -148,7 +148,7 @@ def test_lenslets_that_a_pixel_resolves_are_traced():
 
 def test_daylight_lines_of_plan_and_picture_are_the_same():
     from clacad.effects.dispersion import LINES
-    from clacad.rendering.spectrum import DAYLIGHT_NM, RGB_LINES
+    from clacad.rendering.camera import DAYLIGHT_NM, RGB_LINES
 
     assert LINES["rgb"] == RGB_LINES
     assert LINES["D65"] == pytest.approx([1e-9 * nm for nm in DAYLIGHT_NM], rel=1e-15)

@@ -13,7 +13,7 @@ import clacad
 from clacad.cli import main
 from clacad.effects import registry
 from clacad.effects.registry import NAMES, declared
-from clacad.explain.named_things import named_things
+from clacad.explain.look_up import named_things
 
 PACKAGE = Path(clacad.__file__).parent
 DESIGNS = PACKAGE.parent / "designs"

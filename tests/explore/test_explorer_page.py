@@ -13,8 +13,8 @@ from explorerpage import NOWHERE, QUANTUM, STATE, Page
 
 import clacad
 from clacad.design import Design
-from clacad.explorer.first_verdict import first_verdict, share_from_eye
 from clacad.explorer.page_facts import PRESETS, places
+from clacad.explorer.write_page import first_verdict, share_from_eye
 from clacad.optics.rays import Fate
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.vignetting import ghost_onset, half_field, thin_cells

@@ -38,9 +38,9 @@ OTHER_MEANINGS = {
     "baffle": {"design/combinations.py", "explorer/page_facts.py", "explain/glossary.py",
                "exporting/fixtures/baffle.py"},  # the key body.baffle, the name of the part
     "cell-table": {"design/cell_table.py", "design/number_rows.py", "exporting/run.py",
-                   "report/view_through_sheet.py"},  # the reader of a design's table
+                   "report/pictures.py"},  # the reader of a design's table
     "drawing": {"explain/glossary.py", "sheet/representative_cells.py"},  # a word of the glossary, a purpose of cells
-    "frame": {"exporting/fixtures/frame.py", "rendering/photograph_view.py", "report/view_through_sheet.py",
+    "frame": {"exporting/fixtures/frame.py", "rendering/photograph_view.py", "report/pictures.py",
               "scene/keys.py"},  # the key camera.frame, the name of the part
     "height-calibration": {"exporting/formats/records.py"},  # written by the formats of two modules
     "pins": {"design/model.py"},  # the key body.pins
@@ -48,7 +48,7 @@ OTHER_MEANINGS = {
             "imaging/image_by_rays.py", "report/pdf.py", "verification/accuracy/accuracy_plot.py",
             "judging/deviation_map.py", "verification/tolerance/study_files.py",
             "waves/wave_report.py"},  # pictures for people
-    "sag": {"advice/trade_offs.py", "explain/glossary.py", "explain/named_things.py", "optics/surface/__init__.py",
+    "sag": {"advice/trade_offs.py", "explain/glossary.py", "explain/look_up.py", "optics/surface/__init__.py",
             "sheet/feasibility/as_rows.py", "checks/design_kinds.py",
             "verification/stability/measure_cases.py",
             "verification/tolerance/parameter_sweep.py"},  # the height of a lens, its check and its limit

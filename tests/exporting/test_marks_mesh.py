@@ -13,6 +13,7 @@ import pytest
 from slicing import assert_nothing_repaired, slicer_for
 
 import clacad
+from clacad.base.polygons import polygon_area
 from clacad.cli import main
 from clacad.exporting.fixtures import NoFixture, engraved_mesh, engravings, mark_place, marked_solids
 from clacad.exporting.fixtures.engraving import CHORD, Engraving, polygons
@@ -24,7 +25,6 @@ from clacad.judging.delivery import Inspection, find_files
 from clacad.judging.judge_part import judge_placed
 from clacad.judging.registration import place
 from clacad.mesh import check_closed
-from clacad.sheet.lattice import polygon_area
 from clacad.solid.marks import line_sketch, pockets
 from clacad.storage.errors import NotPossible
 from clacad.verification import verify

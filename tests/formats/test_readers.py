@@ -20,8 +20,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from noworker import without_worker
 
+from clacad.base.arrays import welded
 from clacad.formats.mesh import threemf
-from clacad.formats.mesh.closed_stream import crowded_edges, edge_times, measure, welded
+from clacad.formats.mesh.closed_stream import crowded_edges, edge_times, measure
 from clacad.formats.mesh.glb import write_glb
 from clacad.formats.mesh.ply import read_ply, write_ply
 from clacad.formats.mesh.readers import read_mesh

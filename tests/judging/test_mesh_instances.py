@@ -13,12 +13,12 @@ import pytest
 from oracle.plain_mesh import sheet_facets, write_stl
 from trust.spoiling import document_of, glb, model_changed
 
+from clacad.base.arrays import welded
 from clacad.design import Design
 from clacad.exporting.run import export
 from clacad.exporting.tessellations import Meshes
 from clacad.formats.mesh import stl as stl_format
 from clacad.formats.mesh import threemf
-from clacad.formats.mesh.closed_stream import welded
 from clacad.formats.mesh.compare_instances import standing
 from clacad.formats.mesh.compare_triangles import compare_mesh
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, put

@@ -11,7 +11,7 @@ from sheet.test_cells_of_own_eta import WIDELY, design
 
 import clacad
 from clacad.exporting.step_record import write
-from clacad.report.fabrication import fabrication
+from clacad.report.rows import fabrication
 
 STEEP = 0.006
 """Slope of the light sent through each cell, either way."""

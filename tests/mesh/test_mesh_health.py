@@ -88,13 +88,6 @@ def test_passes_over_partitions_find_the_same(corners, broken, monkeypatch):
         assert parts.pieces == (whole.pieces if pieces else None)
 
 
-@pytest.mark.slow
-def test_the_compiled_union_counts_the_same_pieces(corners, monkeypatch):
-    many = np.concatenate([corners + np.array([n, 0, 0], dtype=np.float32) for n in range(5)])
-    monkeypatch.setattr(health, "_FEW", 10)
-    assert check_closed(many).pieces == 5
-
-
 def test_shared_vertices_are_examined_like_plain_corners(corners):
     vertices, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     assert check_closed((vertices, number.reshape(-1, 3))).closed

@@ -18,7 +18,6 @@ from viewscenes import ROOT
 from clacad.paper import paper_figures
 from clacad.paper.figure1 import MeasuredLenses, quadrics, section_findings, solid_findings
 from clacad.paper.figure1_section import section_svg
-from clacad.paper.finding import AtlasFinding
 from clacad.paper.make_atlas import (
     Atlas,
     AtlasRequest,
@@ -29,6 +28,7 @@ from clacad.paper.make_atlas import (
     parameters,
     prepare,
 )
+from clacad.paper.paper_figures import AtlasFinding
 from clacad.paper.sheet_figures import FIELD_LENS, ghosts_marked
 from clacad.rendering.picture_files import label_lines, labelled
 from clacad.scene import SceneError, load_scene
@@ -275,7 +275,8 @@ def test_a_design_s_name_is_text_in_the_section():
 
 
 def test_a_long_atlas_says_first_how_long_it_takes(tmp_path, monkeypatch, capsys):
-    from clacad.cli.atlas_command import MakeAtlas, run
+    from clacad.cli.accuracy_command import MakeAtlas
+    from clacad.cli.accuracy_command import run_atlas as run
     from clacad.cli.console import Console
     from clacad.paper import make_atlas as atlas
 

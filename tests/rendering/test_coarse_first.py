@@ -12,12 +12,12 @@ from PIL import Image
 from clacad.base.machine_rates import Span
 from clacad.cli import main
 from clacad.prescription.prescribe import prescribe
-from clacad.rendering import coarse_first
+from clacad.rendering import picture_cost
 from clacad.rendering.camera import aim
-from clacad.rendering.coarse_first import BLOCK, BROAD, CoarseView, _broad, _spread, enlarge, view_coarsely
 from clacad.rendering.photograph_view import EyeRequest, eye_scene
 from clacad.rendering.picture import Picture, view_through
-from clacad.rendering.picture_cost import _again
+from clacad.rendering.picture_cost import BROAD, CoarseView, _again, _broad, _spread, enlarge, view_coarsely
+from clacad.rendering.picture_cost import PIXELS_A_BLOCK as BLOCK
 from clacad.rendering.sheet_passage import plan_passage
 from clacad.rendering.view import set_up
 
@@ -78,7 +78,7 @@ def test_the_fine_picture_adds_the_difference_of_the_coarse_ones(photo, monkeypa
             np.stack([light] * 3, -1), np.full((height, width), 16), 0 * light, still, passage, window
         )
 
-    monkeypatch.setattr(coarse_first, "view_through", drawn)
+    monkeypatch.setattr(picture_cost, "view_through", drawn)
     fine = view_coarsely(scene, full).refined().light
     y, x = (np.mgrid[:96, :96] + 0.5) / 96
     stripes = np.where(x * 96 % 2 < 1, 0.3, 0.5)
@@ -122,7 +122,7 @@ def test_the_coarse_picture_is_there_before_the_fine_one_is_drawn(photo, tmp_pat
     assert "is coarse as yet" in said
     assert "this takes " in said  # the forecast
     # what may not be replaced, or cannot be written, is refused before anything is drawn
-    monkeypatch.setattr(import_module("clacad.rendering.coarse_first"), "view_coarsely", None)
+    monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "view_coarsely", None)
     assert main(asked) == 4
     assert "eye.png exists" in capsys.readouterr().err
     asked[asked.index("-o") + 1] = str(photo / "eye.png")
@@ -186,7 +186,7 @@ def test_a_scene_whose_kernels_must_be_compiled_is_there_coarsely_first(
             seen["coarse"], seen["size"] = coarse.text["clacad:coarse"], coarse.size
         return Span(5.0, 9.0)
 
-    monkeypatch.setattr(coarse_first, "must_compile", lambda *_: True)
+    monkeypatch.setattr(picture_cost, "must_compile", lambda *_: True)
     monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "picture_seconds", forecast)
     assert main(words) == 4  # nothing is drawn over what stands there
     assert main([*words, "--overwrite"]) == 0
@@ -218,7 +218,7 @@ def test_a_movie_whose_kernels_must_be_compiled_is_its_first_frame_before(
             seen["colours"] = len(np.unique(found, axis=0))
         return Span(5.0, 9.0)
 
-    monkeypatch.setattr(coarse_first, "must_compile", lambda *given: asked.append(given[2:]) or True)
+    monkeypatch.setattr(picture_cost, "must_compile", lambda *given: asked.append(given[2:]) or True)
     monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "picture_seconds", forecast)
     assert main(words) == 4  # nothing is drawn over what stands there
     assert film.read_bytes() == whole
@@ -237,7 +237,7 @@ def test_a_movie_whose_kernels_must_be_compiled_is_its_first_frame_before(
 def test_kernels_are_asked_for_by_the_types_that_they_are_called_with(rung, scene_file, monkeypatch):
     from clacad.base import kernel_cache
     from clacad.rendering.compiled import pixels
-    from clacad.rendering.pixel_input import kernels_are_kept
+    from clacad.rendering.view import kernels_are_kept
     from clacad.scene import load_scene
     from clacad.tracing.compiled import surfaces as kept_kernels
 
@@ -264,4 +264,4 @@ def test_a_small_picture_needs_no_kernel(scene_file):
     from clacad.scene import load_scene
 
     scene = load_scene(scene_file)
-    assert not coarse_first.must_compile(scene, plan_passage(scene, prescribe(scene.design())))
+    assert not picture_cost.must_compile(scene, plan_passage(scene, prescribe(scene.design())))

@@ -30,8 +30,8 @@ from clacad.rendering.picture_files import (
     write_movie,
     write_picture,
 )
-from clacad.rendering.reference.scene_hits import look, nearest
 from clacad.rendering.scene_arrays import set_stage
+from clacad.rendering.scene_hits import look, nearest
 from clacad.rendering.screen_measure import measure
 from clacad.rendering.sheet_passage import geometry_alone
 from clacad.scene import Scene, SceneError
@@ -329,7 +329,7 @@ def test_more_samples_come_nearer_to_the_mean():
 
 
 def test_three_lines_of_a_material_without_dispersion_give_the_plain_picture():
-    from clacad.rendering.spectrum import lines
+    from clacad.rendering.camera import lines
 
     window = view_through(scene()).window
     for spectrum in ("rgb", "D65", 550e-9):
@@ -341,7 +341,7 @@ def test_three_lines_of_a_material_without_dispersion_give_the_plain_picture():
 @pytest.mark.parametrize("spectrum", ["rgb", "D65"])
 def test_colours_come_back_through_the_spectrum(spectrum):
     from clacad.prescription.prescribe import prescribe
-    from clacad.rendering.spectrum import lines
+    from clacad.rendering.camera import lines
 
     glass = scene(sheet={"set": {"pair.material": "PMMA"}, "design": "designs/window-100mm.toml"})
     design = glass.design() if "pair.index" not in glass.design().given else glass.design()

@@ -22,8 +22,8 @@ from clacad.prescription.prescribe import prescribe
 from clacad.report import content as contents
 from clacad.report import write_report
 from clacad.report.content import content
+from clacad.report.pictures import seen_by_viewer
 from clacad.report.report_files import Section, is_report, number
-from clacad.report.view_through_sheet import seen_by_viewer
 from clacad.verification import verify
 
 TEXT = {

@@ -16,9 +16,9 @@ from clacad.exporting.drawing.body_outlines import across_cell, heights, outline
 from clacad.exporting.drawing.notes import orientation
 from clacad.mesh import tessellate
 from clacad.prescription.prescribe import prescribe
-from clacad.report import drawing
-from clacad.report.fabrication import fabrication
-from clacad.report.parts_in_3d import packed, parts, picture
+from clacad.report.content import assembly, lens_detail, plan, telescopelet
+from clacad.report.pictures import packed, parts, picture
+from clacad.report.rows import fabrication
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.verification.evidence import foci
@@ -195,12 +195,12 @@ def test_the_numbers_of_the_drawings_are_those_of_the_part(made):
     window = made.window
     x0, x1, y0, y1 = whole_extent(window)
     low, high = window.z_range
-    said = words(drawing.assembly(made.window))
+    said = words(assembly(made.window))
     assert {f"{x1 - x0:.5g}", f"{high - low:.5g}"} <= set(said)
-    assert {f"{x1 - x0:.5g}", f"{y1 - y0:.5g}"} <= set(words(drawing.plan(made.window)))
-    assert "0.5" in words(drawing.telescopelet(made))
+    assert {f"{x1 - x0:.5g}", f"{y1 - y0:.5g}"} <= set(words(plan(made.window)))
+    assert "0.5" in words(telescopelet(made))
     for array, lens in enumerate(made.facts.lenses):
-        text = " ".join(words(drawing.lens_detail(made, array)))
+        text = " ".join(words(lens_detail(made, array)))
         assert f"{lens.radius[0]:.5g}, {lens.radius[1]:.5g}" in text
         assert f"sag {lens.sag:.5g}" in text
 
@@ -208,7 +208,7 @@ def test_the_numbers_of_the_drawings_are_those_of_the_part(made):
 def test_drawings_are_to_scale(made):
     """Width over height of the drawn body is that of the part."""
     window = made.window
-    svg = drawing.assembly(made.window)
+    svg = assembly(made.window)
     points = [np.array([[float(v) for v in p.split(",")] for p in s.split()])
               for s in re.findall(r'<polygon class="(?:body|cut)" points="([^"]+)"', svg)]  # fmt: skip
     drawn = np.ptp(np.concatenate(points), axis=0)
@@ -318,7 +318,7 @@ def test_the_picture_shows_every_body(made):
 
 
 def test_a_round_sheet_has_the_area_of_its_circle():
-    from clacad.report.fabrication import fabrication_dict
+    from clacad.report.rows import fabrication_dict
 
     design = Design.from_dict({**TEXT, "lattice": {"pitch": 0.5, "count": 8, "outline": {"circle": 4.0}}})
     window = prescribe(design)

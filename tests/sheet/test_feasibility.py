@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import clacad
+from clacad.base.arrays import components
+from clacad.base.polygons import clip
 from clacad.base.sobol import sobol
 from clacad.design import Design
 from clacad.optics.rays import Fate, Rays
@@ -18,8 +20,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import describe, feasibility
 from clacad.sheet.feasibility.convex_extremes import least, share_covered
 from clacad.sheet.feasibility.pitch_for_eye import viewing
-from clacad.sheet.pieces_and_holes import connect
-from clacad.sheet.vignetting import clip, ghost_step, share, thin_cells
+from clacad.sheet.vignetting import ghost_step, share, thin_cells
 from clacad.sheet.window import column
 from clacad.tracing.trace import trace
 
@@ -117,7 +118,7 @@ def flood(filled):
                 )
             ]
         edges = np.concatenate(pairs, axis=1).T
-        return len(np.unique(connect(mask.size, edges))) - int((~mask).sum())
+        return len(np.unique(components(mask.size, edges))) - int((~mask).sum())
 
     padded = np.pad(filled, 1)
     return regions(padded), regions(~padded) - 1

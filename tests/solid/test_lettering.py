@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 from build123d import FontStyle, Text
 
+from clacad.base.polygons import polygon_area
 from clacad.exporting.fixtures.engraving import polygons
-from clacad.sheet.lattice import polygon_area
 from clacad.solid.marks import lettering
 
 TEXT = "B8 i= 0.98 ,+"

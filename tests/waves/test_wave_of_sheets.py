@@ -11,7 +11,7 @@ import pytest
 
 import clacad
 from clacad.cli import main
-from clacad.cli.wave_command import wave_text
+from clacad.cli.trace_command import wave_text
 from clacad.sheet.bundle import bundle
 from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.tracing.worst_cell import worst_cell

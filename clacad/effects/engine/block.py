@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Rung, Words
+from clacad.base.hashing import GOLDEN, mixed
+from clacad.base.types import Bools, Floats, Rung
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Body, Window
 
@@ -204,10 +205,6 @@ def traced_of(block: RayBlock) -> Traced:
     return Traced(rays.position, rays.direction, *kept, block.indices)
 
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_MIX_A, _MIX_B = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-
-
 def uniform(rays: Rays, count: int, seed: int, salt: int) -> Floats:
     """Numbers in (0, 1), `count` columns per ray.
 
@@ -227,13 +224,13 @@ def uniform(rays: Rays, count: int, seed: int, salt: int) -> Floats:
     SplitMix64 (Steele, Lea and Flood, OOPSLA 2014) as a hash; 53 bits and half a step, never 0 or 1.
     """
     columns = (*rays.position.T, *rays.direction.T)
-    word = _mixed(np.arange(len(rays), dtype=np.uint64) * _GOLDEN + np.uint64(seed))
+    word = mixed(np.arange(len(rays), dtype=np.uint64) * np.uint64(GOLDEN) + np.uint64(seed))
     for column in columns:
-        word = _mixed(word ^ np.ascontiguousarray(column).view(np.uint64))
+        word = mixed(word ^ np.ascontiguousarray(column).view(np.uint64))
     out = np.empty((len(rays), count))
     for k in range(count):
-        step = np.uint64((97 * salt + k + 1) * int(_GOLDEN) % 2**64)
-        bits = _mixed(word + step) >> np.uint64(11)
+        step = np.uint64((97 * salt + k + 1) * GOLDEN % 2**64)
+        bits = mixed(word + step) >> np.uint64(11)
         out[:, k] = (bits.astype(np.float64) + 0.5) * 2.0**-53
     return out
 
@@ -251,11 +248,3 @@ def disc(rays: Rays, seed: int, salt: int) -> Floats:
     u = uniform(rays, 2, seed, salt)
     radius, angle = np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-
-
-def _mixed(word: Words) -> Words:
-    """SplitMix64's finaliser: every bit of the result depends on every bit of the word."""
-    with np.errstate(over="ignore"):
-        word = (word ^ (word >> np.uint64(30))) * _MIX_A
-        word = (word ^ (word >> np.uint64(27))) * _MIX_B
-        return np.asarray(word ^ (word >> np.uint64(31)), dtype=np.uint64)

@@ -15,9 +15,9 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats, Ints, Rows
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.sheet.lattice import polygon_area
 from clacad.sheet.vignetting import (
     ThinCells,
     arrivals,

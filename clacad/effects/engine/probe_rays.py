@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
-from clacad.base.types import Floats, Ints, Rung
+from clacad.base.types import Ints, Rung
+from clacad.base.vectors import picture_axes
 from clacad.effects.dispersion import LINES
 from clacad.effects.engine.effect import PROBE, Setting, Situation
+from clacad.light.compare import rms_between
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import aperture_slope, aperture_slopes, focal_ratio, thin_cells
@@ -23,7 +25,7 @@ from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.scene import Camera, Scene, SceneObject
+    from clacad.scene import Scene, SceneObject
 
 
 FINEST = 0.15e-3
@@ -124,7 +126,7 @@ def situation_of_scene(
     scale = scene.unit_m / window.unit
     camera, effects = scene.camera, scene.effects
     distance = float(np.linalg.norm(np.array(camera.target) - np.array(camera.position)))
-    pixel = picture_width(camera, distance) / camera.pixels[0] / distance
+    pixel = camera.width_at(distance) / camera.pixels[0] / distance
     contrast, front = brightness(scene)
     near, far = depths(scene)
     return Situation(
@@ -164,27 +166,15 @@ def scene_setting(scene: Scene, design: Design, scale: float) -> Setting:
     )
 
 
-def picture_width(camera: Camera, distance: float) -> float:
-    """Width of the picture at the target, scene lengths."""
-    if camera.frame is not None:
-        return camera.frame
-    assert camera.fov is not None  # the scene's rules require one of the two
-    return 2.0 * distance * tan(0.5 * camera.fov)
-
-
 def camera_rays(scene: Scene, window: Window, count: int = PROBE) -> Rays:
     """Rays of the camera that cross the sheet's plane inside its box, window units; at most `count`."""
     camera = scene.camera
     position, target = np.array(camera.position), np.array(camera.target)
-    ahead = target - position
-    distance = float(np.linalg.norm(ahead))
-    right = np.cross(ahead / distance, np.array(camera.up))
-    right /= np.linalg.norm(right)
-    down = np.cross(ahead / distance, right)
-    width = picture_width(camera, distance)
+    distance, right, up = picture_axes(position, target, np.array(camera.up))
+    width = camera.width_at(distance)
     height = width * camera.pixels[1] / camera.pixels[0]
     u = sobol(8 * count, 2) - 0.5
-    direction = ahead + width * u[:, :1] * right + height * u[:, 1:] * down
+    direction = (target - position) + width * u[:, :1] * right - height * u[:, 1:] * up
     start = position * (scene.unit_m / window.unit)
     with np.errstate(divide="ignore", invalid="ignore"):
         at = start[:2] - (start[2] / direction[:, 2:]) * direction[:, :2]
@@ -322,12 +312,4 @@ def compared(situation: Situation, rung: Rung) -> tuple[float, float]:
     result = trace(situation.window, situation.rays, rung, path="size")
     both = (truth.fate == Fate.ALIVE) & (result.fate == Fate.ALIVE)
     disagree = float(np.mean(truth.fate != result.fate))
-    return rms_angle(truth.direction[both], result.direction[both]), disagree
-
-
-def rms_angle(a: Floats, b: Floats) -> float:
-    """Root mean square angle between unit directions (n, 3), small angles; 0 for none."""
-    if not len(a):
-        return 0.0
-    across = np.cross(a, b)
-    return float(np.sqrt(np.mean((across * across).sum(axis=1))))
+    return rms_between(truth.direction, result.direction, both) if both.any() else 0.0, disagree

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.even_orders import POWER
-from clacad.base.units import millimetres
+from clacad.base.units import POWER, millimetres
 from clacad.design.limits import TolerancesSpec
 from clacad.exporting.drawing.canvas import CHARACTER, Canvas
 from clacad.exporting.drawing.notes import Allowances, orientation

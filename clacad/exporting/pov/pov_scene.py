@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.vectors import picture_axes
 from clacad.exporting.pov.pov_cells import NotForPov, colour, matrix, number, vector
 from clacad.exporting.pov.pov_solids import refuse, sheet_lines
 from clacad.scene import chess_knight
@@ -112,15 +113,8 @@ def _camera(camera: Camera) -> str:
     """The camera by its own vectors: right = look × up, or its opposite in a mirrored view."""
     position, target = np.array(camera.position), np.array(camera.target)
     look = target - position
-    ahead = look / np.linalg.norm(look)
-    right = np.cross(ahead, np.array(camera.up))
-    right /= np.linalg.norm(right)
-    up = np.cross(right, ahead)
-    if camera.frame is not None:
-        across = camera.frame
-    else:
-        assert camera.fov is not None  # the scene's rules require one of the two
-        across = 2.0 * float(np.linalg.norm(look)) * math.tan(0.5 * camera.fov)
+    distance, right, up = picture_axes(position, target, np.array(camera.up))
+    across = camera.width_at(distance)
     width, height = camera.pixels
     sign = -1.0 if camera.mirror else 1.0
     return (

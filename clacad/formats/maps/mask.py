@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.polygons import distance_to_rim
 from clacad.base.types import Floats
 from clacad.sheet.edge_columns import RADIUS, SENSE, X0, X1, Y0, Y1
 from clacad.sheet.lattice import Circle
@@ -57,13 +58,13 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
         return np.empty((0, 2))
     angle = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
     ray = np.column_stack([np.cos(angle), np.sin(angle)])
-    low, high = np.zeros(len(ray)), _to_border(zone, start, ray)
+    low, high = np.zeros(len(ray)), distance_to_rim(zone, start, ray)
     whole = _proud(window, body, face, start + high[:, None] * ray * (1 - 1e-9))
     for _ in range(50):
         middle = 0.5 * (low + high)
         proud = _proud(window, body, face, start + middle[:, None] * ray)
         low, high = np.where(proud, middle, low), np.where(proud, high, middle)
-    reach = np.where(whole, _to_border(zone, start, ray), low)
+    reach = np.where(whole, distance_to_rim(zone, start, ray), low)
     return np.asarray(start + reach[:, None] * ray)
 
 
@@ -114,7 +115,7 @@ def _inside_point(window: Window, body: Body, face: Face, zone: Floats) -> Float
     v = np.linspace(zone[:, 1].min(), zone[:, 1].max(), 65)
     x, y = np.meshgrid(u, v)
     points = np.column_stack([x.ravel(), y.ravel()])
-    points = points[_to_border(zone, np.zeros(2), _unit(points)) > np.linalg.norm(points, axis=1)]
+    points = points[distance_to_rim(zone, np.zeros(2), _unit(points)) > np.linalg.norm(points, axis=1)]
     proud = points[_proud(window, body, face, points)]
     if not len(proud):
         return None
@@ -124,17 +125,6 @@ def _inside_point(window: Window, body: Body, face: Face, zone: Floats) -> Float
 def _unit(v: Floats) -> Floats:
     length = np.linalg.norm(v, axis=1, keepdims=True)
     return np.asarray(np.where(length > 0.0, v / np.where(length > 0.0, length, 1.0), np.array([1.0, 0.0])))
-
-
-def _to_border(polygon: Floats, start: Floats, ray: Floats) -> Floats:
-    """Distance from `start` along unit rays (n, 2) to the border of a convex polygon, (n,)."""
-    reach = np.full(len(ray), np.inf)
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0)):
-        outward = np.array([b[1] - a[1], a[0] - b[0]])
-        rate = ray @ outward
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(rate > 0.0, np.minimum(reach, ((a - start) @ outward) / rate), reach)
-    return reach
 
 
 # -- SVG and DXF -----------------------------------------------------------------------------------

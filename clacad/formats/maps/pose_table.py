@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from clacad.base.even_orders import POWER
 from clacad.base.types import Ints
+from clacad.base.units import POWER
 from clacad.formats.maps.sag import structured_faces
+from clacad.optics.law.orientation import rotation_degrees
 from clacad.optics.surface import EvenPolynomial
 from clacad.sheet.window import Face, Window, lens_height
 from clacad.storage.atomic import canonical_json
@@ -254,8 +255,8 @@ def _check_pose(
     x, y = np.array([0.0, reach, -reach, 0.4 * reach]), np.array([0.0, reach, 0.5 * reach, -reach])
     z = lens_height(window.in_cell(face, index), x, y)
     points = np.column_stack([x + centre[0], y + centre[1], z])[np.isfinite(z)] * scale
-    a, b, c = (np.radians(float(row[f"{k}_deg"])) for k in ("phi", "theta", "psi"))
-    local = (points - apex) @ (_turn_z(c) @ _turn_x(b) @ _turn_z(a)) / float(row.get("size") or 1.0)
+    turn = rotation_degrees(float(row["phi_deg"]), float(row["theta_deg"]), float(row["psi_deg"]))
+    local = (points - apex) @ turn / float(row.get("size") or 1.0)
     left = _equation(entry, local)
     if not len(points) or np.abs(left).max() > 1e-13 * max(float(np.abs(points).max()), reach * scale):
         raise FileDisagrees(
@@ -277,11 +278,3 @@ def _equation(entry: dict[str, Any], p: np.ndarray[Any, Any]) -> np.ndarray[Any,
         for j, term in enumerate(terms):
             height = height + term * x ** (2 * (len(terms) - 1 - j)) * y ** (2 * j)
     return np.asarray(side * height - z)
-
-
-def _turn_z(a: float) -> np.ndarray[Any, Any]:
-    return np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
-
-
-def _turn_x(a: float) -> np.ndarray[Any, Any]:
-    return np.array([[1.0, 0.0, 0.0], [0.0, np.cos(a), -np.sin(a)], [0.0, np.sin(a), np.cos(a)]])

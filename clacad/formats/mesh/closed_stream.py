@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints, Words
 
@@ -107,25 +106,3 @@ def vertex_hashes(corners: Floats) -> Words:
     found = np.empty(corners.shape[:2], dtype=np.uint64)
     hash_corners(np.ascontiguousarray(corners, dtype=np.float64).view(np.uint64), found)
     return found
-
-
-def welded(corners: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Merge corners (t, 3, 3) that agree in all bits: vertices (v, 3), and facets (t, 3) of their numbers."""
-    vertices, index = welded_points(corners.reshape(-1, 3))
-    return vertices, index.reshape(-1, 3)
-
-
-def welded_points(points: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Merge points (n, 3) that agree in all bits: vertices (v, 3), and the vertex number of each point,
-    (n,).
-    """
-    flat = points + 0.0
-    threes = np.concatenate([flat, np.zeros((-len(flat) % 3, 3))]).reshape(-1, 3, 3)  # as corners of facets
-    hashes = vertex_hashes(threes).ravel()[: len(flat)]
-    _, first, index = np.unique(hashes, return_index=True, return_inverse=True)
-    if not np.array_equal(
-        flat[first][index], flat
-    ):  # two points with one hash: by the coordinates themselves
-        words = np.ascontiguousarray(flat).view([("", np.uint64, 3)]).ravel()
-        _, first, index = np.unique(words, return_index=True, return_inverse=True)
-    return flat[first], index.astype(np.int64)

@@ -14,8 +14,9 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import doubled_normals, unique_rows
+from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
+from clacad.base.vectors import doubled_normals
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
 from clacad.formats.mesh.measure_instances import objects
 from clacad.formats.placements import fill

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Floats, Ints
+from clacad.base.vectors import doubled_normals
 from clacad.formats.mesh.closed_stream import Measure
 from clacad.formats.mesh.compare_instances import standing
 from clacad.formats.mesh.file_mesh import FileMesh

@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.compiled import entry, inlined
-from clacad.base.compiled_pairs import two_sum
+from clacad.base.compiled import entry, inlined, mixed, two_sum
+from clacad.base.hashing import GOLDEN, MIX, STIR
 from clacad.base.types import Floats, Words
 
-FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F)
+FIRST, SECOND = np.uint64(GOLDEN), np.uint64(0xC2B2AE3D27D4EB4F)
 """Seeds of the two hashes."""
 
-MIX, STIR = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-LOW, MIDDLE, HIGH = np.uint64(27), np.uint64(30), np.uint64(31)
 MINUS_ZERO, ZERO = np.uint64(1 << 63), np.uint64(0)
 
 VOLUME, AREA = 0, 2
 """Indices of six times the volume and twice the area in the totals, each in two parts."""
-
-
-@inlined
-def mixed(value: np.uint64) -> np.uint64:
-    """Stafford's variant 13 of the 64-bit finaliser: every input bit reaches every output bit."""
-    value = (value ^ (value >> MIDDLE)) * MIX
-    value = (value ^ (value >> LOW)) * STIR
-    return value ^ (value >> HIGH)
 
 
 @inlined

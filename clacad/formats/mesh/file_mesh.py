@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.arrays import welded
 from clacad.base.types import Bools, Floats, Ints
-from clacad.formats.mesh.closed_stream import welded, welded_points
 from clacad.formats.placements import ALONE, Placements
 from clacad.storage.errors import UnreadableFile
 
@@ -135,7 +135,7 @@ class Part:
         assert self.vertices is not None
         assert self.triangles is not None
         used = self._used()
-        vertices, index = welded_points(np.asarray(self.vertices[used], dtype=np.float64))
+        vertices, index = welded(np.asarray(self.vertices[used], dtype=np.float64))
         return vertices, index[(np.cumsum(used) - 1)[self.triangles]]
 
     def _used(self) -> Bools:

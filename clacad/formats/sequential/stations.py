@@ -14,9 +14,8 @@ from math import comb, inf
 
 import numpy as np
 
-from clacad.base.even_orders import A4, A6, A8, NO_A4, NO_A6, NO_A8
 from clacad.base.types import Bools, Floats
-from clacad.base.units import millimetres
+from clacad.base.units import A4, A6, A8, NO_A4, NO_A6, NO_A8, millimetres
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.arrays import Groups
 from clacad.base.types import Floats
 from clacad.formats.placements import UNPLACED, Placements, composed, inverse, product
 
@@ -198,7 +199,7 @@ class Assembly:
         self._uses: dict[int, tuple[int, int]] = {}
         self._solids: dict[int, tuple[str, str, list[int]]] = {}
         self._turned_shells: dict[int, int] = {}
-        self._root: dict[int, int] = {}
+        self._merged: Groups[int] = Groups()
 
     # -- collecting -----------------------------------------------------------------------------
 
@@ -287,14 +288,8 @@ class Assembly:
         return own | {d for use in self._uses.values() for d in use}
 
     def _of(self, node: int) -> int:
-        """The node that represents all representations of one part (union-find)."""
-        while (above := self._root.get(node, node)) != node:
-            self._root[node] = self._root.get(above, above)
-            node = above
-        return node
-
-    def _join(self, a: int, b: int) -> None:
-        self._root[self._of(a)] = self._of(b)
+        """The node that represents all representations of one part."""
+        return self._merged.of(node)
 
     def _merge(self) -> None:
         """Merge into one part the representations of one product definition, and those related without a
@@ -303,11 +298,11 @@ class Assembly:
         for shape, representation in self._represented:
             definition = self._shape_of.get(shape, 0)
             if definition and definition not in self._uses:
-                self._join(representation, -definition)
+                self._merged.join(representation, -definition)
         used = {relation for relation, _ in self._dependents}
         for number, (first, second, move) in self._relations.items():
             if not move and number not in used and {first, second} <= self._items.keys():
-                self._join(first, second)
+                self._merged.join(first, second)
 
     def _edges(self, frames: _Frames) -> dict[tuple[int, int], list[Floats]]:
         found: dict[tuple[int, int], list[Floats]] = {}

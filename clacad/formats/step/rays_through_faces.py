@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.placements import applied
-from clacad.formats.step.text_health import Scan, patches_of
+from clacad.formats.step.text_health import Scan, casteljau, patches_of
 from clacad.optics.surface import refract
 from clacad.sheet.window import Face, Window
 
@@ -411,20 +411,13 @@ def _meet(patch: PlacedPatch, position: Floats, direction: Floats) -> tuple[Floa
 
 def _surface(control: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats]:
     """Points and tangents (n, 3) at parameters (n,)."""
-    rows, rows_u = _casteljau(np.broadcast_to(control[:, :, None], (*control.shape[:2], len(u), 4)), u)
-    place, place_v = _casteljau(rows, v)
-    place_u, _ = _casteljau(rows_u, v)
+    u, v = u[:, None], v[:, None]
+    rows, rows_u = casteljau(np.broadcast_to(control[:, :, None], (*control.shape[:2], len(u), 4)), u)
+    place, place_v = casteljau(rows, v)
+    place_u, _ = casteljau(rows_u, v)
     w = place[:, 3:]
     point = place[:, :3] / w
     return point, (place_u[:, :3] - point * place_u[:, 3:]) / w, (place_v[:, :3] - point * place_v[:, 3:]) / w
-
-
-def _casteljau(control: NDArray[np.float64], t: Floats) -> tuple[Floats, Floats]:
-    """Value and derivative along axis 0 at t (n,), the last but one axis."""
-    degree, share = len(control) - 1, t[:, None]
-    while len(control) > 2:
-        control = (1.0 - share) * control[:-1] + share * control[1:]
-    return (1.0 - share) * control[0] + share * control[1], degree * (control[1] - control[0])
 
 
 def follow_patches(

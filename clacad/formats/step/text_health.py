@@ -386,10 +386,10 @@ def _evaluate(poles: Floats, weights: Floats, t: Floats) -> tuple[Floats, Floats
     homogeneous = np.concatenate([poles * weights[..., None], weights[..., None]], axis=-1)
     points, normals = [], []
     for u in t:
-        rows, rows_u = _casteljau(np.moveaxis(homogeneous, 1, 0), u)
+        rows, rows_u = casteljau(np.moveaxis(homogeneous, 1, 0), u)
         for v in t:
-            place, place_v = _casteljau(np.moveaxis(rows, 1, 0), v)
-            place_u, _ = _casteljau(np.moveaxis(rows_u, 1, 0), v)
+            place, place_v = casteljau(np.moveaxis(rows, 1, 0), v)
+            place_u, _ = casteljau(np.moveaxis(rows_u, 1, 0), v)
             w = place[:, 3:]
             point = place[:, :3] / w
             along = (place_u[:, :3] - point * place_u[:, 3:]) / w
@@ -401,8 +401,10 @@ def _evaluate(poles: Floats, weights: Floats, t: Floats) -> tuple[Floats, Floats
     return np.stack(points, axis=1).reshape(-1, 3), np.stack(normals, axis=1).reshape(-1, 3)
 
 
-def _casteljau(control: Floats, t: float) -> tuple[Floats, Floats]:
-    """Value and derivative of Bézier curves whose control points lie along axis 0."""
+def casteljau(control: Floats, t: float | Floats) -> tuple[Floats, Floats]:
+    """Value and derivative of Bézier curves whose control points lie along axis 0, at one parameter or at
+    parameters of the shape of the other axes.
+    """
     degree = len(control) - 1
     while len(control) > 2:
         control = (1.0 - t) * control[:-1] + t * control[1:]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.vectors import axes_across
 from clacad.optics.law.orientation import Axes, angle_between, euler_angles, rotation
 
 _ROUNDING = 1e-12  # of |A₁||A₂|: far above the rounding of two matrices, far below any design's intent
@@ -87,7 +88,7 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
     residual = float(np.linalg.norm(n @ matrix - k * n))
 
     # Principal axes: eigenvectors of the symmetric 2 × 2 block across n.
-    across = _across(n)
+    across = axes_across(n)
     block = across.T @ matrix @ across / k
     asymmetry = float(abs(block[0, 1] - block[1, 0])) * k
     values, vectors = np.linalg.eigh((block + block.T) / 2)
@@ -104,13 +105,6 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
         return None
     law = LawParameters(numbers[0], numbers[1], numbers[2], numbers[3], phi, theta, psi)
     return Decomposition(canonical(law), residual, asymmetry)
-
-
-def _across(n: Floats) -> Floats:
-    """Two unit vectors perpendicular to a unit vector n (3,) and to each other, as the columns of (3, 2)."""
-    e1 = np.cross(np.eye(3)[np.argmin(np.abs(n))], n)
-    e1 /= np.linalg.norm(e1)
-    return np.stack([e1, np.cross(n, e1)], axis=1)
 
 
 def candidate_axes(matrix: Floats) -> list[Floats]:

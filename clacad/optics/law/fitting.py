@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.arrays import lengths
 from clacad.base.types import Floats
+from clacad.base.vectors import axes_across, lengths, unit
 from clacad.optics.law.compose import LawParameters, candidate_axes, decompose
 from clacad.optics.law.orientation import angle_between, is_direction, power_of_two_scaled
 
@@ -150,11 +150,8 @@ def _homography(a: Floats, b: Floats) -> Floats:
 
 def _normaliser(d: Floats) -> Floats:
     """Rotate the mean direction to z and scale slopes to unit rms (Hartley's normalisation)."""
-    z = d.mean(axis=0)
-    z /= np.linalg.norm(z)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= np.linalg.norm(x)
-    frame = np.stack([x, np.cross(z, x), z])
+    z = unit(d.mean(axis=0))
+    frame = np.stack([*axes_across(z).T, z])
     across = d @ frame[:2].T
     spread = float(np.sqrt(np.mean(across**2))) or 1.0
     return np.asarray(np.diag([1 / spread, 1 / spread, 1.0]) @ frame)

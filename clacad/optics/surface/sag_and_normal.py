@@ -37,9 +37,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.even_orders import A4, A6, A8, NO_A6, NO_A8
 from clacad.base.pairs import Pair, negated, pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Floats
+from clacad.base.units import A4, A6, A8, NO_A6, NO_A8
 
 
 def even_terms(a4: A4, a6: A6, a8: A8, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:

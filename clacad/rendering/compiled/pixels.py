@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.compiled import exact, making, owning
+from clacad.base.compiled import exact, making, mixed, owning
+from clacad.base.hashing import GOLDEN
 from clacad.base.types import Floats, Ints, Words
 from clacad.optics.rays import Fate
 from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDED, pass_quick
@@ -51,6 +52,8 @@ it.
 ALIVE, GHOST, LAND, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.MISSED)
 
 NO_SHEET, LAW, SURFACES = range(3)
+
+STEP = np.uint64(GOLDEN)
 
 
 class Eye(NamedTuple):
@@ -177,10 +180,7 @@ def sample_all(
 @exact
 def _hash(number: int, salt: int) -> Any:
     """Well-mixed 64 bits of a number; see `camera.offsets`."""
-    z = (np.uint64(number) * np.uint64(4) + np.uint64(salt + 1)) * np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return (z ^ (z >> np.uint64(31))) >> np.uint64(12)
+    return mixed((np.uint64(number) * np.uint64(4) + np.uint64(salt + 1)) * STEP) >> np.uint64(12)
 
 
 @exact

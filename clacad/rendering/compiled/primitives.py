@@ -1,6 +1,6 @@
 """Distances to primitives, compiled: a block of rays in a primitive's own frame, one plain loop a shape.
 
-The twin of `reference.scene_hits`' shapes. Distances are in lengths of the given direction; NaN or ∞ where a
+The twin of `rendering.scene_hits`' shapes. Distances are in lengths of the given direction; NaN or ∞ where a
 ray misses.
 """
 

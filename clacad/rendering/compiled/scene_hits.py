@@ -1,4 +1,4 @@
-"""Objects that rays meet in the scene and their light, compiled: the twin of `reference.scene_hits`.
+"""Objects that rays meet in the scene and their light, compiled: the twin of `rendering.scene_hits`.
 
 Rays are processed in blocks of columns: sky, floors and bounds in passes over the block. The rays that come
 near an object are gathered and tested against its primitives in separate passes. Distances are in lengths of
@@ -95,7 +95,7 @@ def look_all(
     distance: Floats,
 ) -> None:
     """Write the light of each ray, whether it met an object and its distance; see
-    `reference.scene_hits.look`.
+    `rendering.scene_hits.look`.
 
     Parameters
     ----------

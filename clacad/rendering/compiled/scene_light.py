@@ -1,4 +1,4 @@
-"""The light of objects that rays meet, compiled: the twin of `reference.scene_hits`' paints.
+"""The light of objects that rays meet, compiled: the twin of `rendering.scene_hits`' paints.
 
 Formulas and their order are identical, one ray at a time, so that both paths agree to the last bits.
 """

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clacad.base.even_orders import MONOMIALS, POWER, RAISED
 from clacad.base.text import digits
 from clacad.base.types import Pair2
+from clacad.base.units import MONOMIALS, POWER, RAISED
 from clacad.optics.law.focusing import Superlens, along_axes
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from clacad.base.arrays import distinct
+from clacad.base.polygons import distance_to_rim, within
 from clacad.base.types import Bools, Floats
 
 Heights = Callable[[Floats, Floats], Floats]
@@ -33,14 +34,6 @@ def border(polygon: Floats, number: int, samples: int = BORDER_SAMPLES) -> Float
 def outline(polygon: Floats, samples: int = BORDER_SAMPLES) -> Floats:
     """Points along all edges of a polygon (m, 2), (m samples, 2), lengths."""
     return np.concatenate([border(polygon, k, samples) for k in range(len(polygon))])
-
-
-def within(polygon: Floats, x: Floats, y: Floats) -> Bools:
-    """Which points (n, 2) lie in a convex counter-clockwise polygon, rim included."""
-    inside = np.ones(np.shape(x), dtype=bool)
-    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        inside &= (end[0] - start[0]) * (y - start[1]) - (end[1] - start[1]) * (x - start[0]) >= 0.0
-    return inside
 
 
 def least(function: Heights, polygon: Floats) -> tuple[float, tuple[float, float]]:
@@ -143,7 +136,7 @@ def share_covered(inside: Inside, polygon: Floats, pole: Floats) -> float:
     phi = (middle[:, None] + half[:, None] * nodes).ravel()
     weight = (half[:, None] * weights).ravel()
     direction = np.column_stack([np.cos(phi), np.sin(phi)])
-    to_edge = _distance_to_edge(polygon, pole, direction)
+    to_edge = distance_to_rim(polygon, pole, direction)
     just_inside = pole + (to_edge * (1.0 - 1e-13))[:, None] * direction
     reaches = inside(just_inside[:, 0], just_inside[:, 1])
     if reaches.all():
@@ -166,15 +159,3 @@ def _kinks(inside: Inside, polygon: Floats) -> Floats:
     length = np.hypot(*(last - first).T)
     along = (last - first) / length[:, None]
     return np.concatenate([polygon, first + _end(inside, first, along, length)[:, None] * along])
-
-
-def _distance_to_edge(polygon: Floats, pole: Floats, direction: Floats) -> Floats:
-    """Distance from an inner point to the outline along unit directions (n, 2), (n,) lengths."""
-    reach = np.full(len(direction), np.inf)
-    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        normal = np.array([end[1] - start[1], start[0] - end[0]])  # outward
-        towards = direction @ normal
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = np.where(towards > 0.0, ((start - pole) @ normal) / towards, np.inf)
-        reach = np.fmin(reach, distance)
-    return reach

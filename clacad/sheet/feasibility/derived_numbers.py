@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from clacad.base.even_orders import A4, A6, A8
 from clacad.base.types import Pair2
+from clacad.base.units import A4, A6, A8
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
 
 DEFAULT_WAVELENGTH = 550e-9

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.even_orders import A4, A6, A8
 from clacad.base.types import Floats, Pair2
+from clacad.base.units import A4, A6, A8
 from clacad.optics.surface import EvenPolynomial, Surface, conic_constants, principal_radii
 from clacad.sheet.feasibility.convex_extremes import Heights, least, reach, share_covered
 from clacad.sheet.feasibility.derived_numbers import FaceShape, LensFacts, two

@@ -13,8 +13,7 @@ from __future__ import annotations
 from math import copysign, inf, sqrt
 from typing import NamedTuple
 
-from clacad.base.compiled import exact, inlined
-from clacad.base.compiled_pairs import pair_sum, two_product, two_sum
+from clacad.base.compiled import exact, inlined, pair_sum, two_product, two_sum
 from clacad.base.types import Floats
 from clacad.sheet.edge_columns import CX, CY, RADIUS, SENSE, X0, X1, Y0, Y1
 from clacad.tracing.compiled import packing as slot

@@ -16,8 +16,7 @@ from __future__ import annotations
 
 from math import copysign, floor, inf
 
-from clacad.base.compiled import exact, inlined
-from clacad.base.compiled_pairs import less_multiple, two_product, two_sum
+from clacad.base.compiled import exact, inlined, less_multiple, two_product, two_sum
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.face import height, lens_roots, to_lens, to_sheet, upward

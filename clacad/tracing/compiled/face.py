@@ -8,8 +8,7 @@ from __future__ import annotations
 from math import copysign, inf, isfinite, nan, sqrt
 from typing import NamedTuple
 
-from clacad.base.compiled import exact
-from clacad.base.compiled_pairs import pair_product, pair_sum, two_product
+from clacad.base.compiled import exact, pair_product, pair_sum, two_product
 from clacad.base.types import Floats
 from clacad.optics.surface import ULP
 from clacad.optics.surface.biconic import FLAT, NEWTON_STEPS, POLISHES, SETTLED

@@ -6,8 +6,7 @@ from math import frexp, isfinite, ldexp, nan, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, multiply_add
-from clacad.base.compiled_pairs import pair_product, pair_sum, two_product, two_sum
+from clacad.base.compiled import exact, least, multiply_add, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Floats
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot

@@ -14,8 +14,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, owning
-from clacad.base.compiled_pairs import less_product
+from clacad.base.compiled import exact, least, less_product, owning
 from clacad.base.types import Floats, Rows
 from clacad.light.compiled_sums import DELTA_X, DELTA_Y, ETA_X, ETA_Y, R0
 from clacad.light.sums import ordinary

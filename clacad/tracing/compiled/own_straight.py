@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, multiply_add
-from clacad.base.compiled_pairs import pair_sum, two_sum
+from clacad.base.compiled import exact, least, multiply_add, pair_sum, two_sum
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Bools, Floats, Ints
+from clacad.base.vectors import doubled_normals
 from clacad.sheet.window import WALL
 from clacad.tracing.facets.hierarchy import COUNT, FIRST, Hierarchy
 from clacad.tracing.facets.tiles import over_bins

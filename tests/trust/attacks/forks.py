@@ -22,10 +22,10 @@ from typing import Any
 PRELOADED = (
     "clacad.cli.app", "numpy", "scipy.optimize", "scipy.spatial", "scipy.spatial.transform", "scipy.special",
     "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg", "PIL.Image", "PIL.PngImagePlugin",
-    "jinja2", "tree_sitter_toml", "clacad.cli.accuracy_command", "clacad.cli.check_command", "clacad.cli.explore_command",
+    "jinja2", "tree_sitter_toml", "clacad.cli.accuracy_command", "clacad.cli.check_command",
     "clacad.cli.image_command", "clacad.cli.new_command", "clacad.cli.optimise_command", "clacad.cli.render_command",
     "clacad.cli.shape_command", "clacad.cli.stack_command", "clacad.cli.tolerance_command", "clacad.cli.trace_command",
-    "clacad.cli.verify_command", "clacad.cli.wave_command", "clacad.prescription.prescribe", "clacad.tracing.trace",
+    "clacad.cli.verify_command", "clacad.prescription.prescribe", "clacad.tracing.trace",
     "clacad.imaging.shape", "clacad.verification.run", "clacad.waves.through_sheet", "clacad.exporting.run",
     "clacad.rendering.picture", "clacad.advice", "clacad.optimising",
 )  # fmt: skip

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.arrays import doubled_normals
 from clacad.base.types import Bools, Floats, Ints
+from clacad.base.vectors import doubled_normals
 from clacad.rendering.scene_arrays import (
     BOX,
     CHECKER,
@@ -202,8 +202,6 @@ def _inside(outline: Floats, x: Floats, y: Floats) -> Bools:
 
 
 # -- light -------------------------------------------------------------------------------------
-
-
 def background(stage: SceneArrays, direction: Floats) -> Floats:
     """Light (n, 3) of the sky, linear in elevation, or of the ground below the horizon."""
     down = (direction[:, 1] < 0.0)[:, None]

@@ -1,0 +1,64 @@
+"""Vectors in space: triangles of many at once, and axes across a direction.
+
+Triangles are arrays (k, 3, 3) of their corners. Sums are written column by column: the result of
+``numpy.cross`` of two edges in a third of its time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clacad.base.types import Floats
+
+
+def doubled_normals(corners: Floats) -> Floats:
+    """Right-hand normals (k, 3) of triangles (k, 3, 3), as long as twice the triangle's area (length²)."""
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.ascontiguousarray(np.moveaxis(corners, 0, -1))
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]).T
+
+
+def lengths(vectors: Floats) -> Floats:
+    """Lengths (k,) of vectors (k, 3)."""
+    x, y, z = vectors.T
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+def middles(corners: Floats) -> Floats:
+    """Centroids (k, 3) of triangles (k, 3, 3)."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return np.asarray((a + b + c) / 3.0)
+
+
+def unit(vector: Floats) -> Floats:
+    """Return a vector (3,) at length 1."""
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def axes_near(direction: Floats, axis: int = 0) -> tuple[Floats, Floats]:
+    """Two unit vectors (3,) across a unit vector: the first as near to a coordinate axis as possible.
+
+    The three are right-handed in the order first, second, direction.
+    """
+    first = unit(np.eye(3)[axis] - direction[axis] * direction)
+    return first, np.cross(direction, first)
+
+
+def axes_across(direction: Floats, axis: int | None = None) -> Floats:
+    """Two unit vectors across a unit vector and across one another, as the columns of (3, 2).
+
+    The first is also across a coordinate axis; None: the axis that is farthest from the direction.
+    """
+    aside = np.eye(3)[int(np.argmin(np.abs(direction))) if axis is None else axis]
+    first = unit(np.cross(aside, direction))
+    return np.stack([first, np.cross(direction, first)], axis=1)
+
+
+def picture_axes(position: Floats, target: Floats, up: Floats) -> tuple[float, Floats, Floats]:
+    """Distance from a camera to its target, and unit vectors (3,) to the right and up in its picture."""
+    look = target - position
+    distance = float(np.linalg.norm(look))
+    ahead = look / distance
+    right = unit(np.cross(ahead, up))
+    return distance, right, np.cross(right, ahead)
