@@ -22,6 +22,7 @@ from peer_jobs import beam
 
 sys.path.pop(0)
 WINDOWS = windows()
+CELLS = {"square": slab(count=(8, 8)), "hexagonal": slab(eta=(-0.5, -0.5), kind="hexagonal", count=(8, 8))}
 
 
 def soup(window, quads):
@@ -87,16 +88,19 @@ def test_facets_that_are_no_whole_surface_are_met_as_in_the_trees(how):
     assert (clacad.trace(window, rays, "mesh", mesh=whole).fate != wanted.fate).any() == (how != "twice")
 
 
-def test_planes_of_squares_go_through_the_corners_of_their_facets():
+@pytest.mark.parametrize("cells", CELLS)
+def test_planes_of_squares_go_through_the_corners_of_their_facets(cells):
     """Held to the corners themselves: the middle of every facet lies on the plane of the half that it is over."""
-    trees = hierarchy([soup(slab(count=(3, 3)), 6).corners])[1]
-    grid = find_squares(trees)
+    found_in = soups.lay_out_soup(CELLS[cells], soup(CELLS[cells], 6), "facet")[1]
+    trees, grid = found_in.trees, found_in.squares
     low, per, bins = grid.table[0, :2], grid.table[0, 2:4], grid.table[0, 4:6].astype(int)
     single = np.diff(np.diff(grid.odd.reshape(bins[::-1] + 1), axis=0), axis=1)
     normal = np.cross(trees.corner[:, 1] - trees.corner[:, 0], trees.corner[:, 2] - trees.corner[:, 0])
     lens = np.abs(normal[:, 2]) > 0.05 * np.linalg.norm(normal, axis=1)
     normal, middle = normal[lens], trees.corner[lens].mean(axis=1)
+    middle[:, 1] -= grid.table[0, 17] * middle[:, 0]
     u, v = ((middle[:, :2] - low) * per).T
+    middle[:, 1] += grid.table[0, 17] * middle[:, 0]
     i, j = u.astype(int), v.astype(int)
     side = (normal[:, 2] > 0.0).astype(int)
     split = grid.table[0, 12 + side]
@@ -133,14 +137,15 @@ def test_bins_with_walls_off_the_rim_are_counted_in_every_rectangle_of_bins():
 
 
 @pytest.mark.slow
-def test_rays_of_a_view_are_decided_without_the_trees(monkeypatch):
+@pytest.mark.parametrize("cells", CELLS)
+def test_rays_of_a_view_are_decided_without_the_trees(cells):
     """So that a trace through a file costs about what one through the mesh in memory does."""
     from clacad.tracing.compiled.chunk import trace_chunk_of_triangles
     from clacad.tracing.compiled.packing import pack
     from clacad.tracing.compiled.records import Outcome
     from clacad.tracing.ledger import Ledger
 
-    window = slab(count=(8, 8))
+    window = CELLS[cells]
     facets = soups.lay_out_soup(window, soup(window, 16), "facet")
     rng = np.random.default_rng(4)
     x0, x1, y0, y1 = window.lattice.extent()

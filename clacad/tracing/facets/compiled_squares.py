@@ -40,7 +40,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     lanes,
 )
 from clacad.tracing.facets.compiled_hierarchy import LEVEL
-from clacad.tracing.facets.compiled_tile_block import SquareGrid, half_bin, to_level
+from clacad.tracing.facets.compiled_tile_block import SquareGrid, half_bin
 from clacad.tracing.facets.squares import (
     BIN,
     BINS_X,
@@ -56,6 +56,7 @@ from clacad.tracing.facets.squares import (
     PER_X,
     PER_Y,
     ROUNDED,
+    SHEAR,
     SPLIT,
     UP_HIGH,
     UP_LOW,
@@ -95,18 +96,19 @@ def through_squares(grid: Squares, sheet: Packed, s: Floats, m: int) -> None:
     met = 0
     for b in range(len(bodies)):
         row, index = grid.table[b], sheet.indices[b]
-        _begin(s, m, bodies[b, slot.LEVEL] + bodies[b, slot.BODY_LOW])
+        _begin(s, m, bodies[b, slot.LEVEL] + bodies[b, slot.BODY_LOW], row[SHEAR])
         for side in range(2):
             f = 2 * b + side
             low, high = (row[DOWN_LOW], row[DOWN_HIGH]) if side == 0 else (row[UP_LOW], row[UP_HIGH])
             media = (1.0, index) if side == 0 else (index, 1.0)
             landed = faces[f, slot.ARRAY] >= 0.0 and faces[f, slot.LAND] == faces[f, slot.LAND]
             squares = _squares_of(row, side)
-            to_level(squares, s, m, 0.5 * (low + high))
+            _to_level(squares, row[SHEAR], s, m, 0.5 * (low + high))
             for _ in range(2):
                 _planes_of_bins(grid, side, s, m)
-                _to_planes(squares, s, m, max(2.0 * HAIR, ROUNDED * row[OFF]))
-            _refract(s, m, media[0], media[1], row[CLIMB + side], LEVEL * LEVEL if landed else -1.0)
+                _to_planes(squares, row[SHEAR], s, m, max(2.0 * HAIR, ROUNDED * row[OFF]))
+            level = LEVEL * LEVEL if landed else -1.0
+            _refract(s, m, media[0], media[1], row[CLIMB + side], level, row[SHEAR])
             if faces[f, slot.ARRAY] >= 0.0:
                 _note_cells(sheet, s, m, int(faces[f, slot.ARRAY]), met == 0)
                 met += 1
@@ -134,15 +136,16 @@ def _in_sheet(sheet: Packed, s: Floats, m: int) -> None:
 
 
 @exact
-def _begin(s: Floats, m: int, level: float) -> None:
-    """Begin the rectangle that rays stay in where they cross the lower end of a body; they may not start
-    above it.
+def _begin(s: Floats, m: int, level: float, shear: float) -> None:
+    """Begin the rectangle, in the coordinates of the grid, that rays stay in where they cross the lower end of
+    a body; they may not start above it.
     """
     x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     left, right, lower, upper = lanes(s, (LEAST_X, MOST_X, LEAST_Y, MOST_Y))
     for i in range(m):
         t = (level - z[i]) / dz[i]
-        u, v = x[i] + t * dx[i], y[i] + t * dy[i]
+        u = x[i] + t * dx[i]
+        v = y[i] + t * dy[i] - shear * u
         left[i], right[i], lower[i], upper[i] = u, u, v, v
         good[i] = good[i] if t >= 0.0 else 0.0
 
@@ -163,6 +166,17 @@ def _squares_of(row: Floats, side: int) -> SquareGrid:
 
 
 @exact
+def _to_level(squares: SquareGrid, shear: float, s: Floats, m: int, level: float) -> None:
+    """Extrapolate rays to a level without moving them, and find the half bin there."""
+    x, y, z, dx, dy, dz, bins = lanes(s, (X, Y, Z, DX, DY, DZ, HALF))
+    low_x, low_y, per_x, per_y, nx, ny, first, split = squares
+    for i in range(m):
+        t = (level - z[i]) / dz[i]
+        u, v = x[i] + t * dx[i], y[i] + t * dy[i]
+        bins[i] = half_bin((u - low_x) * per_x, (v - shear * u - low_y) * per_y, nx, ny, first, split)
+
+
+@exact
 def _planes_of_bins(grid: Squares, side: int, s: Floats, m: int) -> None:
     """Load the planes over the present half bins of rays."""
     for i in range(m):
@@ -172,7 +186,7 @@ def _planes_of_bins(grid: Squares, side: int, s: Floats, m: int) -> None:
 
 
 @exact
-def _to_planes(squares: SquareGrid, s: Floats, m: int, hair: float) -> None:
+def _to_planes(squares: SquareGrid, shear: float, s: Floats, m: int, hair: float) -> None:
     """Distances of rays to their planes: NaN unless over the same half, `hair` bins off its borders; and the
     half there.
     """
@@ -183,7 +197,8 @@ def _to_planes(squares: SquareGrid, s: Floats, m: int, hair: float) -> None:
         t = (far[i] - (a[i] * x[i] + b[i] * y[i] + c[i] * z[i])) / (
             a[i] * dx[i] + b[i] * dy[i] + c[i] * dz[i]
         )
-        u, v = (x[i] + t * dx[i] - low_x) * per_x, (y[i] + t * dy[i] - low_y) * per_y
+        u, v = x[i] + t * dx[i], y[i] + t * dy[i]
+        u, v = (u - low_x) * per_x, (v - shear * u - low_y) * per_y
         here = half_bin(u, v, nx, ny, first, split)
         p, q = u - np.floor(u), v - np.floor(v)
         inside = least(
@@ -194,7 +209,7 @@ def _to_planes(squares: SquareGrid, s: Floats, m: int, hair: float) -> None:
 
 
 @exact
-def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float) -> None:
+def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float, shear: float) -> None:
     """Move to the hits and refract there, where rays are steeper than the facets before and behind them.
 
     level : squared slope up to which a facet may be land; negative where there is none
@@ -209,7 +224,8 @@ def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float
         x[i], y[i], z[i] = px, py, z[i] + t * w
         path[i] += n1 * t
         left[i], right[i] = least(left[i], px), -least(-right[i], -px)
-        lower[i], upper[i] = least(lower[i], py), -least(-upper[i], -py)
+        row = py - shear * px
+        lower[i], upper[i] = least(lower[i], row), -least(-upper[i], -row)
         a, b, c = gx[i], gy[i], gz[i]
         root = a * u + b * v + c * w
         incident = mu * root
@@ -258,7 +274,8 @@ def _hold_among_squares(grid: Squares, row: Floats, s: Floats, m: int, level: fl
         if not s[GOOD, i] > 0.0:
             continue
         t = (level - s[Z, i]) / s[DZ, i]
-        u, v = s[X, i] + t * s[DX, i], s[Y, i] + t * s[DY, i]
+        u = s[X, i] + t * s[DX, i]
+        v = s[Y, i] + t * s[DY, i] - row[SHEAR] * u
         left, right = min(s[LEAST_X, i], u), max(s[MOST_X, i], u)
         lower, upper = min(s[LEAST_Y, i], v), max(s[MOST_Y, i], v)
         i0, i1 = (

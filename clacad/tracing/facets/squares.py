@@ -1,5 +1,5 @@
 """Bins of a grid that facets halve: two that face down and two that face up, each pair a square cut along its
-diagonal.
+diagonal. Bins may be sheared along y: the triangles of hexagonal cells halve such bins.
 
 Nearly all of a sheet's own mesh is made of such squares, and so are meshes of height maps. Where neighbouring
 squares share their corners to the last bit, each side of a body is one piece of surface over them, without
@@ -23,10 +23,11 @@ from clacad.tracing.facets.tiles import over_bins
 
 # Columns of a body's row: corner of the grid, bins per length, bins in x and y, number of the first bin and
 # of the first corner of bins, and the heights between which facets that face down, and those that face up,
-# lie; direction of diagonals on both sides, the steepest slopes there, and the deviation of corners.
+# lie; direction of diagonals on both sides, the steepest slopes there, the deviation of corners, and the slope
+# of rows of bins: the grid is regular in x and y − SHEAR x.
 LOW_X, LOW_Y, PER_X, PER_Y, BINS_X, BINS_Y, BIN, CORNER, DOWN_LOW, DOWN_HIGH, UP_LOW, UP_HIGH = range(12)
-SPLIT, CLIMB, OFF = 12, 14, 16
-SQUARE_NUMBERS = 17
+SPLIT, CLIMB, OFF, SHEAR = 12, 14, 16, 17
+SQUARE_NUMBERS = 18
 
 HAIR = 1e-4
 """Share of a bin, along its borders, in which a ray is left to the trees."""
@@ -78,12 +79,12 @@ class Triangles(NamedTuple):
 NO_SQUARES = Squares(np.zeros((0, SQUARE_NUMBERS)), np.zeros(0, dtype=np.int32), np.zeros((0, 2, 4)))
 
 
-def find_squares(trees: Hierarchy) -> Squares:
-    """Squares of a hierarchy's triangles; `NO_SQUARES` where a body has none."""
+def find_squares(trees: Hierarchy, shear: float = 0.0) -> Squares:
+    """Squares of a hierarchy's triangles, in rows of slope `shear`; `NO_SQUARES` where a body has none."""
     made: list[Squares] = []
     first = edge = 0
     for begin, count in trees.tree[:, [FIRST, COUNT]].tolist():
-        own = _body_squares(trees.corner[begin : begin + count])
+        own = _body_squares(trees.corner[begin : begin + count], shear)
         if own is None:
             return NO_SQUARES
         own.table[0, BIN], own.table[0, CORNER] = first, edge
@@ -92,15 +93,16 @@ def find_squares(trees: Hierarchy) -> Squares:
     return Squares(*(np.concatenate([getattr(own, name) for own in made]) for name in Squares._fields))
 
 
-def _body_squares(corners: Floats) -> Squares | None:
+def _body_squares(corners: Floats, shear: float) -> Squares | None:
     """Squares of one body; None where there are none."""
     normal = doubled_normals(corners)
     walls = normal[:, 2] ** 2 < WALL**2 * np.einsum("ij,ij->i", normal, normal)
     lens = np.flatnonzero(~walls)
     if not len(lens):
         return None
-    low, high = corners[..., :2].min(axis=(0, 1)), corners[..., :2].max(axis=(0, 1))
-    box_low, box_high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
+    flat = corners[..., :2] - corners[..., :1] * [0.0, shear]
+    box_low, box_high = flat.min(axis=1), flat.max(axis=1)
+    low, high = box_low.min(axis=0), box_high.max(axis=0)
     width = np.median(box_high[lens] - box_low[lens], axis=0)
     limit = max(1.0, np.sqrt(4.0 * len(lens)))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -121,11 +123,11 @@ def _body_squares(corners: Floats) -> Squares | None:
     facet, where = facet[order], where[order]
     up = normal[lens, 2] > 0.0
     heights = [_range(corners[lens[side], :, 2]) for side in (~up, up)]
-    place = (corners[..., :2] - low) * per
+    place = (flat - low) * per
     split, climb, off, plane, odd = _halved(place, corners, normal, facet, where, bins)
     rim = ((end < HAIR) | (begin > bins - HAIR)).any(axis=1)  # rays so near the grid's border are left anyway
     odd[over_bins(np.flatnonzero(walls & ~rim), i0, across, int(bins[0]))[1]] = True
-    table = [*low, *per, *bins.astype(float), 0.0, 0.0, *heights[0], *heights[1], *split, *climb, off]
+    table = [*low, *per, *bins.astype(float), 0.0, 0.0, *heights[0], *heights[1], *split, *climb, off, shear]
     return Squares(np.array([table]), _sums(odd, bins), plane)
 
 

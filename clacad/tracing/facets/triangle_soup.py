@@ -133,7 +133,12 @@ def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[
     if normals == "vertex":
         trees = trees._replace(corner_normal=_upward(soup, np.concatenate(bodies)[rank]))
     plans = tuple(_bounded(plan, soup.corners[mine]) for plan, mine in zip(exact.bodies, bodies, strict=True))
-    return replace(exact, bodies=plans), Triangles(trees, find_squares(trees))
+    return replace(exact, bodies=plans), Triangles(trees, find_squares(trees, _slope_of_rows(window)))
+
+
+def _slope_of_rows(window: Window) -> float:
+    """Slope of the rows of a mesh's triangles: hexagonal cells have sides along y and 30° off x."""
+    return 3.0**-0.5 if window.lattice.hexagonal and not window.lattice.turn else 0.0
 
 
 def _upward(soup: TriangleSoup, which: Ints) -> Floats:
