@@ -29,7 +29,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     """
 
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
-        from clacad.effects.engine.split_paths import trace_ended_rays
+        from clacad.effects.engine.camera_light import trace_ended_rays
 
         trace_ended_rays(block, setting, Fate.WALL)
 

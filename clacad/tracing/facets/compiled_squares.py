@@ -137,8 +137,9 @@ def _in_sheet(sheet: Packed, s: Floats, m: int) -> None:
 
 @exact
 def _begin(s: Floats, m: int, level: float, shear: float) -> None:
-    """Begin the rectangle, in the coordinates of the grid, that rays stay in where they cross the lower end of
-    a body; they may not start above it.
+    """Begin the rectangle in grid coordinates that rays stay in where they cross the lower end of a body.
+
+    They may not start above it.
     """
     x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     left, right, lower, upper = lanes(s, (LEAST_X, MOST_X, LEAST_Y, MOST_Y))

@@ -23,8 +23,8 @@ from clacad.tracing.facets.tiles import over_bins
 
 # Columns of a body's row: corner of the grid, bins per length, bins in x and y, number of the first bin and
 # of the first corner of bins, and the heights between which facets that face down, and those that face up,
-# lie; direction of diagonals on both sides, the steepest slopes there, the deviation of corners, and the slope
-# of rows of bins: the grid is regular in x and y − SHEAR x.
+# lie; direction of diagonals on both sides, the steepest slopes there, and the deviation of corners; slope of
+# the rows of bins: the grid is regular in x and y − SHEAR x.
 LOW_X, LOW_Y, PER_X, PER_Y, BINS_X, BINS_Y, BIN, CORNER, DOWN_LOW, DOWN_HIGH, UP_LOW, UP_HIGH = range(12)
 SPLIT, CLIMB, OFF, SHEAR = 12, 14, 16, 17
 SQUARE_NUMBERS = 18
