@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any
 
@@ -60,8 +61,15 @@ def step_record(job: Job, word: str) -> FileRecord:
     )
     exact = volume_sum(job.integrals, job.bodies)
     checks = compare_step(written, found, job.window, exact, name)
-    cube = job.scale**3
-    facts = {
+    facts = _facts(job, written, found, None if exact is None else exact.value * job.scale**3)
+    return job.record(path, word, facts=facts, checks=checks)
+
+
+def _facts(
+    job: Job, written: Mapping[str, Any], found: Mapping[str, Any], exact: float | None
+) -> dict[str, Any]:
+    """Facts of the file for the manifest; `exact`: volume of the design, mm³."""
+    return {
         "mode": written["mode"],
         "schema": written["schema"],
         "solids": written["solids"],
@@ -70,14 +78,13 @@ def step_record(job: Job, word: str) -> FileRecord:
         "wedges": written["wedges"],
         "merged_steps": written["merged_steps"],
         "volume": found.get("volume"),
-        "volume_exact": None if exact is None else exact.value * cube,
+        "volume_exact": exact,
         "float": "f64",
         "saddle_policy": "exact" if written["saddles"] else None,
         "fit_error": _stated(written["fit_error"]),
         "rim_error": _stated(written["rim_error"]),
         **({} if job.window.uniform else {"own_cells": True}),
     }
-    return job.record(path, word, facts=facts, checks=checks)
 
 
 def _stated(error: float) -> float | None:

@@ -42,7 +42,7 @@ OTHER_MEANINGS = {
     "drawing": {"explain/glossary.py", "sheet/representative_cells.py"},  # a word of the glossary, a purpose of cells
     "frame": {"exporting/fixtures/frame.py", "rendering/photograph_view.py", "report/pictures.py",
               "scene/keys.py"},  # the key camera.frame, the name of the part
-    "height-calibration": {"exporting/formats/records.py"},  # written by the formats of two modules
+    "height-calibration": {"exporting/formats/file_kind.py"},  # written by the formats of two modules
     "pins": {"design/model.py"},  # the key body.pins
     "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "imaging/shape.py",
             "imaging/image_by_rays.py", "report/pdf.py", "verification/accuracy/accuracy_plot.py",

@@ -104,35 +104,7 @@ def title_block(window: Window, heading: Heading, sheet: int, sheets: int) -> Ca
     """Title, part, material, scale, unit, projection, number and sheet; no date: the same design gives the
     same bytes.
     """
-    n1, n2 = window.lattice.count
-    materials = ", ".join(dict.fromkeys(_material(body.material, body.index) for body in window.bodies))
-    rows = [
-        [
-            (
-                "title",
-                (
-                    f"confocal lenslet array pair, {window.form}, {n1} x {n2} cells"
-                    f" ({window.lattice.cell_count:,} kept)"
-                ),
-            ),
-        ],
-        [
-            ("part", window.name),
-            ("bodies", ", ".join(body.name for body in window.bodies)),
-            ("material", materials),
-        ],
-        [
-            ("scale (each view has its own)", f"assembly {heading.scale}"),
-            ("unit", "mm"),
-            ("views named; first angle", ""),
-        ],
-        [
-            ("drawing (SHA-256 of the design)", heading.number),
-            ("made by", f"clacad {heading.version}"),
-            ("paper", heading.paper.upper()),
-            ("sheet", f"{sheet} of {sheets}"),
-        ],
-    ]
+    rows = _title_rows(window, heading, sheet, sheets)
     wide = max(sum(_field_width(*field) for field in row) for row in rows)
     canvas = Canvas(wide, FIELD * len(rows), "title block")
     canvas.polygon(np.array([[0.0, 0.0], [wide, 0.0], [wide, canvas.height], [0.0, canvas.height]]), "frame")
@@ -150,6 +122,34 @@ def title_block(window: Window, heading: Heading, sheet: int, sheets: int) -> Ca
             if not value:
                 _first_angle(canvas, (x - 32.0, y + 21.0))
     return canvas
+
+
+def _title_rows(
+    window: Window, heading: Heading, sheet: int, sheets: int
+) -> tuple[tuple[tuple[str, str], ...], ...]:
+    """Rows of fields (name, value) of the title block."""
+    n1, n2 = window.lattice.count
+    materials = ", ".join(dict.fromkeys(_material(body.material, body.index) for body in window.bodies))
+    kept = f"{n1} x {n2} cells ({window.lattice.cell_count:,} kept)"
+    return (
+        (("title", f"confocal lenslet array pair, {window.form}, {kept}"),),
+        (
+            ("part", window.name),
+            ("bodies", ", ".join(body.name for body in window.bodies)),
+            ("material", materials),
+        ),
+        (
+            ("scale (each view has its own)", f"assembly {heading.scale}"),
+            ("unit", "mm"),
+            ("views named; first angle", ""),
+        ),
+        (
+            ("drawing (SHA-256 of the design)", heading.number),
+            ("made by", f"clacad {heading.version}"),
+            ("paper", heading.paper.upper()),
+            ("sheet", f"{sheet} of {sheets}"),
+        ),
+    )
 
 
 def _field_width(name: str, value: str) -> float:

@@ -550,7 +550,7 @@ def lens_detail(
         canvas.polygon(at(piece[:, 0], piece[:, 1]), "body" if curved is None else "cut")
     _lens_finish(canvas, x, deep if curved == 0 else drawn_top, at, curved == 0)
     half = allowed.of_body(place, len(window.bodies))
-    _detail_dimensions(canvas, x, front, back, at, mm, curved, base, half)
+    _detail_dimensions(canvas, x, (front, back), at, mm, curved, base, half)
     canvas.text((6, 14), f"{lens.name}, on {body.name}" if array < 2 else lens.name, "start", "title")
     canvas.scale_note((6, 29), "start")
     canvas.text((6, base + 56.0), radius, "start")
@@ -604,8 +604,7 @@ def _depth(front: Floats, back: Floats) -> float:
 def _detail_dimensions(
     canvas: Canvas,
     x: Floats,
-    front: Floats,
-    back: Floats,
+    faces: tuple[Floats, Floats],
     at: Callable[..., Floats],
     mm: float,
     curved: int | None,
@@ -615,11 +614,10 @@ def _detail_dimensions(
     """Draw pitch, and sag of a lens on a plate, or thicknesses of a separate lens at the middle and the
     edge.
     """
-    pitch = (x[-1] - x[0]) * mm
+    front, back = faces
     (xa, ya), (xb, _) = at(x[0], _low(front)), at(x[-1], _low(front))
-    canvas.across(
-        float(xa), float(xb), base + 30.0, mm_text(pitch), (min(float(ya), base), min(float(ya), base))
-    )
+    edge = min(float(ya), base)
+    canvas.across(float(xa), float(xb), base + 30.0, mm_text((x[-1] - x[0]) * mm), (edge, edge))
     solid = np.flatnonzero(np.isfinite(front) & np.isfinite(back) & (back >= front))
     if not len(solid):
         canvas.text((190, 110), "no material along this line")
@@ -628,29 +626,13 @@ def _detail_dimensions(
     if curved is not None:
         face = front if curved == 0 else back
         ends = float(at(0.0, face[first])[1]), float(at(0.0, face[mid])[1])
-        canvas.upright(
-            *ends,
-            float(xb) + 18,
-            mm_text(abs(face[mid] - face[first]) * mm),
-            (float(at(x[-1], 0.0)[0]), float(at(x[mid], 0.0)[0])),
-        )
+        feet = float(at(x[-1], 0.0)[0]), float(at(x[mid], 0.0)[0])
+        canvas.upright(*ends, float(xb) + 18, mm_text(abs(face[mid] - face[first]) * mm), feet)
         return
-    za, zb = float(at(0.0, front[mid])[1]), float(at(0.0, back[mid])[1])
-    canvas.upright(
-        za,
-        zb,
-        float(xb) + 18,
-        mm_text((back[mid] - front[mid]) * mm, half),
-        (float(at(x[mid], 0.0)[0]), float(at(x[mid], 0.0)[0])),
-    )
-    za, zb = float(at(0.0, front[first])[1]), float(at(0.0, back[first])[1])
-    canvas.upright(
-        za,
-        zb,
-        float(xa) - 18,
-        mm_text((back[first] - front[first]) * mm),
-        (float(at(x[first], 0.0)[0]), float(at(x[first], 0.0)[0])),
-    )
+    for k, place, allowed in ((mid, float(xb) + 18, half), (first, float(xa) - 18, 0.0)):
+        ends = float(at(0.0, front[k])[1]), float(at(0.0, back[k])[1])
+        foot = float(at(x[k], 0.0)[0])
+        canvas.upright(*ends, place, mm_text((back[k] - front[k]) * mm, allowed), (foot, foot))
 
 
 def _low(values: Floats) -> float:

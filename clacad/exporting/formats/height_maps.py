@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.format import BASE, Forecast, Format
-from clacad.exporting.formats.records import (
+from clacad.exporting.formats.file_kind import (
     CALIBRATION,
     calibration_record,
     drawn_cost,
@@ -15,6 +14,7 @@ from clacad.exporting.formats.records import (
     map_row,
     structured_cost,
 )
+from clacad.exporting.formats.format import BASE, Forecast, Format
 from clacad.exporting.roles import ABOVE_FACE, AT_POINTS, SIXTEEN_BITS
 
 if TYPE_CHECKING:

@@ -84,7 +84,7 @@ def _record(
     job: Job, word: str, write: Writer, single: bool, repeated: bool, normals: bool = True, unit: str = "mm"
 ) -> FileRecord:
     """Write a file, read it back and compare; `repeated`: it stores one cell; `single`: single precision."""
-    from clacad.exporting.formats.records import SCALES, mesh_facts
+    from clacad.exporting.formats.file_kind import SCALES, mesh_facts
     from clacad.formats.mesh.compare_triangles import compare_mesh
     from clacad.formats.mesh.readers import read_mesh
     from clacad.sheet.volume_and_extent import volume_sum
@@ -139,7 +139,7 @@ def _vertices(held: int, quads: int) -> float:
 
 
 def _forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    from clacad.exporting.formats.records import of_own_cells
+    from clacad.exporting.formats.file_kind import of_own_cells
 
     return of_own_cells(meshes.window, threemf_row(meshes, quads), quads)
 
@@ -158,7 +158,7 @@ def threemf_row(meshes: Meshes, quads: int) -> Forecast:
 
 
 def _forecast_ply(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    from clacad.exporting.formats.records import of_own_cells
+    from clacad.exporting.formats.file_kind import of_own_cells
     from clacad.formats.mesh.ply import ply_bytes
 
     held = meshes.facets(quads)
@@ -168,7 +168,7 @@ def _forecast_ply(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
 
 def _forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
     """Forecast a GLB file, whose cells are one node each or one node a body."""
-    from clacad.exporting.formats.records import of_own_cells
+    from clacad.exporting.formats.file_kind import of_own_cells
 
     window, repeated = meshes.window, meshes.repeatable
     held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)

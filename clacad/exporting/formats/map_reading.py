@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import FaceFile, Misfit, Reading, Samples
+from clacad.exporting.formats.file_kind import CALIBRATION, FaceFile, Misfit, Reading, Samples
 from clacad.exporting.formats.height_maps import GRID, PNG16, POINTS, TIFF16, TIFF32
 from clacad.exporting.formats.masks import GDS, MASK_DXF, MASK_SVG
-from clacad.exporting.formats.records import CALIBRATION
 from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.formats.table import POSES, SURFACES
 from clacad.formats.maps.gds import GRID as LAYOUT_GRID

@@ -38,7 +38,7 @@ def _write_parts(job: Job) -> list[FileRecord]:
 
 def write_one(job: Job, name: str, window: Window) -> FileRecord:
     """Write some bodies of the sheet as one file, read it back once, compare, and hash while reading."""
-    from clacad.exporting.formats.records import mesh_facts
+    from clacad.exporting.formats.file_kind import mesh_facts
     from clacad.formats.mesh.compare_triangles import compare_mesh
     from clacad.formats.mesh.stl import read_stl, write_stl
     from clacad.sheet.volume_and_extent import volume_sum
@@ -75,7 +75,7 @@ def stream_row(word: str, facets: int, files: int, quads: int, exact: bool) -> F
 
 
 def _row(meshes: Meshes, word: str, files: int, quads: int) -> Forecast:
-    from clacad.exporting.formats.records import of_own_cells
+    from clacad.exporting.formats.file_kind import of_own_cells
 
     row = stream_row(word, meshes.facets(quads), files, quads, exact=meshes.window.uniform)
     return of_own_cells(meshes.window, row, quads)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.file_kind import FileKind, drawn_cost, map_kind, map_row
 from clacad.exporting.formats.format import BASE, Forecast, Format
-from clacad.exporting.formats.records import drawn_cost, map_kind, map_row
 from clacad.exporting.roles import OWN_NUMBERS
 
 if TYPE_CHECKING:

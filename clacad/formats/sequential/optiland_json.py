@@ -66,6 +66,20 @@ def require_optiland() -> None:
         )
 
 
+def _light(window: Window) -> dict[str, Any]:
+    """Pupil, the field along the axis, and the wavelength."""
+    wavelength = {"value": wavelength_um(window), "is_primary": True, "unit": "um", "weight": 1.0}
+    return {
+        "aperture": {"type": "EPD", "value": pupil(window)},
+        "fields": {
+            "fields": [{"x": 0.0, "y": 0.0, "vx": 0.0, "vy": 0.0, "weight": 1.0}],
+            "telecentric": False,
+            "field_definition": {"field_type": "AngleField"},
+        },
+        "wavelengths": {"wavelengths": [wavelength], "polarization": "ignore"},
+    }
+
+
 def optiland_document(window: Window) -> dict[str, Any]:
     """Content of the file: the input of `optiland.optic.Optic.from_dict`, and an additional key for what that
     lacks.
@@ -96,18 +110,7 @@ def optiland_document(window: Window) -> dict[str, Any]:
     return {
         "version": 1.0,
         "name": f"{window.name}, one telescopelet",
-        "aperture": {"type": "EPD", "value": pupil(window)},
-        "fields": {
-            "fields": [{"x": 0.0, "y": 0.0, "vx": 0.0, "vy": 0.0, "weight": 1.0}],
-            "telecentric": False,
-            "field_definition": {"field_type": "AngleField"},
-        },
-        "wavelengths": {
-            "wavelengths": [
-                {"value": wavelength_um(window), "is_primary": True, "unit": "um", "weight": 1.0}
-            ],
-            "polarization": "ignore",
-        },
+        **_light(window),
         "apodization": None,
         "pickups": [],
         "solves": {"solves": []},

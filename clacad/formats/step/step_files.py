@@ -147,8 +147,7 @@ def write_step_stack(
     -------
     dict
         schema, pcurves, unit, bytes, merge and the totals of `write_step`; sheets: for each the facts of
-        `write_step`,
-        with its name and z.
+        `write_step`, with its name and z.
 
     Raises
     ------
@@ -169,17 +168,12 @@ def write_step_stack(
             part.component(whole, made[id(window)][0].product, title, spot)
         part.presentation([style for sheet, _ in made.values() for style in sheet.styles])
         part.close()
-    sheets = [
-        {
-            "name": title,
-            "z": z,
-            "mode": made[id(window)][1],
-            "pcurves": pcurves,
-            **_total(made[id(window)][0].bodies),
-        }
-        for title, window, z in placed
-    ]
-    bodies = [body for _, window, _ in placed for body in made[id(window)][0].bodies]
+    sheets, bodies = [], []
+    for title, window, z in placed:
+        sheet, kind = made[id(window)]
+        own = {"name": title, "z": z, "mode": kind, "pcurves": pcurves}
+        sheets.append(own | _total(sheet.bodies))
+        bodies += sheet.bodies
     size = Path(path).stat().st_size
     facts = {"schema": schema, "pcurves": pcurves, "unit": "mm", "bytes": size, "merge": merge}
     return {**facts, **_total(bodies), "sheets": sheets}
