@@ -12,7 +12,7 @@ from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
 from clacad.design.combinations import has_plate
-from clacad.design.keys import BODY, CHECK, LATTICE, LAW, PAIR, TOLERANCES
+from clacad.design.sections import BODY, CHECK, LATTICE, LAW, PAIR, TOLERANCES
 
 
 @dataclass(frozen=True, slots=True)

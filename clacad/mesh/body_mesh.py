@@ -16,8 +16,7 @@ from clacad.base.types import Floats, Ints
 from clacad.mesh.cell_template import Template
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.health import flux
-from clacad.mesh.land_ring import row_states
-from clacad.mesh.tiled import JUDGED, Tiled
+from clacad.mesh.land_ring import JUDGED, Tiled, row_states
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Window

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
+from clacad.mesh.cell_triangulation import Column, Ring, strip
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
 from clacad.mesh.prototile import Prototile
-from clacad.mesh.step_walls import Column, Ring, strip
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import node_cells
 

@@ -14,11 +14,11 @@ from clacad.sheet.plate import (
     Hole,
     Plate,
     counter_clockwise,
+    fault,
     plate_of_circle,
     plate_of_rectangle,
 )
 from clacad.sheet.plate_edges import next_crossing
-from clacad.sheet.simple_outline import fault
 from clacad.tracing.compiled.array_cells import in_plate, next_edge
 
 L = ((-6, -5, 0), (6, -5, 0.3), (6, 1, 0), (1, 1, -0.414), (0, 2, 0), (0, 6, 0), (-6, 6, 0))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import degrees, isfinite
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,13 +17,21 @@ from clacad.base.text import digits
 from clacad.base.types import Pair2
 from clacad.base.units import MONOMIALS, POWER, RAISED
 from clacad.optics.law.focusing import Superlens, along_axes
-from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
-from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
+from clacad.sheet.feasibility.derived_numbers import (
+    BodyFacts,
+    EyeAdvice,
+    FaceShape,
+    Feasibility,
+    LensFacts,
+    two,
+)
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.plate import Plate
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
-from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Window
 
 
 @dataclass(frozen=True, slots=True)
