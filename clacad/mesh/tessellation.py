@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.vectors import doubled_normals
-from clacad.mesh.body_mesh import BodyMesh, Mesh, Plain, no_plain
+from clacad.mesh.body_mesh import BodyMesh, Mesh, Plain, block_parts, no_plain
 from clacad.mesh.cell_template import BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, Template, TemplateMaker
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
@@ -400,7 +400,7 @@ def template_normals(lattice: Lattice, body: Body, template: Template) -> Floats
 def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
     """Yield the outward corner normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
     known: dict[int, Floats] = {}
-    for block, cells in mesh.parts():
+    for block, cells in block_parts(mesh):
         template, own = block.template, block.tiled.own
         if own is not None:
             i, j = block.cells[0].tolist()

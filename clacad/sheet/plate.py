@@ -140,39 +140,9 @@ class Plate:
             share = 0.5 * (low + high)
             half = share * 0.5 * np.array([x1 - x0, y1 - y0])
             sides = centre + half * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-            low, high = (share, high) if self._clear(sides) else (low, share)
+            low, high = (share, high) if _clear(self, sides) else (low, share)
         share = low * (1.0 - 1e-9)
         return 0.5 * share * (x1 - x0), 0.5 * share * (y1 - y0)
-
-    @property
-    def least_land(self) -> float:
-        """Least distance between a hole's side and the boundary or another hole (length);
-        infinite without holes.
-        """
-        middles = np.array([(hole.x, hole.y) for hole in self.holes]).reshape(-1, 2)
-        radii = np.array([0.5 * hole.diameter for hole in self.holes])
-        gaps = [nearest_edges(self.loops[0], middles)[0] - radii] if self.holes else []
-        for n in range(1, len(radii)):
-            gaps.append(np.hypot(*(middles[n:] - middles[n - 1]).T) - radii[n:] - radii[n - 1])
-        return float(np.min(np.concatenate(gaps))) if gaps else np.inf
-
-    def free_width(self, low: float, high: float) -> float:
-        """Width of the widest rectangle about x = 0 between two heights y that no edge enters;
-        0 without one.
-        """
-        narrow, wide = 0.0, 2.0 * self.reach[0]
-        for _ in range(40):
-            x = 0.25 * (narrow + wide)
-            sides = np.array([(-x, low), (x, low), (x, high), (-x, high)])
-            free = bool(self.inside(sides).all()) and self._clear(sides)
-            narrow, wide = (2.0 * x, wide) if free else (narrow, 2.0 * x)
-        return narrow
-
-    def _clear(self, polygon: Floats) -> bool:
-        """Whether no edge has a point in a convex polygon (m, 2)."""
-        return not bool(
-            (distances(self.edges, polygon) == 0.0).any() or within(polygon, *self.edges[:, :2].T).any()
-        )
 
     def inside(self, points: Floats) -> Bools:
         """Which points (..., 2), lengths, lie in the material; see `clacad.sheet.plate_edges.inside`."""
@@ -202,24 +172,9 @@ class Plate:
         centres : (n, 2), lengths
         room : length
         """
-        held = self._holds(tile, centres, room)
+        held = _whole_cells(self, tile, centres, room)
         if self.moved != (0.0, 0.0):
-            held &= self._holds(tile, centres + np.array(self.moved), room)
-        return held
-
-    def _holds(self, tile: Floats, centres: Floats, room: float) -> Bools:
-        held = np.ones(len(centres), dtype=bool)
-        reach = float(np.hypot(*tile.T).max()) + room
-        for edge in self.edges:
-            low, high = edge_box(edge)
-            near = np.flatnonzero(
-                held & (centres > low - reach).all(axis=1) & (centres < high + reach).all(axis=1)
-            )
-            for start in range(0, len(near), 4096):
-                some = near[start : start + 4096]
-                held[some] = keeps_off(edge, tile, centres[some], room)
-        rest = np.flatnonzero(held)  # no edge is near: a cell is inside if its centre is
-        held[rest] = inside(self.edges, centres[rest])
+            held &= _whole_cells(self, tile, centres + np.array(self.moved), room)
         return held
 
     def polygons(self, steps: int) -> tuple[Floats, ...]:
@@ -235,6 +190,54 @@ class Plate:
             )
             for loop in self.loops
         )
+
+
+def least_land(plate: Plate) -> float:
+    """Least distance between a hole's side and the boundary or another hole (length);
+    infinite without holes.
+    """
+    middles = np.array([(hole.x, hole.y) for hole in plate.holes]).reshape(-1, 2)
+    radii = np.array([0.5 * hole.diameter for hole in plate.holes])
+    gaps = [nearest_edges(plate.loops[0], middles)[0] - radii] if plate.holes else []
+    for n in range(1, len(radii)):
+        gaps.append(np.hypot(*(middles[n:] - middles[n - 1]).T) - radii[n:] - radii[n - 1])
+    return float(np.min(np.concatenate(gaps))) if gaps else np.inf
+
+
+def free_width(plate: Plate, low: float, high: float) -> float:
+    """Width of the widest rectangle about x = 0 between two heights y that no edge enters;
+    0 without one.
+    """
+    narrow, wide = 0.0, 2.0 * plate.reach[0]
+    for _ in range(40):
+        x = 0.25 * (narrow + wide)
+        sides = np.array([(-x, low), (x, low), (x, high), (-x, high)])
+        free = bool(plate.inside(sides).all()) and _clear(plate, sides)
+        narrow, wide = (2.0 * x, wide) if free else (narrow, 2.0 * x)
+    return narrow
+
+
+def _clear(plate: Plate, polygon: Floats) -> bool:
+    """Whether no edge has a point in a convex polygon (m, 2)."""
+    return not bool(
+        (distances(plate.edges, polygon) == 0.0).any() or within(polygon, *plate.edges[:, :2].T).any()
+    )
+
+
+def _whole_cells(plate: Plate, tile: Floats, centres: Floats, room: float) -> Bools:
+    held = np.ones(len(centres), dtype=bool)
+    reach = float(np.hypot(*tile.T).max()) + room
+    for edge in plate.edges:
+        low, high = edge_box(edge)
+        near = np.flatnonzero(
+            held & (centres > low - reach).all(axis=1) & (centres < high + reach).all(axis=1)
+        )
+        for start in range(0, len(near), 4096):
+            some = near[start : start + 4096]
+            held[some] = keeps_off(edge, tile, centres[some], room)
+    rest = np.flatnonzero(held)  # no edge is near: a cell is inside if its centre is
+    held[rest] = inside(plate.edges, centres[rest])
+    return held
 
 
 def plate_of_circle(diameter: float) -> tuple[Vertex, ...]:

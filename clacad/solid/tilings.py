@@ -410,7 +410,7 @@ class Columns:
                 vertices.append(self.shells.point(centre + point))
                 heights.append(float(point[2]))
             else:
-                vertex, z = self._rim_end(f, face.pattern.ends[name[1]], zone)
+                vertex, z = _rim_end(self, f, face.pattern.ends[name[1]], zone)
                 vertices.append(vertex)
                 heights.append(z)
         edges = []
@@ -423,19 +423,20 @@ class Columns:
             edges.append(self.shells.edge(vertices[n], vertices[after], meets, centre, tolerance))
         return edges, vertices
 
-    def _rim_end(self, f: int, end: tuple[int, float], zone: list[Sided]) -> tuple[int, float]:
-        """The vertex on a zone side at which a rim ends, and its height in the cell frame."""
-        k, t = end
-        segment, column, forward = zone[k]
-        station = int(np.argmin(np.abs(segment.kind.shape.stations - (t if forward else 1.0 - t))))
-        post = segment.kind.posts[station]
-        level = post.levels.place[post.sectors[column]][f]
-        assert level is not None
-        return self.shells.vertex(segment.nodes[station], level), post.levels.z[level]
-
     def _rim_curve(self, f: int, face: CellFace, number: int, n: int) -> Arc:
         key = (f, number, n)
         if key not in self._rim_curves:
             assert face.lens is not None
             self._rim_curves[key] = face.lens.parameters(face.rims[number][n])
         return self._rim_curves[key]
+
+
+def _rim_end(columns: Columns, f: int, end: tuple[int, float], zone: list[Sided]) -> tuple[int, float]:
+    """The vertex on a zone side at which a rim ends, and its height in the cell frame."""
+    k, t = end
+    segment, column, forward = zone[k]
+    station = int(np.argmin(np.abs(segment.kind.shape.stations - (t if forward else 1.0 - t))))
+    post = segment.kind.posts[station]
+    level = post.levels.place[post.sectors[column]][f]
+    assert level is not None
+    return columns.shells.vertex(segment.nodes[station], level), post.levels.z[level]

@@ -16,8 +16,7 @@ import clacad
 from clacad import Fate, Rays
 from clacad.base.sobol import sobol
 from clacad.sheet.stack import BadStack, StackedSheet, lens_planes, stacked, standing
-from clacad.stacking import chief_matrices
-from clacad.stacking import stack
+from clacad.stacking import chief_matrices, stack
 from clacad.stacking.chief_matrices import meridian
 from clacad.stacking.stack_image import measure_image, nearest_point
 from clacad.stacking.stack_light import launched, measure_light
