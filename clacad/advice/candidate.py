@@ -18,7 +18,7 @@ from clacad.checks.check import NEAR
 from clacad.design import Design
 from clacad.design.process_profiles import profile
 from clacad.optics.material.catalogue import find
-from clacad.sheet.feasibility import pitch_for_eye
+from clacad.sheet.feasibility import derived_numbers
 
 MILLIMETRES = 1e3
 """Millimetres per metre."""
@@ -85,9 +85,9 @@ def sharpest_pitch(wish: Wish, behind: float) -> float:
     meridian blurred more.
     """
     distance, viewer, etas = behind / MILLIMETRES, wish.distance / MILLIMETRES, powers(wish)
-    pitches = [pitch_for_eye.sharpest_pitch(eta, distance, wish.wavelength) for eta in etas]
-    blurs = [pitch_for_eye.sharpest_blur(eta, distance, viewer, wish.wavelength) for eta in etas]
-    return MILLIMETRES * pitch_for_eye.pitch_of_more_blurred(pitches, blurs)
+    pitches = [derived_numbers.sharpest_pitch(eta, distance, wish.wavelength) for eta in etas]
+    blurs = [derived_numbers.sharpest_blur(eta, distance, viewer, wish.wavelength) for eta in etas]
+    return MILLIMETRES * derived_numbers.pitch_of_more_blurred(pitches, blurs)
 
 
 def wanted_pitch(wish: Wish) -> PitchBound:

@@ -32,7 +32,7 @@ from clacad.checks.check import Check
 from clacad.checks.levers import UNBUILT, Lever
 from clacad.config.edit_text import value_text
 from clacad.design import Design
-from clacad.design.keys import LATTICE, PAIR
+from clacad.design.sections import LATTICE, PAIR
 
 TRIALS = 100
 """Largest number of designs that are tried."""

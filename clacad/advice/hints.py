@@ -35,7 +35,7 @@ from clacad.checks.levers import Lever
 from clacad.checks.light_kinds import LAW_RMS
 from clacad.config.edit_text import value_text
 from clacad.design import Design
-from clacad.design.keys import PAIR
+from clacad.design.sections import PAIR
 
 CHANGES: Final[Changes] = {PAIR.surface: "biconic"}
 

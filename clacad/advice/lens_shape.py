@@ -20,9 +20,8 @@ from clacad.light.measure import measure
 from clacad.optics.rays import Rays
 from clacad.optics.sequence import trace_sequence
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import of_rays
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.bundle import RequestedLaw, of_rays
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
 from clacad.verification.light.through_window import FIT_SCALE

@@ -21,7 +21,7 @@ from clacad.checks.check import Check, kinds, wrong
 from clacad.checks.levers import FORMS, WORDS, Lever
 from clacad.checks.light_kinds import VIEWED
 from clacad.design import Design, DesignError
-from clacad.design.keys import BODY, LATTICE, PAIR
+from clacad.design.sections import BODY, LATTICE, PAIR
 
 Changes = Mapping[str, Any]
 """Values by dotted key, as `Design.replace` takes them."""

@@ -24,7 +24,7 @@ from clacad.checks.light_kinds import VIEWED
 from clacad.config.edit_text import to_toml
 from clacad.design import Design
 from clacad.design.body import Outline
-from clacad.design.keys import ROOT, SECTIONS
+from clacad.design.sections import ROOT, SECTIONS
 
 FEW = 2
 """Largest number of wishes that are named."""

@@ -12,8 +12,8 @@ from clacad.advice.wish import Wish
 from clacad.base.text import digits
 from clacad.checks.light_kinds import LAW_RMS
 from clacad.design import Design, DesignError
-from clacad.design.keys import LATTICE, PAIR
-from clacad.sheet.feasibility.pitch_for_eye import ARC_MINUTE
+from clacad.design.sections import LATTICE, PAIR
+from clacad.sheet.feasibility.derived_numbers import ARC_MINUTE
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,16 +15,15 @@ from clacad.base.text import did_you_mean, near
 from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
 from clacad.config.compound_kinds import Several
-from clacad.config.design_error import DesignError
 from clacad.config.keys import REQUIRED, Key
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.quantities import LENGTH_ABOVE_0
 from clacad.config.toml_text import toml_value
 from clacad.config.value_kinds import Refusal, Whole, Word, shown
 from clacad.design.body import Outline
-from clacad.design.keys import LAW, PAIR, SECTIONS
 from clacad.design.process_profiles import profile
 from clacad.design.rules import Asked, law_is_a_pair, lens_faces_forward, material_is_known
+from clacad.design.sections import LAW, PAIR, SECTIONS
 from clacad.optics.material.catalogue import find, names
 
 UNIT: Final = Unit("mm", LENGTHS["mm"])

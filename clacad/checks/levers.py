@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from clacad.design.keys import BODY, LATTICE, PAIR
+from clacad.design.sections import BODY, LATTICE, PAIR
 
 
 @dataclass(frozen=True, slots=True)

@@ -118,7 +118,7 @@ class Schema:
 def schema(request: Schema, console: Console) -> int:
     """Print the JSON Schema."""
     if request.scene:
-        from clacad.scene.keys import scene_schema as made
+        from clacad.scene.sections import scene_schema as made
     else:
         from clacad.design import json_schema as made
     show_json(made())

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from clacad.advice.wish import KEYS, UNIT, read_wish, read_word, written
-from clacad.config.design_error import DesignError
+from clacad.config.mistakes import DesignError
 from clacad.design import template
 
 QUESTIONS = (

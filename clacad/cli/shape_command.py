@@ -108,7 +108,7 @@ def run(request: Shape, console: Console) -> int:
 def _base(request: Shape) -> Design:
     """The design to shape: as given, or the slab of the templates, its law and cells as --set has them."""
     from clacad.design import Design, load, template
-    from clacad.design.keys import LATTICE
+    from clacad.design.sections import LATTICE
 
     cells, overrides = request.cells, request.set
     if request.base is not None:
@@ -181,8 +181,8 @@ def _published(
     """Write design, table and picture; nothing where the sheet cannot be built."""
     from hashlib import sha256
 
-    from clacad.config.design_error import DesignError
     from clacad.config.edit_text import to_toml
+    from clacad.config.mistakes import DesignError
     from clacad.design import load
     from clacad.imaging.shape import plot_png, rendered, table_text
     from clacad.prescription.prescribe import prescribe

@@ -205,7 +205,7 @@ def _forecast(stack: Stack, request: StackRequest, out: Path | None, console: Co
     from clacad.base.units import millimetres
     from clacad.cli.tables import forecast_text
     from clacad.stacking.assembly import sheet_facts
-    from clacad.stacking.stack_cost import in_all, refuse, rows, rows_by_sheet
+    from clacad.stacking.make_stack import in_all, refuse, rows, rows_by_sheet
     from clacad.storage.atomic import require_folder
 
     if out is not None:
@@ -262,8 +262,7 @@ def _make(
     designs: Sequence[Design], stack: Stack, request: StackRequest, out: Path | None, console: Console
 ) -> int:
     """Measure, write, print: the share of light first."""
-    from clacad.stacking.make_stack import run_stack
-    from clacad.stacking.stack_cost import TASK, in_all, light_seconds
+    from clacad.stacking.make_stack import TASK, in_all, light_seconds, run_stack
 
     with console.progress() as progress:
         if out is None:

@@ -11,9 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
-from clacad.config.design_error import DesignError
-from clacad.config.key_positions import KEY_NODES, KeyPath, key_names, split_key, syntax_tree
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import KEY_NODES, DesignError, KeyPath, Mistake, key_names, split_key, syntax_tree
 from clacad.config.toml_text import toml_value
 from clacad.config.value_kinds import kind_of
 

@@ -16,9 +16,7 @@ from typing import Any, Final, NoReturn
 
 from clacad.base.text import DEEPEST, beyond_64_bits, did_you_mean, near, plain
 from clacad.base.untrusted_files import BUDGETS, read_regular
-from clacad.config.design_error import DesignError, DesignTooLarge
-from clacad.config.key_positions import Place, find, syntax_place
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, DesignTooLarge, Mistake, Place, find, syntax_place
 from clacad.config.value_kinds import kind_of
 
 LARGEST_FILE: Final = BUDGETS["design"].bytes

@@ -6,13 +6,11 @@ Nothing heavy is imported until something is validated.
 
 from __future__ import annotations
 
-from clacad.config.design_error import DesignError
-from clacad.config.mistakes import CODES, Mistake
+from clacad.config.mistakes import CODES, DesignError, Mistake
 from clacad.design.body import BodySpec, Frame, Outline
-from clacad.design.keys import json_schema
 from clacad.design.limits import Allowed, CheckSpec, TolerancesSpec
 from clacad.design.model import Design, load
-from clacad.design.sections import AimedAt, FieldSpec, LatticeSpec, LawSpec, LightSpec, PairSpec
+from clacad.design.sections import AimedAt, FieldSpec, LatticeSpec, LawSpec, LightSpec, PairSpec, json_schema
 from clacad.design.starter_designs import template, templates
 
 __all__ = [

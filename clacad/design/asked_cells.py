@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from clacad.config.design_error import DesignError
+from clacad.config.mistakes import DesignError
 from clacad.design.cell_table import read_table
 from clacad.design.combinations import ETAS, FEATURES, why_not
 from clacad.design.read import values_of

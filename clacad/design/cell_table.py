@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING, Final
 
 from clacad.base.text import printable
 from clacad.base.untrusted_files import BUDGETS, require_regular
-from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.keys import REQUIRED, key
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, DesignTooLarge, Mistake
 from clacad.config.toml_text import folder_of, outside
 from clacad.config.value_kinds import Text
 

@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from clacad.design.keys import BODY, LATTICE, LAW, PAIR, TOLERANCES
-from clacad.design.sections import AimedAt
+from clacad.design.sections import BODY, LATTICE, LAW, PAIR, TOLERANCES, AimedAt
 
 Ask = Callable[[str], Any]
 

@@ -11,17 +11,15 @@ from typing import Any
 
 from clacad.base import units
 from clacad.config import edit_text as override
-from clacad.config.design_error import DesignError
-from clacad.config.key_positions import located
 from clacad.config.key_reader import KeyReader
 from clacad.config.keys import attributes_of
-from clacad.config.mistakes import Mistake, in_order
+from clacad.config.mistakes import DesignError, Mistake, in_order, located
 from clacad.config.toml_text import given_table, parse, read_text
 from clacad.design.body import filling_count
 from clacad.design.cell_table import digest, table_path
 from clacad.design.drawn_outline import with_points
-from clacad.design.keys import DESIGN, SECTIONS, SPECS
 from clacad.design.rules import Asked
+from clacad.design.sections import DESIGN, SECTIONS, SPECS
 from clacad.design.sheet_rules import broken
 from clacad.design.varying import VaryingSpec
 

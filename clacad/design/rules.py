@@ -12,7 +12,7 @@ from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
 from clacad.design.combinations import has_plate
-from clacad.design.keys import BODY, CHECK, LATTICE, LAW, PAIR, TOLERANCES
+from clacad.design.sections import BODY, CHECK, LATTICE, LAW, PAIR, TOLERANCES
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,6 +351,46 @@ def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
             )
 
 
+def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) -> Iterator[Mistake]:
+    """A field lens of two arrays of cylinders needs cells along them, no tilt and no baffle."""
+    if a(LATTICE.kind) == "hexagonal":
+        yield Mistake(
+            "CL127",
+            "eta_x and eta_y differ: the field lens is two arrays of cylinders, which hexagonal cells "
+            "would cut across",
+            LATTICE.kind,
+            allowed="square | rectangular",
+            hint="eta_x = eta_y",
+        )
+    if (angle := euler[0] + euler[2]) % 90.0:
+        yield Mistake(
+            "CL127",
+            f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: cells would cut across "
+            "the cylinders of the field lens",
+            f"{LAW.euler}.0",
+            allowed="phi + psi = 0 deg, or a multiple of 90 deg",
+            hint="eta_x = eta_y, or lenses along the cells",
+        )
+    if euler[1] != 0.0 and form == "biconvex":
+        yield Mistake(
+            "CL127",
+            f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
+            "would fall into steps",
+            f"{LAW.euler}.1",
+            allowed="theta = 0",
+            hint="eta_x = eta_y, or theta = 0",
+        )
+    if a(BODY.baffle) and form != "slab":
+        yield Mistake(
+            "CL127",
+            "eta_x and eta_y differ: between the two arrays of cylinders light would change its cell "
+            "inside the glass of their plate, where a baffle can have no wall",
+            BODY.baffle,
+            allowed="false",
+            hint="eta_x = eta_y, or no baffle",
+        )
+
+
 def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
     """A tilt needs a biconvex pair; separate foci need cells along the lens axes;
     keys of a field lens need one.
@@ -374,42 +414,7 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
             hint='pair.form = "biconvex", or theta = 0',
         )
     if eta[0] != eta[1]:
-        if a(LATTICE.kind) == "hexagonal":
-            yield Mistake(
-                "CL127",
-                "eta_x and eta_y differ: the field lens is two arrays of cylinders, which hexagonal cells "
-                "would cut across",
-                LATTICE.kind,
-                allowed="square | rectangular",
-                hint="eta_x = eta_y",
-            )
-        if (angle := euler[0] + euler[2]) % 90.0:
-            yield Mistake(
-                "CL127",
-                f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: cells would cut across "
-                "the cylinders of the field lens",
-                f"{LAW.euler}.0",
-                allowed="phi + psi = 0 deg, or a multiple of 90 deg",
-                hint="eta_x = eta_y, or lenses along the cells",
-            )
-        if euler[1] != 0.0 and form == "biconvex":
-            yield Mistake(
-                "CL127",
-                f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
-                "would fall into steps",
-                f"{LAW.euler}.1",
-                allowed="theta = 0",
-                hint="eta_x = eta_y, or theta = 0",
-            )
-        if a(BODY.baffle) and form != "slab":
-            yield Mistake(
-                "CL127",
-                "eta_x and eta_y differ: between the two arrays of cylinders light would change its cell "
-                "inside the glass of their plate, where a baffle can have no wall",
-                BODY.baffle,
-                allowed="false",
-                hint="eta_x = eta_y, or no baffle",
-            )
+        yield from _cylinders_are_made(a, form, euler)
     if has_plate(a):
         yield Mistake(
             "CL127",

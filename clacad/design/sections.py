@@ -2,6 +2,9 @@
 
 Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; the Euler angles are kept
 in degrees, as written, so that 90 degrees stays exact. `clacad explain pair.web` prints what a key means.
+
+The module also lists all keys of a design file, those of `clacad.design.body` and `clacad.design.limits`
+included: `PAIR.separation` is the path "pair.separation".
 """
 
 from __future__ import annotations
@@ -10,16 +13,20 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from clacad.config import key_reader as schema
 from clacad.config.compound_kinds import ListOf, ListOrTable, Record, Several, WordOr
-from clacad.config.keys import REQUIRED, key, keys_of
+from clacad.config.key_reader import FileForm, head_keys
+from clacad.config.keys import REQUIRED, Key, KeyPaths, key, keys_of
 from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
 from clacad.config.value_kinds import LARGEST_COUNT, Flag, Text, Whole, Word
-from clacad.design.body import OUTLINE, Outline
+from clacad.design.body import OUTLINE, BodySpec, Outline
 from clacad.design.faces import CONIC, FaceSpec, SearchRecord
+from clacad.design.limits import CheckSpec, TolerancesSpec
 from clacad.design.varying import VARYING, Planes, VaryingSpec
 
-if TYPE_CHECKING:  # a design is read without numpy
+if TYPE_CHECKING:
     from clacad.base.types import Pair2
+
 
 _ETA: Final = Quantity("ratio", "a number, not 0, from -1e6 to 1e6", least=-1e6, most=1e6)
 _DELTA: Final = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
@@ -275,3 +282,71 @@ class LightSpec:
     """Section [light]: light that illuminates the sheet."""
 
     coherent: bool = key(Flag(), "whether the light is one wave over many cells, as a laser's", False)
+
+
+ROOT: Final = head_keys(
+    "name of the design, used for files and reports", "unit of every bare length", "remarks the report prints"
+)
+
+SPECS: Final[dict[str, type]] = {
+    "law": LawSpec,
+    "pair": PairSpec,
+    "lattice": LatticeSpec,
+    "body": BodySpec,
+    "check": CheckSpec,
+    "tolerances": TolerancesSpec,
+    "light": LightSpec,
+}
+"""Section → the dataclass whose fields are its keys."""
+
+SECTIONS: Final[dict[str, dict[str, Key]]] = {name: keys_of(spec) for name, spec in SPECS.items()}
+
+LAW, PAIR, LATTICE, BODY, CHECK, TOLERANCES, LIGHT = (KeyPaths(name, keys) for name, keys in SECTIONS.items())
+
+DESIGN: Final = FileForm(
+    ROOT,
+    SECTIONS,
+    optional=("body", "check", "tolerances", "light"),
+    synonyms={
+        **dict.fromkeys(("phi", "theta", "psi", "tilt", "angles"), LAW.euler),
+        **dict.fromkeys(("eta_x", "eta_y"), LAW.eta),
+        **dict.fromkeys(("delta_x", "delta_y", "offset"), LAW.delta),
+        **dict.fromkeys(("n", "refractive_index"), PAIR.index),
+        **dict.fromkeys(("gap", "distance"), PAIR.separation),
+        **dict.fromkeys(("size", "cells"), LATTICE.count),
+        "glass": PAIR.material,
+        "lambda": PAIR.wavelength,
+        "recipe": PAIR.confocal,
+        "type": PAIR.form,
+        "period": LATTICE.pitch,
+        "shape": LATTICE.outline,
+        "wall": BODY.baffle_wall,
+        "dowels": BODY.pins,
+        "mounting": BODY.holes,
+        "chamfer": BODY.corners,
+        "units": "unit",
+        "version": "format",
+        "title": "name",
+    },
+    elsewhere=dict.fromkeys(
+        ("sheet", "camera", "background", "object", "effects", "animation"), ("scene", "")
+    ),
+)
+"""Keys of a design file, their other names, and the sections of a scene file."""
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a design file, for editors that complete keys.
+
+    Returns
+    -------
+    dict
+        With `$schema`, `title` and one property for each key; unknown keys are refused.
+    """
+    titles = {name: name.capitalize() for name in SECTIONS}
+    properties = schema.properties_of(ROOT) | {
+        name: {"$ref": f"#/$defs/{title}"} for name, title in titles.items()
+    }
+    required = schema.required_of(ROOT) + [name for name in SECTIONS if name not in DESIGN.optional]
+    definitions = {title: schema.table(SECTIONS[name], title) for name, title in titles.items()}
+    return schema.document("clacad design", properties, required, definitions)

@@ -12,8 +12,8 @@ from clacad.base.text import rounded_up
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
 from clacad.design.combinations import FEATURES, built_sheets, why_not
-from clacad.design.keys import BODY, LATTICE, LAW, PAIR
 from clacad.design.rules import PAIR_RULES, Asked, Rule
+from clacad.design.sections import BODY, LATTICE, LAW, PAIR
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta
 
 SMALLEST_PITCH_M: Final = 1e-7
@@ -174,7 +174,7 @@ def outline_is_simple(a: Asked) -> Iterator[Mistake]:
         outline = a(key)
         if outline is None or outline.shape != "polygon":
             continue
-        from clacad.sheet.simple_outline import fault
+        from clacad.sheet.plate import fault
 
         why = fault(outline.points)
         if why:

@@ -12,10 +12,9 @@ import tomllib
 from pathlib import Path
 
 from clacad.base.units import LENGTHS, Unit
-from clacad.config.design_error import DesignError
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import Refusal, Word, shown
-from clacad.design.keys import ROOT
+from clacad.design.sections import ROOT
 
 _FOLDER = Path(__file__).parent / "templates"
 _PACKAGE = Path(__file__).resolve().parents[1]

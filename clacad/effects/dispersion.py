@@ -21,8 +21,7 @@ from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Si
 from clacad.light.compare import angles
 from clacad.light.measure import measure
 from clacad.optics.rays import Fate, Rays
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import of_rays
+from clacad.sheet.bundle import RequestedLaw, of_rays
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, thin_cells
 from clacad.sheet.window import Window
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.design.keys import BODY, CHECK, LATTICE, LAW, LIGHT, PAIR, TOLERANCES
+from clacad.design.sections import BODY, CHECK, LATTICE, LAW, LIGHT, PAIR, TOLERANCES
 
 WORDS: dict[str, tuple[str, str]] = {
     "eta": ("η_i = −f2_i/f1_i, i = x, y in the lens frame: slopes leave as (t − δ)/η.", LAW.eta),

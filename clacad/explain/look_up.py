@@ -19,8 +19,8 @@ from clacad.base.units import LENGTHS, Unit
 from clacad.checks.check import kinds
 from clacad.config.mistakes import CODES as IN_DESIGNS
 from clacad.design.combinations import BUILT, ITSELF, matrix
-from clacad.design.keys import DESIGN, PAIR, ROOT, SECTIONS
 from clacad.design.process_profiles import ProcessProfile, profiles
+from clacad.design.sections import DESIGN, PAIR, ROOT, SECTIONS
 from clacad.effects import registry
 from clacad.explain.design_mistakes import MISTAKES, Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
@@ -28,7 +28,7 @@ from clacad.exporting.formats.format import Format
 from clacad.exporting.formats.registry import formats
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
-from clacad.topology.cannot_build import CODES as BODIES
+from clacad.topology.complex_parts import CODES as BODIES
 
 SHOWN = (550e-9, 4e-6, 10.6e-6)
 """Wavelengths, metres, at which an index is printed where it is known: the eye's, the middle and the far

@@ -2,10 +2,8 @@
 through the sheet.
 
 The page draws with rung `thin` in single precision, in the coordinates of each cell. It computes its verdict
-by the closed
-forms of `clacad.sheet.vignetting` and `clacad.sheet.feasibility.pitch_for_eye`, which JavaScript repeats and
-tests compare.
-The page that `explore` writes needs no network and no other file.
+by the closed forms of `clacad.sheet.vignetting` and `clacad.sheet.feasibility.derived_numbers`, which
+JavaScript repeats and tests compare. The page that `explore` writes needs no network and no other file.
 """
 
 from __future__ import annotations

@@ -14,8 +14,7 @@ from typing import Any
 
 from clacad.design import Design
 from clacad.design.sections import AimedAt
-from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
-from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE
+from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, SEPARATIONS, VIEWING_DISTANCE
 from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.plate import Plate
 from clacad.sheet.vignetting import half_field, thin_cells

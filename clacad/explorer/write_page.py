@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Pair2
-from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
-from clacad.sheet.feasibility.pitch_for_eye import viewing
+from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, viewing
 from clacad.sheet.lattice import inside_outline
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, share, thin_cells
 from clacad.sheet.window import Window

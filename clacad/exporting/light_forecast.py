@@ -22,8 +22,7 @@ from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.light.compare import Comparison, change_with_shift
 from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
 from clacad.optics.law import difference_of_laws
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import bundle, field_points
+from clacad.sheet.bundle import RequestedLaw, bundle, field_points
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import WALL, Window
@@ -341,7 +340,7 @@ def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = T
 
 def _optical(window: Window, rows: Iterator[Floats], bevel: float) -> tuple[Floats, Bools]:
     """Facets (t, 3, 3) that are neither walls nor bevels, and whether each belongs to the back (t,)."""
-    from clacad.mesh.saddle_bevel import in_corners
+    from clacad.mesh.border_samples import in_corners
 
     corners = np.concatenate([np.asarray(block, dtype=np.float64) for block in rows])
     normal = doubled_normals(corners)

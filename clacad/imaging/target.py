@@ -10,7 +10,7 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.design.number_rows import NumberRows
+from clacad.design.cell_table_rows import NumberRows
 
 LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 """Weights of linear red, green and blue in luminance (Rec. 709)."""

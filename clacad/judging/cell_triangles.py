@@ -13,7 +13,7 @@ from clacad.base.vectors import doubled_normals, lengths, middles
 from clacad.formats.mesh.compare_instances import levels as levels
 from clacad.formats.mesh.compare_instances import owner as owner
 from clacad.formats.mesh.compare_triangles import rounding
-from clacad.mesh.saddle_bevel import in_corners
+from clacad.mesh.border_samples import in_corners
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import distance_in_cell
 from clacad.sheet.window import WALL, Face, Window, lens_height

@@ -31,8 +31,7 @@ from clacad.judging.delivery import Inspection
 from clacad.light.compare import Comparison
 from clacad.light.measure import Light, Send, measure
 from clacad.optics.law import Law, difference_of_laws
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import bundle, field_points
+from clacad.sheet.bundle import RequestedLaw, bundle, field_points
 from clacad.sheet.vignetting import mean_share, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace

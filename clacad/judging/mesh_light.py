@@ -21,8 +21,7 @@ from clacad.light.compare import Comparison, rms_between
 from clacad.light.measure import Light
 from clacad.optics.law import Law
 from clacad.optics.rays import Fate
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, bundle, launched
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import half_field, thin_cells

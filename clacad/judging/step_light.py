@@ -20,8 +20,7 @@ from clacad.base.units import millimetres
 from clacad.judging.file_light import FileLight, measure_light
 from clacad.light.measure import Light, Send
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, bundle
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Face, Window, optical_tile
 from clacad.tracing.facets.telescopelet import ExactFace, FacetBody, trace_facets

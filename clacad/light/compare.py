@@ -17,7 +17,7 @@ from clacad.light.measure import FEWEST, Light, fitted_law, rms_angle
 from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import trace_sequence
-from clacad.sheet.telescopelet import interfaces, lens_distance
+from clacad.sheet.like_cell import interfaces, lens_distance
 from clacad.sheet.window import Window
 
 SLIDE = 1e-3

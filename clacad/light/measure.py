@@ -22,8 +22,7 @@ from clacad.base.vectors import axes_near
 from clacad.optics.law import Fit, Law, angle_between, linear_numbers, with_linear_numbers
 from clacad.optics.law.law import law_in_axes
 from clacad.optics.rays import Fate, Rays, TraceResult, joined_results
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle
+from clacad.sheet.bundle import Bundle, RequestedLaw
 
 FEWEST = 64
 """Least number of ALIVE rays for a result other than NaN."""

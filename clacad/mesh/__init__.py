@@ -5,6 +5,9 @@ from __future__ import annotations
 from clacad.mesh.body_mesh import BodyMesh, Mesh, mesh_volume, to_trimesh
 from clacad.mesh.health import Health, check_closed
 from clacad.mesh.tessellation import (
+    CellSolid,
+    cell_solid,
+    corner_normals,
     count_facets,
     forecast_bytes,
     forecast_quads,
@@ -12,7 +15,6 @@ from clacad.mesh.tessellation import (
     slope_error_at,
     tessellate,
 )
-from clacad.mesh.vertex_normals import CellSolid, cell_solid, corner_normals
 
 __all__ = [
     "BodyMesh",

@@ -16,8 +16,7 @@ from clacad.base.types import Floats, Ints
 from clacad.mesh.cell_template import Template
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.health import flux
-from clacad.mesh.land_ring import row_states
-from clacad.mesh.tiled import JUDGED, Tiled
+from clacad.mesh.land_ring import JUDGED, Tiled, row_states
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Window
@@ -161,30 +160,13 @@ class BodyMesh:
         for tiled in self.tiled:
             for j in range(lattice.count[1]):
                 row = lattice.row(j) if self.cells is None else self.cells[self.cells[:, 1] == j]
-                for block in self._row_blocks(tiled, row):
+                for block in _row_blocks(self, tiled, row):
                     yield block
                     if self.own and not self._tallied:
                         count += len(block.cells) * len(block.template.triangles)
                         volumes.append(len(block.cells) * fsum(flux(block.corners(0, 1)).tolist()))
         if self.own and not self._tallied:
             self._tallied.append(Tally(count, fsum(volumes)))
-
-    def _row_blocks(self, tiled: Tiled, row: Ints) -> Iterator[CellBlock]:
-        if not len(row):
-            return
-        states = self._states(tiled, row)
-        if tiled.own is not None:
-            for n, (i, j) in enumerate(row.tolist()):
-                yield CellBlock(tiled.own.at((i, j)).template(states[n]), row[n : n + 1], tiled)
-            return
-        kinds, which = np.unique(states, axis=0, return_inverse=True)
-        for n, kind in enumerate(kinds):
-            yield CellBlock(tiled.maker.template(kind), row[which.ravel() == n], tiled)
-
-    def _states(self, tiled: Tiled, row: Ints) -> NDArray[np.uint8]:
-        """States of the neighbours of some kept cells (n, 2) of a row; see `row_states`."""
-        apart = tiled.shift if len(self.tiled) > 1 else (0.0, 0.0)
-        return row_states(self.window, row, tiled.maker.offsets, self.ringed, tiled.lattice, apart)
 
     @cached_property
     def census(self) -> tuple[tuple[Template, Lattice, int], ...]:
@@ -197,7 +179,7 @@ class BodyMesh:
         templates: dict[int, tuple[Template, Lattice]] = {}
         for tiled in (one for one in self.tiled if one.own is None):
             for j, times in _distinct_rows(lattice.count[1], lattice.outline is None):
-                for block in self._row_blocks(tiled, lattice.row(j)):
+                for block in _row_blocks(self, tiled, lattice.row(j)):
                     templates[id(block.template)] = block.template, tiled.lattice
                     counts.setdefault(id(block.template), []).append(times * len(block.cells))
         return tuple((*templates[key], sum(number)) for key, number in counts.items())
@@ -209,67 +191,33 @@ class BodyMesh:
         In a non-uniform sheet all of them are made once to count them.
         """
         if self.own:
-            return self._tally.facets
+            return _totals(self).facets
         return sum(len(t.triangles) * number for t, _, number in self.census) + len(self.plain.triangles)
 
     @cached_property
     def facets_about(self) -> int:
         """Number of triangles; in a non-uniform sheet estimated from a sample of cells."""
         if self.cells is not None:
-            return self._tally.facets
+            return _totals(self).facets
         total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
         for tiled in (one for one in self.tiled if one.own is not None):
             cells = representative_cells(self.window, "sample", JUDGED)
             sampled = 0
             for i, j in cells.tolist():
-                states = self._states(tiled, np.array([[i, j]]))[0]
+                states = _states(self, tiled, np.array([[i, j]]))[0]
                 sampled += len(tiled.maker_at(i, j).template(states).triangles)
             total += sampled * self.window.lattice.cell_count // len(cells)
         return total
-
-    @property
-    def _tally(self) -> Tally:
-        """Totals over all triangles; computed by a complete pass over `blocks`."""
-        if not self._tallied:
-            for _ in self.blocks():
-                pass
-        return self._tallied[0]
 
     def rows(self) -> Iterator[Floats]:
         """Yield all triangles as (k, 3, 3) corner blocks of at most a row (lengths, sheet frame, outward).
 
         Memory is that of one block, for any number of cells; blocks come in a fixed order.
         """
-        for block, first, last in self._portions():
+        for block, first, last in _portions(self):
             yield block.corners(first, last)
         if len(self.plain.triangles):
             yield self.plain.corners
-
-    def _portions(self) -> Iterator[tuple[CellBlock, int, int]]:
-        """Blocks cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
-        for block in self.blocks():
-            each = max(1, _CHUNK // len(block.template.triangles))
-            for first in range(0, len(block.cells), each):
-                yield block, first, min(first + each, len(block.cells))
-
-    def parts(self) -> Iterator[tuple[CellBlock, int]]:
-        """Yield (block, number of cells) of each block of `rows`, without the plain land."""
-        for block, first, last in self._portions():
-            yield block, last - first
-
-    def tags(self) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
-        """Yield (kind (k,), cell (k, 2)) of the triangles of each block of `rows`; plain land has cell −2³¹.
-
-        Kinds are FRONT, FRONT_LAND, BACK, BACK_LAND and WALL of `clacad.mesh.cell_template`; optical are
-        FRONT
-        and BACK, of the body's front and back face.
-        """
-        for block, first, last in self._portions():
-            cells = block.cells[first:last]
-            kind = np.tile(block.template.kind, len(cells))
-            yield kind, np.repeat(cells, len(block.template.triangles), axis=0)
-        if len(self.plain.triangles):
-            yield self.plain.kind, np.full((len(self.plain.triangles), 2), -(2**31), dtype=np.int64)
 
     @cached_property
     def _expanded(self) -> tuple[Floats, Ints]:
@@ -306,8 +254,64 @@ class BodyMesh:
     def volume(self) -> float:
         """Volume by the divergence sum over the templates (length³), compensated."""
         if self.own:
-            return self._tally.volume
+            return _totals(self).volume
         return mesh_volume(self)
+
+
+def _row_blocks(mesh: BodyMesh, tiled: Tiled, row: Ints) -> Iterator[CellBlock]:
+    if not len(row):
+        return
+    states = _states(mesh, tiled, row)
+    if tiled.own is not None:
+        for n, (i, j) in enumerate(row.tolist()):
+            yield CellBlock(tiled.own.at((i, j)).template(states[n]), row[n : n + 1], tiled)
+        return
+    kinds, which = np.unique(states, axis=0, return_inverse=True)
+    for n, kind in enumerate(kinds):
+        yield CellBlock(tiled.maker.template(kind), row[which.ravel() == n], tiled)
+
+
+def _states(mesh: BodyMesh, tiled: Tiled, row: Ints) -> NDArray[np.uint8]:
+    """States of the neighbours of some kept cells (n, 2) of a row; see `row_states`."""
+    apart = tiled.shift if len(mesh.tiled) > 1 else (0.0, 0.0)
+    return row_states(mesh.window, row, tiled.maker.offsets, mesh.ringed, tiled.lattice, apart)
+
+
+def _totals(mesh: BodyMesh) -> Tally:
+    """Totals over all triangles; computed by a complete pass over `blocks`."""
+    if not mesh._tallied:
+        for _ in mesh.blocks():
+            pass
+    return mesh._tallied[0]
+
+
+def _portions(mesh: BodyMesh) -> Iterator[tuple[CellBlock, int, int]]:
+    """Blocks cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
+    for block in mesh.blocks():
+        each = max(1, _CHUNK // len(block.template.triangles))
+        for first in range(0, len(block.cells), each):
+            yield block, first, min(first + each, len(block.cells))
+
+
+def block_parts(mesh: BodyMesh) -> Iterator[tuple[CellBlock, int]]:
+    """Yield (block, number of cells) of each block of `rows`, without the plain land."""
+    for block, first, last in _portions(mesh):
+        yield block, last - first
+
+
+def facet_tags(mesh: BodyMesh) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
+    """Yield (kind (k,), cell (k, 2)) of the triangles of each block of `rows`; plain land has cell −2³¹.
+
+    Kinds are FRONT, FRONT_LAND, BACK, BACK_LAND and WALL of `clacad.mesh.cell_template`; optical are
+    FRONT
+    and BACK, of the body's front and back face.
+    """
+    for block, first, last in _portions(mesh):
+        cells = block.cells[first:last]
+        kind = np.tile(block.template.kind, len(cells))
+        yield kind, np.repeat(cells, len(block.template.triangles), axis=0)
+    if len(mesh.plain.triangles):
+        yield mesh.plain.kind, np.full((len(mesh.plain.triangles), 2), -(2**31), dtype=np.int64)
 
 
 def mesh_volume(mesh: BodyMesh) -> float:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
+from clacad.mesh.cell_triangulation import Column, Ring, strip
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
 from clacad.mesh.prototile import Prototile
-from clacad.mesh.step_walls import Column, Ring, strip
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import node_cells
 
@@ -99,8 +99,8 @@ class TemplateMaker:
         self._levels = self.tile.corner_levels()
         self._apart = bool((np.abs(self.tile.land) == FAR).any())
         self.places = self._canonical()
-        self.xy = self._in_owner()
-        self._caps = self._make_caps()
+        self.xy = _in_owner(self)
+        self._caps = _make_caps(self)
         self._inner = _inner_walls(self.tile.plan.triangles, self._levels)
         ends = {point for wall in self._inner for point in wall[:2]}
         self._join_edges(ends)
@@ -159,18 +159,6 @@ class TemplateMaker:
         self._side_of = {int(p): (k, i + 1) for k, side in enumerate(sides) for i, p in enumerate(side[1:-1])}
         return owner, point
 
-    def _in_owner(self) -> Floats:
-        """Every footprint point in the frame of its owner cell, (n, 2): bit for bit as in that cell."""
-        sides, half = self.tile.plan.sides, len(self.tile.plan.sides) // 2
-        xy = self.tile.plan.xy.copy()
-        for k, points in enumerate(self.tile.on_left):
-            xy[sides[k][1:-1]] = points if k < half else points[::-1]
-        corners = self.tile.plan.xy[[side[0] for side in sides]]
-        for cells in node_cells(self.lattice):
-            for _, corner in cells:
-                xy[sides[corner][0]] = corners[cells[0][1]]
-        return xy
-
     # -- columns and fans ---------------------------------------------------------------------
 
     def _column(self, triangle: int, point: int) -> Column:
@@ -195,11 +183,6 @@ class TemplateMaker:
             return self._fan(point, self._next[point])
         start = min(q for p, q in self._spokes[point])
         return self._fan(point, start)
-
-    def _absent(self, state: int) -> Column:
-        """The column in place of a cell that is not kept."""
-        front, back = self.tile.land
-        return (front, back) if state == PLAIN and front != NONE and back != -NONE else None
 
     def _ring(self, point: int, states: dict[Offset, int], code: bytes) -> Ring:
         """All columns around a point, of its own cell and of its neighbours."""
@@ -234,36 +217,10 @@ class TemplateMaker:
                 local = int(there.tile.plan.sides[side][on])
                 wedges += [((offset, t), there._column(t, local)) for t in there._own_fan(local)]
             else:
-                wedges.append(((offset, -1), self._absent(state)))
+                wedges.append(((offset, -1), _absent(self, state)))
         return wedges
 
     # -- caps and inner walls -----------------------------------------------------------------
-
-    def _make_caps(self) -> tuple[Ints, Ints, Ints, NDArray[np.uint8]]:
-        """Both caps: vertex points, vertex levels, triangles, kinds."""
-        plan, part = self.tile.plan, self.tile.part
-        points, levels, kinds = [], [], []
-        for side in (0, 1):
-            level = self._levels[:, :, side]
-            if (np.abs(level) == FAR).all():
-                continue
-            if self.tile.plane[side]:
-                corners = _plane_cap(self.tile.plan)
-                z = np.full(corners.shape, self.tile.lens[0, side])
-                kind = np.full(len(corners), (FRONT, BACK)[side])
-            else:
-                solid = (part[:, side] == LENS) | (part[:, side] == LAND)
-                corners, z = plan.triangles[solid], level[solid]
-                kind = np.where(part[solid, side] == LENS, (FRONT, BACK)[side], (FRONT_LAND, BACK_LAND)[side])
-                kind[self.tile.bevelled(side)[solid]] = WALL
-            if side == 0:  # material above: seen from outside (below) the orientation is reversed
-                corners, z = corners[:, ::-1], z[:, ::-1]
-            points.append(corners)
-            levels.append(z)
-            kinds.append(kind)
-        key = np.stack([np.concatenate(points).ravel(), np.concatenate(levels).ravel()], axis=1)
-        vertex, inverse = unique_rows(key)
-        return vertex[:, 0], vertex[:, 1], inverse.reshape(-1, 3), np.concatenate(kinds).astype(np.uint8)
 
     # -- templates ----------------------------------------------------------------------------
 
@@ -348,7 +305,7 @@ class TemplateMaker:
                 others = (there._column(right, p_there), there._column(right, q_there))
             else:
                 right = -1
-                others = (self._absent(states[step]),) * 2
+                others = (_absent(self, states[step]),) * 2
             if columns == others:
                 continue
             found += strip(
@@ -370,6 +327,52 @@ class TemplateMaker:
         assert at_p is not None
         assert at_q is not None
         return at_p[face], at_q[face]
+
+
+def _in_owner(maker: TemplateMaker) -> Floats:
+    """Every footprint point in the frame of its owner cell, (n, 2): bit for bit as in that cell."""
+    sides, half = maker.tile.plan.sides, len(maker.tile.plan.sides) // 2
+    xy = maker.tile.plan.xy.copy()
+    for k, points in enumerate(maker.tile.on_left):
+        xy[sides[k][1:-1]] = points if k < half else points[::-1]
+    corners = maker.tile.plan.xy[[side[0] for side in sides]]
+    for cells in node_cells(maker.lattice):
+        for _, corner in cells:
+            xy[sides[corner][0]] = corners[cells[0][1]]
+    return xy
+
+
+def _absent(maker: TemplateMaker, state: int) -> Column:
+    """The column in place of a cell that is not kept."""
+    front, back = maker.tile.land
+    return (front, back) if state == PLAIN and front != NONE and back != -NONE else None
+
+
+def _make_caps(maker: TemplateMaker) -> tuple[Ints, Ints, Ints, NDArray[np.uint8]]:
+    """Both caps: vertex points, vertex levels, triangles, kinds."""
+    plan, part = maker.tile.plan, maker.tile.part
+    points, levels, kinds = [], [], []
+    for side in (0, 1):
+        level = maker._levels[:, :, side]
+        if (np.abs(level) == FAR).all():
+            continue
+        if maker.tile.plane[side]:
+            corners = _plane_cap(maker.tile.plan)
+            z = np.full(corners.shape, maker.tile.lens[0, side])
+            kind = np.full(len(corners), (FRONT, BACK)[side])
+        else:
+            solid = (part[:, side] == LENS) | (part[:, side] == LAND)
+            corners, z = plan.triangles[solid], level[solid]
+            kind = np.where(part[solid, side] == LENS, (FRONT, BACK)[side], (FRONT_LAND, BACK_LAND)[side])
+            kind[maker.tile.bevelled(side)[solid]] = WALL
+        if side == 0:  # material above: seen from outside (below) the orientation is reversed
+            corners, z = corners[:, ::-1], z[:, ::-1]
+        points.append(corners)
+        levels.append(z)
+        kinds.append(kind)
+    key = np.stack([np.concatenate(points).ravel(), np.concatenate(levels).ravel()], axis=1)
+    vertex, inverse = unique_rows(key)
+    return vertex[:, 0], vertex[:, 1], inverse.reshape(-1, 3), np.concatenate(kinds).astype(np.uint8)
 
 
 def _plane_cap(plan: pl.Planar) -> Ints:

@@ -21,12 +21,19 @@ from clacad.base.polygons import doubled_areas
 from clacad.base.roots import bisect
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
-from clacad.mesh.border_samples import BorderSamples, settle_inside, settle_sides, with_borders
+from clacad.mesh.border_samples import (
+    BorderSamples,
+    added_volume,
+    bevelled,
+    check_width,
+    settle_inside,
+    settle_sides,
+    with_borders,
+)
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels, cluster, shortest
-from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
 from clacad.sheet.grid_steps import Steps, grid_steps, half_axes
 from clacad.sheet.window import optical_tile
-from clacad.topology.cannot_build import CannotBuild
+from clacad.topology.complex_parts import CannotBuild
 
 _WARP = 0.2  # a cut closer than this share of an edge to a free point moves that point instead
 

@@ -1,28 +1,32 @@
-"""Make watertight meshes of a window, by slope error or by quads per cell side.
+"""Watertight meshes of a window, by slope error or by quads per cell side.
 
-Triangles of the land ring and of the wall along the window's outline.
+The land ring and the wall along the window's outline are part of them. Formats that repeat cells use one
+closed cell, with exact normals at the corners of facets.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clacad.mesh.body_mesh import BodyMesh, Mesh, Plain, no_plain
-from clacad.mesh.cell_template import BACK_LAND, FRONT_LAND, WALL, TemplateMaker
+from clacad.base.types import Floats, Ints
+from clacad.base.vectors import doubled_normals
+from clacad.mesh.body_mesh import BodyMesh, Mesh, Plain, block_parts, no_plain
+from clacad.mesh.cell_template import BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, Template, TemplateMaker
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
-from clacad.mesh.land_ring import Key, LandRing, make_land
+from clacad.mesh.land_ring import Key, LandRing, Tiled, make_land
 from clacad.mesh.prototile import make_prototile
-from clacad.mesh.tiled import Tiled
+from clacad.sheet.lattice import Lattice
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.plate import Plate
-from clacad.sheet.window import Body, Window
+from clacad.sheet.window import Body, Window, lens_height_and_normal
 from clacad.topology.build_complex import cell_complex, saddle_count
-from clacad.topology.cannot_build import CannotBuild, refuse_buried_land
-from clacad.topology.complex_parts import CellComplex
+from clacad.topology.complex_parts import CannotBuild, CellComplex, refuse_buried_land
 
 Vertex = tuple[int, int, int, int]  # owner cell, point, level
 
@@ -333,3 +337,85 @@ def forecast_quads(window: Window, slope_error: float) -> int:
         f"a slope error of {slope_error:.3g} rad needs more than {MOST_QUADS} quads a cell side "
         f"({guess}); {slope_error_at(window, 64):.3g} rad takes 64"
     )
+
+
+@dataclass(frozen=True, eq=False)
+class CellSolid:
+    """One closed column of a body, in the cell frame, for instanced formats.
+
+    vertices : (v, 3) lengths
+    triangles : (t, 3), outward
+    kind : (t,) uint8
+        FRONT, FRONT_LAND, BACK, BACK_LAND or WALL of `clacad.mesh.cell_template`.
+    normals : (t, 3, 3)
+        Outward unit normals at the corners: exact on optical facets, the facet's own elsewhere.
+    """
+
+    vertices: Floats
+    triangles: Ints
+    kind: NDArray[np.uint8]
+    normals: Floats
+
+
+def cell_solid(window: Window, body: Body, quads: int) -> CellSolid:
+    """Mesh one telescopelet's column of a body as a separate closed solid, centred on its cell.
+
+    Raises
+    ------
+    ValueError
+        The body's faces repeat on displaced arrays: no cell of it is a column.
+    """
+    alone = window.with_cells((1, 1))
+    mesh = mesh_body(alone, body, quads)
+    if len(mesh.tiled) > 1:
+        raise ValueError(f"body {body.name!r} has displaced faces: none of its cells is a solid of its own")
+    maker = mesh.tiled[0].maker
+    template = maker.template(np.zeros(len(maker.offsets), dtype=np.uint8))
+    vertices = np.concatenate([local_xy(window.lattice, template), template.z[:, None]], axis=1)
+    normals = template_normals(window.lattice, body, template)
+    return CellSolid(vertices, template.triangles, template.kind, normals)
+
+
+def local_xy(lattice: Lattice, template: Template) -> Floats:
+    """A template's vertices in its own cell's frame, (v, 2) lengths."""
+    origin = lattice.centres(np.zeros(2, dtype=np.int64))
+    return np.asarray(template.xy + (lattice.centres(template.owner) - origin))
+
+
+def template_normals(lattice: Lattice, body: Body, template: Template) -> Floats:
+    """Outward unit normals at the corners of a template's triangles, (t, 3, 3)."""
+    corners = np.concatenate([local_xy(lattice, template), template.z[:, None]], axis=1)[template.triangles]
+    normals = _facet_normals(corners)
+    for kind, face, outward in ((FRONT, body.front, -1.0), (BACK, body.back, 1.0)):
+        mine = np.flatnonzero(template.kind == kind)
+        if face.array is None or not len(mine):
+            continue
+        at = corners[mine].reshape(-1, 3)
+        _, exact = lens_height_and_normal(face, at[:, 0], at[:, 1])
+        exact = outward * exact.reshape(-1, 3, 3)
+        normals[mine] = np.where(np.isnan(exact), normals[mine], exact)
+    return normals
+
+
+def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
+    """Yield the outward corner normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
+    known: dict[int, Floats] = {}
+    for block, cells in block_parts(mesh):
+        template, own = block.template, block.tiled.own
+        if own is not None:
+            i, j = block.cells[0].tolist()
+            yield template_normals(block.tiled.lattice, own.body_at((i, j)), template)
+            continue
+        if id(template) not in known:
+            known[id(template)] = template_normals(block.tiled.lattice, mesh.body, template)
+        yield np.tile(known[id(template)], (cells, 1, 1))
+    if len(mesh.plain.triangles):
+        yield _facet_normals(mesh.plain.corners)
+
+
+def _facet_normals(corners: Floats) -> Floats:
+    """Unit normals (k, 3, 3) of facets, one for each corner; (0, 0, 1) for a facet without area."""
+    normal = doubled_normals(corners)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+    return np.repeat(normal[:, None, :], 3, axis=1)

@@ -24,19 +24,17 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
-from clacad.config.design_error import DesignError
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import shown
 from clacad.design import Design
-from clacad.design.keys import CHECK
+from clacad.design.sections import CHECK
 from clacad.light.measure import measure
 from clacad.optics.fit import AskedLight, law_residuals
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import trace_sequence
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import bundle, cone, launched, middle_direction
+from clacad.sheet.bundle import RequestedLaw, bundle, cone, launched, middle_direction
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.representative_cells import central_cell, places_of_errors
-from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.tolerance import Parameter, parameters, telescopelet

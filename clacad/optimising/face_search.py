@@ -18,12 +18,11 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.checks.design_kinds import EDGE, NECK, RADIUS, SAG, SLOPE
-from clacad.config.design_error import DesignError
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, Mistake
 from clacad.design import Design
 from clacad.design.faces import SearchRecord, faces_digest
-from clacad.design.keys import PAIR
 from clacad.design.process_profiles import profile
+from clacad.design.sections import PAIR
 from clacad.optics.fit import minimise
 from clacad.optics.surface import Surface
 from clacad.optimising.aim import FIELDS, RAYS, Aim, AimedRays, LightInCells, ShareOfLight

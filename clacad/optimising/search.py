@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.config.design_error import DesignError
 from clacad.config.edit_text import to_toml
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, Mistake
 from clacad.design import Design
 from clacad.design.faces import face_table
-from clacad.design.keys import PAIR
+from clacad.design.sections import PAIR
 from clacad.optimising.aim import FIELDS, MOST_LOST, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, measured
 from clacad.optimising.face_search import FaceSearch, Progress
 from clacad.optimising.unknowns import chosen

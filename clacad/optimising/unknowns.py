@@ -19,8 +19,7 @@ import numpy as np
 from clacad.base.text import did_you_mean, near
 from clacad.base.types import Floats
 from clacad.base.units import MONOMIALS, POWER
-from clacad.config.design_error import DesignError
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import shown
 from clacad.design import Design
 from clacad.design.faces import FaceSpec, SearchRecord, face_table

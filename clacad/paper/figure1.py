@@ -22,6 +22,7 @@ import numpy as np
 
 from clacad.base.types import Bytes, Floats
 from clacad.mesh import BodyMesh, Mesh, check_closed, tessellate
+from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate, Rays
 from clacad.paper.figure1_section import parallel_bundle
@@ -209,7 +210,7 @@ def measured_lenses(window: Window, array: int, body: BodyMesh) -> MeasuredLense
 def _face_corners(body: BodyMesh, kind: int) -> Floats:
     """One corner (n, k, 3) of each triangle of a face, lens by lens in order of their cells."""
     corners, cells = [], []
-    for triangles, (kinds, cell) in zip(body.rows(), body.tags(), strict=True):
+    for triangles, (kinds, cell) in zip(body.rows(), facet_tags(body), strict=True):
         chosen = kinds == kind
         corners.append(triangles[chosen, 0])
         cells.append(cell[chosen])

@@ -15,7 +15,7 @@ from clacad.design import Design
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import trace_sequence
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import Face, Window
 from clacad.tracing.trace import trace
 

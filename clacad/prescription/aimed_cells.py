@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.design.keys import LATTICE
+from clacad.design.sections import LATTICE
 from clacad.prescription.bodies import displacement
 from clacad.prescription.radii import NoSuchLens
 from clacad.prescription.traced_vertices import traced_moves

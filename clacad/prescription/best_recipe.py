@@ -26,9 +26,8 @@ from clacad.optics.sequence import STEP, parabasal, trace_sequence
 from clacad.prescription.bodies import shallower
 from clacad.prescription.cell_heights import window_range
 from clacad.prescription.intent import Intent
-from clacad.sheet.asked_focus import asked_power
-from clacad.sheet.bundle import bundle
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.bundle import asked_power, bundle
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import Window
 
 RAYS = 4096

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Pair2
-from clacad.design.keys import BODY, LATTICE
+from clacad.design.sections import BODY, LATTICE
 from clacad.prescription.assemble import assemble_window
 from clacad.prescription.best_recipe import best_scale
 from clacad.prescription.bodies import LensPose, biconvex_body, displacement, given_pair

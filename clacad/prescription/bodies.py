@@ -16,13 +16,12 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.design.faces import FaceSpec
-from clacad.design.keys import LAW
-from clacad.design.sections import AimedAt, PairSpec
+from clacad.design.sections import LAW, AimedAt, PairSpec
 from clacad.optics.law import Law, rotation
 from clacad.optics.sequence import STEP, parabasal
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, as_quadric, refract
 from clacad.prescription.radii import LensPair, NoSuchLens
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import IDENTITY, Body, Face, Surface, Window
 
 # -- faces -----------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.keys import LATTICE, PAIR
+from clacad.design.sections import LATTICE, PAIR
 from clacad.prescription.bodies import given_conics
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.representative_cells import level_point, outermost_cells

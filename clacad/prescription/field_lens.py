@@ -25,9 +25,8 @@ from math import sqrt
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.keys import LATTICE, LAW, PAIR
 from clacad.design.process_profiles import profile
-from clacad.design.sections import AimedAt
+from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.surface import Quadric, Surface
 from clacad.prescription.bodies import GivenFaces
 from clacad.prescription.intent import Intent

@@ -10,8 +10,8 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.design.asked_cells import lattice_of
-from clacad.design.keys import LATTICE, PAIR
 from clacad.design.process_profiles import profile
+from clacad.design.sections import LATTICE, PAIR
 from clacad.optics.law import Law
 from clacad.prescription.bodies import GivenFaces, Shape, Shaping
 from clacad.prescription.plates import cells_outline

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.keys import PAIR
+from clacad.design.sections import PAIR
 from clacad.prescription.assemble import assemble_window
 from clacad.prescription.best_recipe import best_scale
 from clacad.prescription.bodies import (

@@ -19,7 +19,7 @@ import numpy as np
 from clacad.base.text import rounded_up
 from clacad.base.types import Pair2
 from clacad.design.body import BodySpec, Outline
-from clacad.design.keys import BODY, LATTICE
+from clacad.design.sections import BODY, LATTICE
 from clacad.prescription.cell_heights import face_range
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.lattice import Circle, Lattice, Rectangle

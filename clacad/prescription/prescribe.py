@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clacad.design.keys import PAIR
+from clacad.design.sections import PAIR
 from clacad.prescription.radii import NoSuchLens
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import copysign, inf, isinf, nan, sqrt
 
 from clacad.base.types import Pair2
-from clacad.design.keys import PAIR
+from clacad.design.sections import PAIR
 
 
 class NoSuchLens(ValueError):

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Pair2
-from clacad.design.keys import PAIR
+from clacad.design.sections import PAIR
 from clacad.design.varying import Planes
 from clacad.optics.law.focusing import SharpPair
 from clacad.prescription.radii import (

@@ -19,11 +19,11 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.design.keys import LATTICE
+from clacad.design.sections import LATTICE
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
 from clacad.prescription.radii import NoSuchLens
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import Window
 
 RAYS = 64

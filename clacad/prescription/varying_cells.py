@@ -27,7 +27,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.asked_cells import cell_laws
-from clacad.design.keys import LATTICE, LAW
+from clacad.design.sections import LATTICE, LAW
 from clacad.optics.law.focusing import refract_each
 from clacad.prescription.aimed_cells import MOST_TRACED, STEEPEST
 from clacad.prescription.radii import NoSuchLens, biconvex_exact

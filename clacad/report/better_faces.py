@@ -18,7 +18,7 @@ import numpy as np
 from clacad.base.text import digits
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.design.keys import CHECK
+from clacad.design.sections import CHECK
 from clacad.report.figures import ACCENT, INK, SECOND, Margins, panels, svg
 from clacad.sheet.window import Face, lens_height
 from clacad.storage.errors import BadRequest

@@ -63,7 +63,7 @@ def as_html(thing: Design | Window | Report) -> str:
     """Picture as self-contained HTML below the text of `repr`; for a design that cannot be built, the
     reason.
     """
-    from clacad.config.design_error import DesignError
+    from clacad.config.mistakes import DesignError
     from clacad.prescription.radii import NoSuchLens
 
     said = f"<pre>{escape(repr(thing))}</pre>"

@@ -82,7 +82,7 @@ class Parts:
 def parts(window: Window) -> Parts:
     """Mesh a window of a few cells for looking at."""
     from clacad.mesh import tessellate
-    from clacad.mesh.vertex_normals import corner_normals
+    from clacad.mesh.tessellation import corner_normals
     from clacad.sheet.feasibility import body_range
 
     depth = window.z_range[1] - window.z_range[0]

@@ -391,7 +391,7 @@ def _smallest(report: Report, mm: float) -> list[FabricationLine]:
 
 def _calipers(window: Window, mm: float) -> list[FabricationLine]:
     """Outer sizes that a caliper can check, as built."""
-    from clacad.sheet.feasibility.bodies import whole_body_range
+    from clacad.sheet.feasibility.lenses import whole_body_range
 
     lines = []
     x0, x1, y0, y1 = whole_extent(window)

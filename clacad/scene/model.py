@@ -11,10 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
-from clacad.config.design_error import DesignError
 from clacad.config.edit_text import changed_keys
-from clacad.config.key_positions import located
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, Mistake, located
 from clacad.config.toml_text import folder_of, outside
 from clacad.scene.read import read_changed, read_dict, read_file
 from clacad.scene.rules import SceneError, in_scene, place_of

@@ -14,13 +14,11 @@ from typing import Any
 from clacad.base import units
 from clacad.base.text import whole_number
 from clacad.config import edit_text as override
-from clacad.config.design_error import DesignError, DesignTooLarge
-from clacad.config.key_positions import located, split_key
 from clacad.config.key_reader import NO_UNIT, KeyReader
-from clacad.config.mistakes import Mistake, in_order
+from clacad.config.mistakes import DesignError, DesignTooLarge, Mistake, in_order, located, split_key
 from clacad.config.toml_text import given_table, parse, read_text
 from clacad.config.value_kinds import Refusal, not_this, shown
-from clacad.scene import keys
+from clacad.scene import sections as keys
 from clacad.scene.rules import SceneError, broken
 from clacad.scene.sections import (
     SIZES,

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from clacad.config.design_error import DesignError
-from clacad.config.mistakes import Mistake
+from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.toml_text import folder_of, outside
 from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
 

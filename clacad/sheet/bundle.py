@@ -1,9 +1,18 @@
-"""Ray bundles for checks: deterministic Sobol points over one cell and a cone of directions."""
+"""Ray bundles for checks (Sobol points over one cell, a cone of directions) and the directions they must
+leave in.
+
+Pairs that image sharply (`[pair] focus`) have a requested power in addition to the law.
+
+A ray that enters lens 1 at C1 + ξ leaves with t' = (t − δ)/η − D ξ along each lens axis. D = 1/f1 + 1/f2 −
+s/(f1 f2) is the power of the pair, 0 for an afocal pair. Code that compares such light with the law subtracts
+D ξ first (`RequestedLaw`); the rest is error.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, degrees, pi, sin, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +22,10 @@ from clacad.base.vectors import axes_near
 from clacad.optics.rays import Rays
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import aperture_slope
-from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.optics.law import Law
+    from clacad.sheet.window import Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,3 +149,54 @@ def field_about(middle: Floats, field: float) -> Floats:
     u, v = axes_near(middle)
     rim = [cos(field) * middle + sin(field) * (cos(k * pi / 4) * u + sin(k * pi / 4) * v) for k in range(8)]
     return np.array([middle, *rim])
+
+
+def asked_power(window: Window) -> Floats:
+    """D along both lens axes, (2,), 1/length; 0 for afocal pairs."""
+    if "focus" not in window.recipe:
+        return np.zeros(2)
+    first, second = np.array(window.thin.focal_length)
+    return np.asarray((first + second - window.thin.separation) / (first * second))
+
+
+@dataclass(frozen=True, eq=False)
+class RequestedLaw:
+    """Law and power of the pair that light through one cell is compared with.
+
+    Parameters
+    ----------
+    law : Law
+    power : (2,) 1/length or None
+        D along both lens axes; None for an afocal pair.
+    """
+
+    law: Law
+    power: Floats | None = None
+
+    @staticmethod
+    def of(window: Window) -> RequestedLaw:
+        """Requested law of a window."""
+        power = asked_power(window)
+        return RequestedLaw(window.law, power if power.any() else None)
+
+    def refract(self, direction: Floats) -> Floats:
+        """Exit directions (n, 3) of the law; NaN where it has no answer."""
+        return self.law.refract(direction)
+
+    def without_focus(self, points: Floats, direction: Floats) -> Floats:
+        """Exit directions (n, 3), unit, without the effect of the requested focus.
+
+        points : (n, 2) lengths
+            Point where each ray crosses z = 0, relative to the centre of its cell.
+        """
+        if self.power is None:
+            return direction
+        turn = self.law.rotation
+        lens = direction @ turn
+        slopes = lens[:, :2] / lens[:, 2:] + (points @ turn[:2, :2]) * self.power
+        made = np.column_stack([slopes, np.ones(len(slopes))]) @ turn.T
+        return np.asarray(made / np.linalg.norm(made, axis=1)[:, None])
+
+    def expected(self, lit: Bundle) -> Floats:
+        """Exit directions (n, 3), unit, of a bundle: the law and the requested focus."""
+        return self.without_focus(-lit.points, self.refract(lit.rays.direction))

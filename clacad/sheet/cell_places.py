@@ -22,16 +22,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import repeat
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.pairs import Pair, pair, pair_sum, two_product
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.optics.law import Law
 from clacad.optics.law.focusing import Gradient, VaryingLaw, ratios_of, refract_each, with_ratios
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import turned_pairs
+
+if TYPE_CHECKING:
+    from clacad.optics.law import Law
+    from clacad.sheet.lattice import Lattice
 
 DIRECTIONS = 64
 """Number of directions in which the farthest lenses are searched."""

@@ -4,19 +4,25 @@ Its partner and its lenses have the same relative positions as in that cell. All
 of two neighbours the equivalent has the outer one twice, and the step at their border is an upper bound.
 Where array 2 has another pitch, the equivalent's cells are as wide as those of the wider array, or as those
 of the array under test.
+
+`interfaces` gives one telescopelet as explicit surfaces, without cell borders.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.optics.sequence import Interface
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.plate import Plate
-from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Window
 
 
 def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
@@ -103,3 +109,35 @@ def _larger(outline: Outline, factor: float) -> Outline:
 
 def _pair(v: Floats) -> Pair2:
     return float(v[0]), float(v[1])
+
+
+def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None = None) -> list[Interface]:
+    """Faces of one telescopelet as explicit surfaces, the centre of cell 1 at x = y = 0.
+
+    slide : (3,) lengths or None
+        Displacement of lens 2: its faces, and the plane face of its body.
+    aside : (3,) lengths or None
+        Displacement of the field lens.
+    """
+    moved = {1: slide, 2: aside}
+    found = []
+    for body in window.bodies:
+        for face, other, before, after in (
+            (body.front, body.back, 1.0, body.index),
+            (body.back, body.front, body.index, 1.0),
+        ):
+            shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
+            vertex = np.asarray(face.vertex) + [*shift, 0.0]
+            owner = other.array if face.array is None else face.array
+            change = None if owner is None else moved.get(owner)
+            if change is not None:
+                vertex = vertex + change
+            found.append(
+                Interface(face.surface, vertex, before, after, None if face.untilted else face.rotation)
+            )
+    return found
+
+
+def lens_distance(window: Window) -> float:
+    """Distance between the lenses along the axis, design units: in glass for a slab."""
+    return window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)

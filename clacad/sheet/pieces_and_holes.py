@@ -11,14 +11,16 @@ contact along such a line, the mesh's genus counts a hole of zero width that is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from clacad.base.arrays import components
 from clacad.base.types import Bools
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import Step, node_cells
+
+if TYPE_CHECKING:
+    from clacad.sheet.lattice import Lattice
 
 
 class BorderJoint(NamedTuple):

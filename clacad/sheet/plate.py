@@ -9,19 +9,22 @@ where it is drawn, independent of its cells.
 A cell is kept if it lies wholly inside the plate, outside its holes, and at least `CLEARANCE` of a pitch from
 every edge: a narrower sliver of land would not survive the rounding of a mesh file. No cell ever touches the
 edge of a plate.
+
+A boundary is valid if no side has zero length and no two sides intersect.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, pi, sqrt
+from math import atan, ceil, pi, sqrt
 from typing import Any, Literal
 
 import numpy as np
 
 from clacad.base.polygons import within
-from clacad.base.types import Bools, Floats
+from clacad.base.types import Bools, Floats, Ints
+from clacad.sheet.edge_columns import CX, CY, SENSE, X0, Y0
 from clacad.sheet.plate_edges import (
     Vertex,
     arc_angle,
@@ -137,39 +140,9 @@ class Plate:
             share = 0.5 * (low + high)
             half = share * 0.5 * np.array([x1 - x0, y1 - y0])
             sides = centre + half * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-            low, high = (share, high) if self._clear(sides) else (low, share)
+            low, high = (share, high) if _clear(self, sides) else (low, share)
         share = low * (1.0 - 1e-9)
         return 0.5 * share * (x1 - x0), 0.5 * share * (y1 - y0)
-
-    @property
-    def least_land(self) -> float:
-        """Least distance between a hole's side and the boundary or another hole (length);
-        infinite without holes.
-        """
-        middles = np.array([(hole.x, hole.y) for hole in self.holes]).reshape(-1, 2)
-        radii = np.array([0.5 * hole.diameter for hole in self.holes])
-        gaps = [nearest_edges(self.loops[0], middles)[0] - radii] if self.holes else []
-        for n in range(1, len(radii)):
-            gaps.append(np.hypot(*(middles[n:] - middles[n - 1]).T) - radii[n:] - radii[n - 1])
-        return float(np.min(np.concatenate(gaps))) if gaps else np.inf
-
-    def free_width(self, low: float, high: float) -> float:
-        """Width of the widest rectangle about x = 0 between two heights y that no edge enters;
-        0 without one.
-        """
-        narrow, wide = 0.0, 2.0 * self.reach[0]
-        for _ in range(40):
-            x = 0.25 * (narrow + wide)
-            sides = np.array([(-x, low), (x, low), (x, high), (-x, high)])
-            free = bool(self.inside(sides).all()) and self._clear(sides)
-            narrow, wide = (2.0 * x, wide) if free else (narrow, 2.0 * x)
-        return narrow
-
-    def _clear(self, polygon: Floats) -> bool:
-        """Whether no edge has a point in a convex polygon (m, 2)."""
-        return not bool(
-            (distances(self.edges, polygon) == 0.0).any() or within(polygon, *self.edges[:, :2].T).any()
-        )
 
     def inside(self, points: Floats) -> Bools:
         """Which points (..., 2), lengths, lie in the material; see `clacad.sheet.plate_edges.inside`."""
@@ -199,24 +172,9 @@ class Plate:
         centres : (n, 2), lengths
         room : length
         """
-        held = self._holds(tile, centres, room)
+        held = _whole_cells(self, tile, centres, room)
         if self.moved != (0.0, 0.0):
-            held &= self._holds(tile, centres + np.array(self.moved), room)
-        return held
-
-    def _holds(self, tile: Floats, centres: Floats, room: float) -> Bools:
-        held = np.ones(len(centres), dtype=bool)
-        reach = float(np.hypot(*tile.T).max()) + room
-        for edge in self.edges:
-            low, high = edge_box(edge)
-            near = np.flatnonzero(
-                held & (centres > low - reach).all(axis=1) & (centres < high + reach).all(axis=1)
-            )
-            for start in range(0, len(near), 4096):
-                some = near[start : start + 4096]
-                held[some] = keeps_off(edge, tile, centres[some], room)
-        rest = np.flatnonzero(held)  # no edge is near: a cell is inside if its centre is
-        held[rest] = inside(self.edges, centres[rest])
+            held &= _whole_cells(self, tile, centres + np.array(self.moved), room)
         return held
 
     def polygons(self, steps: int) -> tuple[Floats, ...]:
@@ -232,6 +190,54 @@ class Plate:
             )
             for loop in self.loops
         )
+
+
+def least_land(plate: Plate) -> float:
+    """Least distance between a hole's side and the boundary or another hole (length);
+    infinite without holes.
+    """
+    middles = np.array([(hole.x, hole.y) for hole in plate.holes]).reshape(-1, 2)
+    radii = np.array([0.5 * hole.diameter for hole in plate.holes])
+    gaps = [nearest_edges(plate.loops[0], middles)[0] - radii] if plate.holes else []
+    for n in range(1, len(radii)):
+        gaps.append(np.hypot(*(middles[n:] - middles[n - 1]).T) - radii[n:] - radii[n - 1])
+    return float(np.min(np.concatenate(gaps))) if gaps else np.inf
+
+
+def free_width(plate: Plate, low: float, high: float) -> float:
+    """Width of the widest rectangle about x = 0 between two heights y that no edge enters;
+    0 without one.
+    """
+    narrow, wide = 0.0, 2.0 * plate.reach[0]
+    for _ in range(40):
+        x = 0.25 * (narrow + wide)
+        sides = np.array([(-x, low), (x, low), (x, high), (-x, high)])
+        free = bool(plate.inside(sides).all()) and _clear(plate, sides)
+        narrow, wide = (2.0 * x, wide) if free else (narrow, 2.0 * x)
+    return narrow
+
+
+def _clear(plate: Plate, polygon: Floats) -> bool:
+    """Whether no edge has a point in a convex polygon (m, 2)."""
+    return not bool(
+        (distances(plate.edges, polygon) == 0.0).any() or within(polygon, *plate.edges[:, :2].T).any()
+    )
+
+
+def _whole_cells(plate: Plate, tile: Floats, centres: Floats, room: float) -> Bools:
+    held = np.ones(len(centres), dtype=bool)
+    reach = float(np.hypot(*tile.T).max()) + room
+    for edge in plate.edges:
+        low, high = edge_box(edge)
+        near = np.flatnonzero(
+            held & (centres > low - reach).all(axis=1) & (centres < high + reach).all(axis=1)
+        )
+        for start in range(0, len(near), 4096):
+            some = near[start : start + 4096]
+            held[some] = keeps_off(edge, tile, centres[some], room)
+    rest = np.flatnonzero(held)  # no edge is near: a cell is inside if its centre is
+    held[rest] = inside(plate.edges, centres[rest])
+    return held
 
 
 def plate_of_circle(diameter: float) -> tuple[Vertex, ...]:
@@ -272,3 +278,124 @@ def _quarters(hole: Hole) -> tuple[tuple[float, float], ...]:
     """Four points of a hole's circle, clockwise."""
     x, y, r = hole.x, hole.y, 0.5 * hole.diameter
     return (x + r, y), (x, y - r), (x - r, y), (x, y + r)
+
+
+CHORDS = 8
+"""Number of chords that replace an arc of 90° in intersection tests.
+
+They deviate from it by 1/50 of its radius, a thousandth of what a mill needs.
+"""
+
+
+def fault(vertices: tuple[Vertex, ...]) -> str:
+    """Describe the fault of a closed polygon, "" for a valid one;
+    sides count from 0, as their first corners.
+    """
+    if len(vertices) < 3 and not any(bulge for _, _, bulge in vertices):
+        return f"{len(vertices)} corners with straight sides enclose nothing"
+    points = np.array(vertices)[:, :2]
+    size = float(np.ptp(points, axis=0).max())
+    short = np.flatnonzero(np.hypot(*(np.roll(points, -1, axis=0) - points).T) <= 1e-9 * size)
+    if len(short):
+        return f"side {short[0]} has no length: {_shown(points[short[0]])} occurs twice in a row"
+    chords, side = _chords(vertices)
+    met = _first_meeting(chords, 1e-9 * size)
+    if met is None:
+        return ""
+    one, two = sorted((int(side[met[0]]), int(side[met[1]])))
+    from_one, from_two = (_shown(points[n]) for n in (one, two))
+    return (
+        f"the sides from {from_one} and from {from_two}, {one} and {two}, meet or run back over one another"
+    )
+
+
+def _shown(point: Floats) -> str:
+    return f"({point[0]:.6g}, {point[1]:.6g})"
+
+
+def _chords(vertices: tuple[Vertex, ...]) -> tuple[Floats, Ints]:
+    """Straight pieces (m, 4) of all sides, in order, and the index of the side of each piece."""
+    points, side = [], []
+    for n in range(len(vertices)):
+        for edge in _edges_of(vertices, n):
+            pieces = CHORDS if edge[SENSE] != 0.0 else 1
+            turn = np.arange(pieces) * (_swept(edge) / pieces)
+            u, v = edge[X0] - edge[CX], edge[Y0] - edge[CY]
+            if edge[SENSE] == 0.0:
+                points.append(edge[None, :2])
+            else:
+                turned = np.stack(
+                    [u * np.cos(turn) - v * np.sin(turn), u * np.sin(turn) + v * np.cos(turn)], axis=1
+                )
+                points.append(edge[CX : CY + 1] + turned)
+            side += [n] * pieces
+    start = np.concatenate(points)
+    return np.concatenate([start, np.roll(start, -1, axis=0)], axis=1), np.array(side)
+
+
+def _edges_of(vertices: tuple[Vertex, ...], n: int) -> Floats:
+    """Edges of one side: one edge, or the parts of an arc of more than 90°."""
+    bulge = vertices[n][2]
+    parts = 1 if bulge == 0.0 else ceil(4.0 * atan(abs(bulge)) / (0.5 * pi) - 1e-9)
+    (x, y, _), (u, v, _) = vertices[n], vertices[(n + 1) % len(vertices)]
+    return Plate(((x, y, bulge), (u, v, 0.0))).edges[:parts]
+
+
+def _swept(edge: Floats) -> float:
+    """Signed angle (radians) of an arc."""
+    a, b = edge[:2] - edge[CX : CY + 1], edge[2:4] - edge[CX : CY + 1]
+    return float(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b))
+
+
+def _first_meeting(chords: Floats, near: float) -> tuple[int, int] | None:
+    """First two pieces (4,) of a closed chain that intersect without being neighbours, or fold back;
+    None if none do.
+    """
+    low, high = (
+        np.minimum(chords[:, :2], chords[:, 2:]) - near,
+        np.maximum(chords[:, :2], chords[:, 2:]) + near,
+    )
+    order = np.argsort(low[:, 0], kind="stable")
+    starts = low[order, 0]
+    m = len(chords)
+    for place, k in enumerate(order):
+        last = int(np.searchsorted(starts, high[k, 0], side="right"))
+        rest = order[place + 1 : last]
+        rest = rest[(low[rest, 1] <= high[k, 1]) & (high[rest, 1] >= low[k, 1])]
+        if not len(rest):
+            continue
+        apart = (rest - k) % m
+        beside = (apart == 1) | (apart == m - 1)
+        if m > 2 and beside.any():
+            folded = [int(j) for j in rest[beside] if _folds(chords, int(k), int(j), near)]
+            if folded:
+                return int(k), folded[0]
+        met = rest[~beside][_meets(chords[k], chords[rest[~beside]], near)]
+        if len(met):
+            return int(k), int(met[0])
+    return None
+
+
+def _folds(chords: Floats, k: int, j: int, near: float) -> bool:
+    """Whether two neighbouring pieces fold back over one another."""
+    first, second = (k, j) if (j - k) % len(chords) == 1 else (j, k)
+    u, v = chords[first, 2:] - chords[first, :2], chords[second, 2:] - chords[second, :2]
+    return bool(u @ v < 0.0 and abs(u[0] * v[1] - u[1] * v[0]) <= near * max(np.hypot(*u), np.hypot(*v)))
+
+
+def _meets(one: Floats, others: Floats, near: float) -> Bools:
+    """Which of the pieces `others` (k, 4) intersect the piece `one`, within `near` (length)."""
+    a, b, c, d = one[:2], one[2:], others[:, :2], others[:, 2:]
+
+    def beside(p: Floats, q: Floats, r: Floats) -> Floats:
+        way = q - p
+        length = np.hypot(way[..., 0], way[..., 1])
+        return np.asarray(
+            (way[..., 0] * (r - p)[..., 1] - way[..., 1] * (r - p)[..., 0]) / np.maximum(length, 1e-300)
+        )
+
+    def within(x: Floats, y: Floats) -> Bools:
+        """Whether two signed distances do not lie on the same side beyond `near`."""
+        return np.asarray(~(((x > near) & (y > near)) | ((x < -near) & (y < -near))))
+
+    return np.asarray(within(beside(a, b, c), beside(a, b, d)) & within(beside(c, d, a), beside(c, d, b)))

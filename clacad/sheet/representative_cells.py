@@ -8,15 +8,17 @@ by rays.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import extreme_cells
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.window import Face, Window, lens_height, lens_height_and_normal, optical_tile
+
+if TYPE_CHECKING:
+    from clacad.sheet.lattice import Lattice
 
 Purpose = Literal["displaced", "drawing", "facets", "file", "forecast", "light", "rounding", "sample"]
 """What cells are chosen for; see `representative_cells`."""

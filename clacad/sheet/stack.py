@@ -12,9 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from string import ascii_lowercase
+from typing import TYPE_CHECKING
 
 from clacad.sheet.volume_and_extent import FIELD
-from clacad.sheet.window import Body, Face, Window
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Body, Face, Window
 
 MOST = len(ascii_lowercase)
 """Greatest number of sheets in a stack: one letter names each."""

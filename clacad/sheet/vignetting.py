@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,9 +31,11 @@ from clacad.base.polygons import clip, common_areas, polygon_area
 from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
+
+if TYPE_CHECKING:
+    from clacad.sheet.lattice import Lattice
 
 LEAST_SHARE = 1e-3
 """Least share of the light for which a ghost order is listed."""

@@ -23,7 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.types import Floats, Ints
-from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, resized, upright_sag
+from clacad.optics.surface.intersection import meet
+from clacad.optics.surface.roots import upright_sag
+from clacad.optics.surface.sag_and_normal import Biconic, EvenPolynomial, Quadric, resized
 from clacad.sheet.cell_places import CellLaws, CellPlacement, LensPlaces, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle, grown
 from clacad.sheet.pattern import turned

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from clacad.base.polygons import within
 from clacad.base.types import Floats
-from clacad.topology.cannot_build import CannotBuild
+from clacad.topology.complex_parts import CannotBuild
 
 Kind = Literal["lens", "land", "none", "plane", "open"]
 Proud = Callable[[Floats, Floats], NDArray[np.bool_]]

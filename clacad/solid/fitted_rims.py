@@ -20,10 +20,10 @@ from clacad.base.roots import sign_changes
 from clacad.base.types import Floats
 from clacad.sheet.window import Face, lens_height_and_normal
 from clacad.solid.face_pattern import SNAP, Kind, Pattern, Proud
+from clacad.solid.outline_path import cut_pattern
 from clacad.solid.rational_conics import Arc, bernstein
-from clacad.solid.regions import cut_pattern
 from clacad.topology.build_complex import trace_zero
-from clacad.topology.cannot_build import CannotBuild
+from clacad.topology.complex_parts import CannotBuild
 
 Graph = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Heights (n,) and slopes (n, 2) over points x, y (n,); NaN where there is no surface."""

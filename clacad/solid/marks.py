@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from clacad.base.units import millimetres
 from clacad.sheet.grid_steps import one_tiling
 from clacad.sheet.lattice import Circle
-from clacad.sheet.plate import Plate
+from clacad.sheet.plate import Plate, free_width
 from clacad.sheet.volume_and_extent import NoFixture, plane_of
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
         lowest = min(window.lattice.extent()[2] + dy for dy in (0.0, window.shifts[1][1]))
         room = lowest - window.outline.box[2]
         height = 0.5 * room
-        width = window.outline.free_width(lowest - 0.8 * room, lowest - 0.2 * room)
+        width = free_width(window.outline, lowest - 0.8 * room, lowest - 0.2 * room)
     else:
         room = 0.5 * window.outline.height + lowest
         height, width = 0.5 * room, window.outline.width - room

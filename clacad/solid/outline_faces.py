@@ -20,7 +20,7 @@ from clacad.solid.outline_path import Path
 from clacad.solid.rational_conics import line, ruled_wall
 from clacad.solid.repeated_cell import CellFace
 from clacad.solid.shells import FlatEdge, Loop, LoopEdge, Shells, reverse
-from clacad.solid.tiling_columns import Columns
+from clacad.solid.tilings import Columns
 
 
 @dataclass(eq=False)

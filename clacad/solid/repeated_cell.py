@@ -11,17 +11,19 @@ from clacad.base.types import Floats
 from clacad.sheet.window import Face, Window, optical_tile
 from clacad.solid.face_pattern import Kind, Pattern
 from clacad.solid.fitted_rims import Rim
-from clacad.solid.lens_ends import common_rim, land_rim, zone_samples
 from clacad.solid.lens_faces import (
     Lens,
     QuadricLens,
+    common_rim,
     fitted_lens,
+    land_rim,
     posed_quadric,
     quadric_lens,
     scaled_face,
+    zone_samples,
 )
 from clacad.solid.rational_conics import Arc, PosedQuadric, line
-from clacad.topology.cannot_build import CannotBuild, refuse_buried_land
+from clacad.topology.complex_parts import CannotBuild, refuse_buried_land
 
 FIT = 1e-10
 """Allowed error of a fitted (biconic) patch relative to the pitch."""

@@ -25,11 +25,10 @@ from clacad.solid.outline_faces import flat_faces, outline_faces
 from clacad.solid.outline_path import outline_path, plate_paths
 from clacad.solid.repeated_cell import Cell, CellFace, make_cell
 from clacad.solid.shells import MERGE, Shells, Writer
-from clacad.solid.tiling_borders import Layer, Surround
-from clacad.solid.tiling_columns import Columns
+from clacad.solid.tilings import Columns, Layer, Surround
 from clacad.solid.wall_segments import Column
 from clacad.topology.build_complex import cell_complex
-from clacad.topology.cannot_build import CannotBuild
+from clacad.topology.complex_parts import CannotBuild
 
 KEPT_CELLS = 4096
 """Number of cells of a non-uniform sheet kept at a time: a row borders on the one above it, so three rows

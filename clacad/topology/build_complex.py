@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +20,11 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.grid_steps import one_tiling
 from clacad.sheet.pattern import node_cells
 from clacad.sheet.pieces_and_holes import count_together
-from clacad.sheet.window import Body, Window
 from clacad.topology.borders import column_line, make_border
 from clacad.topology.complex_parts import SIDES, CellComplex, Node, Side, Tiling, linked
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Body, Window
 
 
 def make_nodes(

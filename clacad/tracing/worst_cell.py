@@ -16,8 +16,7 @@ from clacad.base.types import Floats, Ints
 from clacad.light.measure import Light, Weights, measure, rms_angles
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, bundle
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import SAMPLED, central_cell, representative_cells
 from clacad.sheet.window import Window

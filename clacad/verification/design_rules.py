@@ -27,7 +27,7 @@ from clacad.checks.design_kinds import (
     WALL,
 )
 from clacad.checks.light_kinds import FIELD, FRESNEL_NUMBER, ORDERS, RESIDUAL
-from clacad.design.keys import PAIR
+from clacad.design.sections import PAIR
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.own_steps import highest_step

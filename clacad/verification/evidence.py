@@ -19,7 +19,7 @@ from clacad.effects.registry import declared_all
 from clacad.judging.judge_files import FileReport
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy.accuracy_table import Ladder, climb

@@ -30,7 +30,7 @@ from clacad.design.process_profiles import ProcessProfile, profile, profiles
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
 from clacad.sheet.feasibility import Feasibility
-from clacad.sheet.feasibility.process_features import (
+from clacad.sheet.feasibility.convex_extremes import (
     FINE,
     Named,
     draft,

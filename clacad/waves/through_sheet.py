@@ -22,7 +22,7 @@ import numpy as np
 from clacad.base.polygons import clip, polygon_area
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
-from clacad.sheet.asked_focus import asked_power
+from clacad.sheet.bundle import asked_power
 from clacad.sheet.vignetting import (
     ThinCells,
     aperture_slope,

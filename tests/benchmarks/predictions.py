@@ -26,7 +26,7 @@ from clacad.advice import judge
 from clacad.checks.check import Check, wrong
 from clacad.design import Design, DesignError
 from clacad.exporting.run import ExportError, export
-from clacad.topology.cannot_build import CannotBuild
+from clacad.topology.complex_parts import CannotBuild
 from clacad.verification import verify
 
 RECORD = Path(__file__).with_name("predictions.json")

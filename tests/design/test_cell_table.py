@@ -10,8 +10,8 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from clacad.config.design_error import DesignError, DesignTooLarge
-from clacad.design import number_rows
+from clacad.config.mistakes import DesignError, DesignTooLarge
+from clacad.design import cell_table_rows
 from clacad.design.cell_table import TableSpec, digest, read_table, table_path
 from clacad.sheet.lattice import Circle, Lattice
 
@@ -109,7 +109,7 @@ def test_a_flaw_is_refused_at_its_row_and_column(tmp_path, change, row, column, 
 
 
 def test_a_flaw_in_a_later_block_is_named_by_its_own_row(tmp_path, monkeypatch):
-    monkeypatch.setattr(number_rows, "BLOCK", 2)
+    monkeypatch.setattr(cell_table_rows, "BLOCK", 2)
     assert np.array_equal(read(tmp_path, rows(SMALL))[1, 2], [0.01, -0.04])
     text = rows(SMALL).replace("1,2,0.01,-0.04", "0,0,0.01,0")
     assert refused(tmp_path, text).line == 7
@@ -173,8 +173,8 @@ def test_too_many_cells_rows_or_bytes_are_refused_by_the_limit(tmp_path, monkeyp
         stream.truncate(1_000_000_001)
     with pytest.raises(DesignTooLarge, match="1,000,000,001 bytes"):
         digest(str(path))
-    few = number_rows.BUDGETS["cell-table"].__class__("", 10**9, 5, "cells", None)
-    monkeypatch.setattr(number_rows, "BUDGETS", {"cell-table": few})
+    few = cell_table_rows.BUDGETS["cell-table"].__class__("", 10**9, 5, "cells", None)
+    monkeypatch.setattr(cell_table_rows, "BUDGETS", {"cell-table": few})
     with pytest.raises(DesignTooLarge, match="more than 5 rows"):
         read(tmp_path, rows(SMALL))
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from clacad.config.edit_text import put, with_values
-from clacad.config.key_positions import split_key
+from clacad.config.mistakes import split_key
 from clacad.design import Design, template, templates
-from clacad.design.keys import SECTIONS
+from clacad.design.sections import SECTIONS
 
 CHANGES = {
     "pair.separation": 16, "lattice.count": [88, 101], "body.border": 0.5, "check.law_rms": "2 mrad", "law.eta.1": -2.5,

@@ -14,11 +14,10 @@ from clacad.config.keys import KeyPaths, key, keys_of
 from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import Word
 from clacad.design import Design, DesignError, json_schema
-from clacad.design.keys import SECTIONS, SPECS
-from clacad.design.sections import LightSpec
+from clacad.design.sections import SECTIONS, SPECS, LightSpec
 from clacad.explain.look_up import explain
-from clacad.scene.keys import OBJECT, scene_schema
-from clacad.scene.keys import SECTIONS as SCENE_SECTIONS
+from clacad.scene.sections import OBJECT, scene_schema
+from clacad.scene.sections import SECTIONS as SCENE_SECTIONS
 
 PACKAGE = Path(__file__).parents[2] / "clacad"
 TINY = {

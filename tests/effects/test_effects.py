@@ -311,8 +311,7 @@ def test_dispersion_of_a_constant_index_is_nothing():
 
 def test_each_line_is_traced_with_its_own_index():
     from clacad.light.measure import measure
-    from clacad.sheet.asked_focus import RequestedLaw
-    from clacad.sheet.bundle import of_rays
+    from clacad.sheet.bundle import RequestedLaw, of_rays
 
     glass = Material("toy", "cauchy", (1.48, 0.005, -2.0), (400e-9, 700e-9), "made up")
     sheet = window("slab")

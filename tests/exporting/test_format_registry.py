@@ -37,11 +37,11 @@ SHARED = {
 OTHER_MEANINGS = {
     "baffle": {"design/combinations.py", "explorer/page_facts.py", "explain/glossary.py",
                "exporting/fixtures/baffle.py"},  # the key body.baffle, the name of the part
-    "cell-table": {"design/cell_table.py", "design/number_rows.py", "exporting/run.py",
+    "cell-table": {"design/cell_table.py", "design/cell_table_rows.py", "exporting/run.py",
                    "report/pictures.py"},  # the reader of a design's table
     "drawing": {"explain/glossary.py", "sheet/representative_cells.py"},  # a word of the glossary, a purpose of cells
     "frame": {"exporting/fixtures/frame.py", "rendering/photograph_view.py", "report/pictures.py",
-              "scene/keys.py"},  # the key camera.frame, the name of the part
+              "scene/sections.py"},  # the key camera.frame, the name of the part
     "height-calibration": {"exporting/formats/file_kind.py"},  # written by the formats of two modules
     "pins": {"design/model.py"},  # the key body.pins
     "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "imaging/shape.py",
@@ -52,7 +52,7 @@ OTHER_MEANINGS = {
             "sheet/feasibility/as_rows.py", "checks/design_kinds.py",
             "verification/stability/measure_cases.py",
             "verification/tolerance/parameter_sweep.py"},  # the height of a lens, its check and its limit
-    "scene": {"cli/export_command.py", "design/keys.py", "scene/model.py", "scene/read.py",
+    "scene": {"cli/export_command.py", "design/sections.py", "scene/model.py", "scene/read.py",
               "scene/rules.py"},  # scene files
     "step": {"advice/trade_offs.py", "cli/export_command.py", "explain/glossary.py", "exporting/request.py",
              "stacking/make_stack.py", "cli/stack_command.py",  # the option --step, a default
@@ -61,7 +61,7 @@ OTHER_MEANINGS = {
              "judging/damage.py", "verification/tolerance/parameter_sweep.py",  # steps between cells
              "verification/run.py"},  # a task whose time is recorded
     "stl": {"explain/glossary.py", "exporting/request.py"},  # a synonym, a default
-    "table": {"cli/shape_command.py", "config/edit_text.py", "config/key_positions.py", "design/varying.py",
+    "table": {"cli/shape_command.py", "config/edit_text.py", "config/mistakes.py", "design/varying.py",
               "optics/material/catalogue.py", "optics/material/material.py", "report/pdf.py",
               "checks/file_kinds.py"},  # a check, a key, parts of TOML files, pages and formulas
     "xyz": {"cli/image_command.py", "paper/figure1.py", "judging/mesh_wholeness.py",

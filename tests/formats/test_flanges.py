@@ -7,7 +7,7 @@ from math import hypot, pi
 import numpy as np
 import pytest
 
-from clacad.config.design_error import DesignError
+from clacad.config.mistakes import DesignError
 from clacad.design import Design
 from clacad.formats.maps.mask import write_dxf
 from clacad.formats.step.step_files import read_step, write_step

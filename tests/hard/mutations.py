@@ -47,12 +47,12 @@ NORMAL, TANGENT, STEP = (f"{SURFACE} -k {word}" for word in ("normal", "nearly_t
 KERNELS, LATTICE = f"{HARD} -k 'compiled_surfaces or kernel_tells'", "tests/sheet/test_lattice.py"
 SHEETS = f"{HARD} -k 'sheet and numpy'"
 SHAPE, QUADRIC, MEETING, BICONIC = (
-    f"clacad/optics/surface/{n}.py" for n in ("sag_and_normal", "quadric", "intersection", "biconic")
+    f"clacad/optics/surface/{n}.py" for n in ("sag_and_normal", "roots", "intersection", "roots")
 )
 MODEL, IMAGING, EXACT, TURN = (
     f"clacad/optics/law/{n}.py" for n in ("refraction", "imaging", "orientation", "orientation")
 )
-POLYNOMIAL, TERMS = (f"clacad/optics/surface/{n}.py" for n in ("even_polynomial", "sag_and_normal"))
+POLYNOMIAL, TERMS = (f"clacad/optics/surface/{n}.py" for n in ("roots", "sag_and_normal"))
 TWIN, PATCHES = "clacad/tracing/compiled/even_polynomial.py", "clacad/solid/lens_faces.py"
 EVEN = "tests/optics/test_even_polynomial.py"
 SEARCH = "clacad/optimising/face_search.py"

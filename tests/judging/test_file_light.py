@@ -20,8 +20,8 @@ from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import trace_sequence
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.representative_cells import central_cell
-from clacad.sheet.telescopelet import interfaces
 from clacad.storage.errors import UnreadableFile
 from clacad.tracing.facets.telescopelet import height_and_slope, meet_sampled, sampled_face
 from clacad.tracing.trace import trace

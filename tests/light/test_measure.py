@@ -17,8 +17,7 @@ from clacad.optics.law import angle_between, difference_of_laws
 from clacad.optics.material.catalogue import find
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import bundle, field_points
+from clacad.sheet.bundle import RequestedLaw, bundle, field_points
 from clacad.tracing.trace import trace
 from clacad.tracing.worst_cell import measure_light, worst_cell
 

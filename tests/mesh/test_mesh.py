@@ -24,6 +24,7 @@ from clacad.mesh import (
     mesh_body,
     tessellate,
 )
+from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT, WALL
 from clacad.optics.surface import Quadric
 from clacad.sheet.window import column, lens_height
@@ -205,8 +206,8 @@ def test_optical_vertices_lie_on_the_exact_surfaces(name):
     sheet = window(**FORMS[name])
     for body in tessellate(sheet, quads=6).bodies:
         corners = np.concatenate(list(body.rows()))
-        kind = np.concatenate([k for k, _ in body.tags()])
-        cell = np.concatenate([c for _, c in body.tags()])
+        kind = np.concatenate([k for k, _ in facet_tags(body)])
+        cell = np.concatenate([c for _, c in facet_tags(body)])
         for which, face in ((FRONT, body.body.front), (BACK, body.body.back)):
             if face.array is None:
                 continue
@@ -221,7 +222,7 @@ def test_optical_vertices_lie_on_the_exact_surfaces(name):
 def test_front_facets_look_down_back_facets_up_and_walls_stand():
     body = tessellate(window(**FORMS["turned web"]), quads=5).bodies[1]
     corners = np.concatenate(list(body.rows()))
-    kind = np.concatenate([k for k, _ in body.tags()])
+    kind = np.concatenate([k for k, _ in facet_tags(body)])
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     assert (normal[kind < BACK, 2] < 0.0).all()

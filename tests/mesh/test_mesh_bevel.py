@@ -13,6 +13,7 @@ import clacad
 from clacad.exporting.run import export
 from clacad.formats.mesh.readers import read_mesh
 from clacad.mesh import tessellate
+from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import WALL
 from clacad.topology.build_complex import cell_complex, saddle_count
 
@@ -101,7 +102,7 @@ def test_no_optical_point_outside_the_corners_moves_and_bevels_are_no_optical_fa
     sheet = window(**FORMS["saddle at every corner"])
     body = tessellate(sheet, quads=6, saddle_bevel=WIDTH).bodies[0]
     assert body.sag_error == pytest.approx(tessellate(sheet, quads=6).bodies[0].sag_error, rel=0.1)
-    kinds = np.concatenate([kind for kind, _ in body.tags()])
+    kinds = np.concatenate([kind for kind, _ in facet_tags(body)])
     corners = np.concatenate(list(body.rows()))
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = np.abs(normal[:, 2]) > 0.1 * np.linalg.norm(normal, axis=1)

@@ -10,6 +10,7 @@ import pytest
 
 import clacad
 from clacad.mesh import check_closed, tessellate
+from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.surface import sag
 from clacad.sheet.volume_and_extent import body_volume
@@ -115,7 +116,7 @@ def test_every_corner_of_a_lens_lies_on_the_quadric_of_its_own_cell_where_that_s
     g = window.placements[1].pitch[0] / 0.5
     shift = np.array(window.placements[1].shift)
     seen = {FRONT: 0, BACK: 0}
-    for corners, (kinds, cells) in zip(mesh.rows(), mesh.tags(), strict=True):
+    for corners, (kinds, cells) in zip(mesh.rows(), facet_tags(mesh), strict=True):
         for kind, face in ((FRONT, body.front), (BACK, body.back)):
             mine = kinds == kind
             if not mine.any():

@@ -19,7 +19,7 @@ from clacad.optimising.aim import RAYS, Aim, kept_light, measured
 from clacad.optimising.face_search import LOST as BEYOND
 from clacad.optimising.face_search import TIE, FaceSearch, Walls, penalties
 from clacad.optimising.unknowns import chosen, given_design, with_faces
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.like_cell import interfaces
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 

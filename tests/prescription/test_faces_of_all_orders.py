@@ -21,7 +21,7 @@ from clacad.formats.sequential.stations import stations
 from clacad.formats.sequential.zmx import check_zmx, read_zmx, write_zmx
 from clacad.sheet.bundle import bundle
 from clacad.sheet.feasibility import describe, feasibility
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.like_cell import interfaces
 from clacad.verification.accuracy.extended_precision import direction_errors
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "data" / "optimised.json").read_text())["cases"]

@@ -18,7 +18,7 @@ from clacad.exporting.drawing.notes import orientation
 from clacad.optics.law import angle_between
 from clacad.optics.sequence import trace_sequence
 from clacad.sheet.bundle import bundle
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, half_field, share, thin_cells
 from clacad.verification.evidence import foci
 from clacad.verification.light.confocality import confocality

@@ -11,9 +11,9 @@ import pytest
 from viewscenes import ROOT, view_data
 
 from clacad.scene import Scene, SceneError, load_scene
-from clacad.scene import keys as scene_keys
-from clacad.scene.keys import scene_schema
+from clacad.scene import sections as scene_keys
 from clacad.scene.model import value_at
+from clacad.scene.sections import scene_schema
 
 SCENES = sorted((ROOT / "designs" / "scenes").glob("*.toml"))
 

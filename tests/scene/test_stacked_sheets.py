@@ -14,7 +14,7 @@ from clacad.effects import plan_effects, plan_sheets
 from clacad.rendering.picture import view_through
 from clacad.rendering.sheet_passage import plan_passage, stack_of
 from clacad.scene import Scene, SceneError
-from clacad.scene.keys import scene_schema
+from clacad.scene.sections import scene_schema
 from clacad.sheet.stack import BadStack
 
 ROOT = Path(__file__).parents[2]

@@ -12,6 +12,7 @@ import clacad
 from clacad.base.sobol import sobol
 from clacad.design.combinations import ETAS, FEATURES, REASONS
 from clacad.mesh import check_closed, tessellate
+from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate
 from clacad.sheet.feasibility import feasibility
@@ -290,7 +291,7 @@ def test_facets_of_every_cell_lie_on_the_sphere_of_its_own_radius(tmp_path):
     window = built(tmp_path, WIDELY, still, lattice__count=[4, 3], pair__surface=None)
     (body,) = window.bodies
     (mesh,) = tessellate(window, quads=6).bodies
-    for corners, (kinds, cells) in zip(mesh.rows(), mesh.tags(), strict=True):
+    for corners, (kinds, cells) in zip(mesh.rows(), facet_tags(mesh), strict=True):
         for kind, face in ((FRONT, body.front), (BACK, body.back)):
             at, cell = corners[kinds == kind], cells[kinds == kind]
             eta = WIDELY(*cell.T)[:, None]

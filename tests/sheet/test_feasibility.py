@@ -19,7 +19,7 @@ from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import describe, feasibility
 from clacad.sheet.feasibility.convex_extremes import least, share_covered
-from clacad.sheet.feasibility.pitch_for_eye import viewing
+from clacad.sheet.feasibility.derived_numbers import viewing
 from clacad.sheet.vignetting import ghost_step, share, thin_cells
 from clacad.sheet.window import column
 from clacad.tracing.trace import trace

@@ -14,11 +14,13 @@ from clacad.sheet.plate import (
     Hole,
     Plate,
     counter_clockwise,
+    fault,
+    free_width,
+    least_land,
     plate_of_circle,
     plate_of_rectangle,
 )
 from clacad.sheet.plate_edges import next_crossing
-from clacad.sheet.simple_outline import fault
 from clacad.tracing.compiled.array_cells import in_plate, next_edge
 
 L = ((-6, -5, 0), (6, -5, 0.3), (6, 1, 0), (1, 1, -0.414), (0, 2, 0), (0, 6, 0), (-6, 6, 0))
@@ -168,7 +170,7 @@ def test_the_free_rectangle_is_free_and_no_larger_one_is():
     assert half == pytest.approx(
         (23.4, 15.6), rel=1e-6
     )  # the hole at x = 25 of radius 1.6, in the box's proportions
-    assert ROUNDED.free_width(16.7, 19.9) == pytest.approx(2 * (25 + sqrt(25 - 4.9**2)), rel=1e-6)
+    assert free_width(ROUNDED, 16.7, 19.9) == pytest.approx(2 * (25 + sqrt(25 - 4.9**2)), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -201,12 +203,12 @@ def test_ten_thousand_corners_are_looked_at_in_seconds_and_one_crossing_found():
 
 
 def test_the_least_land_beside_a_hole_is_that_of_the_sketch():
-    assert ROUNDED.least_land == pytest.approx(
+    assert least_land(ROUNDED) == pytest.approx(
         5 - 1.6
     )  # to the bottom of the round corner, whose centre the hole has
     two = Plate(plate_of_rectangle(60, 40), (Hole(0, 0, 4), Hole(10, 0, 6), Hole(-20, 12, 3)))
-    assert two.least_land == pytest.approx(5.0)
-    assert Plate(plate_of_circle(9)).least_land == np.inf
+    assert least_land(two) == pytest.approx(5.0)
+    assert least_land(Plate(plate_of_circle(9))) == np.inf
 
 
 def test_turning_an_outline_round_keeps_it():

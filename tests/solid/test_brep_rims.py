@@ -19,7 +19,7 @@ from clacad.sheet.feasibility import body_facts
 from clacad.solid.fitted_rims import Gap, fitted_rim
 from clacad.solid.occ_writer import OccWriter, is_valid, volume
 from clacad.solid.solids import describe_body, layers
-from clacad.topology.cannot_build import CannotBuild
+from clacad.topology.complex_parts import CannotBuild
 
 BASE = {
     "format": 1,

@@ -18,7 +18,7 @@ from clacad.sheet.window import column
 from clacad.solid.occ_writer import OccWriter, is_valid, volume
 from clacad.solid.solids import describe_body
 from clacad.topology.build_complex import cell_complex
-from clacad.topology.cannot_build import CannotBuild
+from clacad.topology.complex_parts import CannotBuild
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 

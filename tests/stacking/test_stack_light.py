@@ -15,9 +15,8 @@ from oracle import trace as oracle
 import clacad
 from clacad import Fate, Rays
 from clacad.base.sobol import sobol
-from clacad.optics import chief_rays
 from clacad.sheet.stack import BadStack, StackedSheet, lens_planes, stacked, standing
-from clacad.stacking import stack
+from clacad.stacking import chief_matrices, stack
 from clacad.stacking.chief_matrices import meridian
 from clacad.stacking.stack_image import measure_image, nearest_point
 from clacad.stacking.stack_light import launched, measure_light
@@ -87,13 +86,13 @@ def test_shares_of_thin_lenses_in_the_readme_are_those_of_plain_rays(etas, produ
 @pytest.mark.parametrize("case", GOLDEN["cases"], ids=lambda c: "+".join(s["eta"] for s in c["sheets"]))
 def test_matrices_and_images_are_those_of_the_reference(case):
     sheets = [
-        chief_rays.sheet(float(s["eta"]), float(s["separation"]), kappa=float(s["kappa"]))
+        chief_matrices.sheet(float(s["eta"]), float(s["separation"]), kappa=float(s["kappa"]))
         for s in case["sheets"]
     ]
     row = [sheets[0]]
     for gap, sheet in zip(case["gaps"], sheets[1:], strict=True):
-        row += [chief_rays.space(float(gap)), sheet]
-    found, tolerance = chief_rays.in_a_row(row), GOLDEN["tolerance"]
+        row += [chief_matrices.space(float(gap)), sheet]
+    found, tolerance = chief_matrices.in_a_row(row), GOLDEN["tolerance"]
     expected = np.array([[float(v) for v in line] for line in case["matrix"]])
     np.testing.assert_allclose(found.matrix, expected, rtol=tolerance, atol=tolerance)
     assert found.determinant == pytest.approx(float(case["determinant"]), rel=tolerance)
@@ -108,7 +107,7 @@ def test_matrices_and_images_are_those_of_the_reference(case):
 
 def test_a_growing_offset_makes_a_lens_of_a_sheet_whose_focus_is_that_of_the_smooth_law():
     """T' = (t − κ x)/η sends parallel light to the axis at x = s t' below array 2: by hand, with exact fractions."""
-    sheet = chief_rays.sheet(-0.5, 10.0, kappa=0.01)
+    sheet = chief_matrices.sheet(-0.5, 10.0, kappa=0.01)
     np.testing.assert_array_equal(sheet.matrix, [[1.0, 10.0], [0.02, -2.0]])
     assert sheet.determinant == pytest.approx(-2.0 - 0.2)
 

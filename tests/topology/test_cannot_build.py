@@ -18,7 +18,7 @@ from clacad.exporting.run import export
 from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh import tessellate
 from clacad.storage.errors import NotPossible
-from clacad.topology.cannot_build import CODES, CannotBuild
+from clacad.topology.complex_parts import CODES, CannotBuild
 
 BASE = {
     "format": 1,

@@ -11,7 +11,7 @@ from oracle.windows import PITCH, beam, biconvex, collection
 from clacad.effects.trace import trace
 from clacad.mesh import tessellate
 from clacad.optics.rays import Fate, Rays
-from clacad.scene.keys import SHEET
+from clacad.scene.sections import SHEET
 from clacad.tracing.facets.triangle_soup import TriangleSoup
 
 WINDOWS = collection()

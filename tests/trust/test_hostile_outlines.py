@@ -151,7 +151,7 @@ def test_a_drawing_beyond_its_budget_is_refused_by_the_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, int]
 ) -> None:
     less = {**BUDGETS, "outline": replace(BUDGETS["outline"], **change)}
-    monkeypatch.setattr("clacad.design.dxf_entities.BUDGETS", less)
+    monkeypatch.setattr("clacad.design.drawn_outline.BUDGETS", less)
     with pytest.raises(DesignError) as caught:
         asked(tmp_path, HEAD + SQUARE + TAIL)
     assert getattr(caught.value, "exit_status", 2) == 3

@@ -348,7 +348,7 @@ def test_a_design_or_scene_beyond_16_megabytes_is_refused_by_the_limit(
 
 
 def test_a_design_of_more_lines_and_keys_than_are_read_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
-    from clacad.config.design_error import DesignTooLarge
+    from clacad.config.mistakes import DesignTooLarge
     from clacad.design import load
 
     many = 200_001

@@ -17,7 +17,7 @@ from clacad.checks import check as checks
 from clacad.checks.check import found_by, kinds
 from clacad.cli import main
 from clacad.design import Design
-from clacad.design.keys import SECTIONS
+from clacad.design.sections import SECTIONS
 from clacad.explain.look_up import explain
 from clacad.report.content import content, numbers
 from clacad.verification import verify

@@ -12,7 +12,7 @@ from clacad.design import Design
 from clacad.design.process_profiles import profile, profiles
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
-from clacad.sheet.feasibility.process_features import groove, wall
+from clacad.sheet.feasibility.convex_extremes import groove, wall
 from clacad.verification import CODES, design_checks
 
 RULES = ("tool", "wall", "draft", "slope", "voxel", "layer", "aspect", "undercut")

@@ -17,8 +17,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.units import millimetres
-from clacad.design.keys import LATTICE, LAW, PAIR
-from clacad.design.sections import AimedAt
+from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.exporting.drawing import drawing_tables, views
 from clacad.exporting.drawing.canvas import Canvas, scale_text
 from clacad.exporting.drawing.drawing_tables import table

@@ -21,7 +21,7 @@ from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.optics.surface import ULP, Biconic, EvenPolynomial, Surface, conic_constants, resized
 from clacad.sheet.bundle import Bundle, bundle
-from clacad.sheet.telescopelet import interfaces, lens_distance
+from clacad.sheet.like_cell import interfaces, lens_distance
 from clacad.sheet.window import Face, Window
 from clacad.storage.errors import FileDisagrees
 

@@ -24,7 +24,7 @@ from clacad.formats.step.step_mode import Mode, chosen_mode
 from clacad.sheet.window import Body, Window
 from clacad.solid.shells import MERGE, ShellCounts, Shells
 from clacad.solid.solids import describe_body, describe_layers, layers, middle_plane, single
-from clacad.solid.tiling_borders import Layer
+from clacad.solid.tilings import Layer
 
 __all__ = ["StepBodyFacts", "read_step", "step_text_length", "write_step", "write_step_stack"]
 

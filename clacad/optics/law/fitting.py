@@ -9,8 +9,14 @@ from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats
 from clacad.base.vectors import axes_across, lengths, unit
-from clacad.optics.law.compose import LawParameters, candidate_axes, decompose
-from clacad.optics.law.orientation import angle_between, is_direction, power_of_two_scaled
+from clacad.optics.law.orientation import (
+    LawParameters,
+    angle_between,
+    candidate_axes,
+    decompose,
+    is_direction,
+    power_of_two_scaled,
+)
 
 NAMES = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
 NO_POWER = "the exit directions do not depend on the incoming ones along an axis: eta is infinite"

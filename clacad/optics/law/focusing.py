@@ -21,14 +21,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import hypot, inf, isinf, sin, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.pairs import pair, pair_product, pair_sum
 from clacad.base.types import Floats, Pair2
-from clacad.optics.law.law import Law
 from clacad.optics.law.refraction import refracted
+
+if TYPE_CHECKING:
+    from clacad.optics.law.law import Law
 
 Gradient = tuple[Pair2, Pair2]
 """K, 1/length: row i is the change of δ_i (lens axes) with the position on the sheet (sheet axes)."""

@@ -9,12 +9,16 @@ Closed forms of a thin pair: δ that sends a cell's light to a given point, and 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.pairs import two_product, two_sum
 from clacad.base.types import Floats, Pair2
-from clacad.optics.law.law import Law
+
+if TYPE_CHECKING:
+    from clacad.optics.law.law import Law
 
 
 def slope_map(law: Law) -> tuple[Floats, Floats]:

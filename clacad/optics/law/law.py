@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats
-from clacad.optics.law.compose import LawParameters, canonical, compose
 from clacad.optics.law.fitting import NAMES, NO_POWER, fit_law, held_fit, usable_rays
-from clacad.optics.law.orientation import Axes, rotation
+from clacad.optics.law.orientation import Axes, LawParameters, canonical, compose, rotation
 from clacad.optics.law.refraction import refracted
 
 

@@ -6,7 +6,7 @@ Notation: `clacad.optics.surface.sag_and_normal`.
 from __future__ import annotations
 
 from clacad.optics.surface.intersection import Meeting, meet, meet_at, refract
-from clacad.optics.surface.quadric import upright_sag
+from clacad.optics.surface.roots import upright_sag
 from clacad.optics.surface.sag_and_normal import (
     ULP,
     Biconic,

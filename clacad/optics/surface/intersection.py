@@ -11,9 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats
-from clacad.optics.surface.biconic import biconic_root
-from clacad.optics.surface.even_polynomial import polynomial_root, slope_root_of_hit
-from clacad.optics.surface.quadric import Columns, carry, quadric_root
+from clacad.optics.surface.roots import (
+    Columns,
+    biconic_root,
+    carry,
+    polynomial_root,
+    quadric_root,
+    slope_root_of_hit,
+)
 from clacad.optics.surface.sag_and_normal import (
     EvenPolynomial,
     Quadric,

@@ -8,31 +8,37 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Ints
 from clacad.optics.aperture import equivalent_widths, first_zeros
 from clacad.sheet.feasibility.as_rows import FactRow, describe
-from clacad.sheet.feasibility.bodies import body_facts, body_range, connectedness, whole_body_range
 from clacad.sheet.feasibility.derived_numbers import (
     DEFAULT_WAVELENGTH,
+    SEPARATIONS,
+    VIEWING_DISTANCE,
     BodyFacts,
     BorderFacts,
     FaceShape,
     Feasibility,
     LensFacts,
     two,
+    viewing,
 )
 from clacad.sheet.feasibility.lenses import (
+    body_facts,
     body_of,
+    body_range,
+    connectedness,
     field_facts,
     least_thickness,
     lens_facts,
     lens_margin,
     thicker,
+    whole_body_range,
 )
-from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
 from clacad.sheet.like_cell import cell_of_array, like_cell
 from clacad.sheet.own_steps import highest_step
 from clacad.sheet.representative_cells import central_cell
@@ -45,7 +51,9 @@ from clacad.sheet.vignetting import (
     lit_zone,
     thin_cells,
 )
-from clacad.sheet.window import Body, Window
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Body, Window
 
 __all__ = [
     "BodyFacts",

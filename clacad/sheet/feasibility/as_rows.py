@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import degrees, isfinite
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,13 +18,21 @@ from clacad.base.text import digits
 from clacad.base.types import Pair2
 from clacad.base.units import MONOMIALS, POWER, RAISED
 from clacad.optics.law.focusing import Superlens, along_axes
-from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
-from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
+from clacad.sheet.feasibility.derived_numbers import (
+    BodyFacts,
+    EyeAdvice,
+    FaceShape,
+    Feasibility,
+    LensFacts,
+    two,
+)
 from clacad.sheet.lattice import Circle, Lattice, Outline
-from clacad.sheet.plate import Plate
+from clacad.sheet.plate import Plate, least_land
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
-from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Window
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,35 +118,40 @@ def imaging_rows(
                 "the object's height before array 1, the image's behind array 2",
             )
         )
+    return rows + _zone_rows(window, of_length, name)
+
+
+def _zone_rows(window: Window, of_length: Callable[[float | Pair2], str], name: str) -> list[tuple[str, ...]]:
+    """Rows of the zone of one lens of a superlens; empty where there is none."""
     zone = zone_of(window)
-    if zone is not None:
-        rows += [
+    if zone is None:
+        return []
+    return [
+        (
+            "width of one lens, x, y",
+            of_length(zone.width),
+            name,
             (
-                "width of one lens, x, y",
-                of_length(zone.width),
-                name,
-                (
-                    "p1²/|p2 − p1|, with a turn p1²/√((p2 − p1)² + 4 p1 p2 sin²(α/2)): over it light along"
-                    " the normal stays with its partner; a superlens is a lattice of lenses of that period"
-                ),
+                "p1²/|p2 − p1|, with a turn p1²/√((p2 − p1)² + 4 p1 p2 sin²(α/2)): over it light along"
+                " the normal stays with its partner; a superlens is a lattice of lenses of that period"
             ),
+        ),
+        (
+            "F-number of one lens, x, y",
+            ", ".join(map(digits, zone.f_number)),
+            "",
+            "|f2|/p1; law.varying makes one large lens",
+        ),
+        (
+            "moire period, x, y",
+            of_length(zone.moire),
+            name,
             (
-                "F-number of one lens, x, y",
-                ", ".join(map(digits, zone.f_number)),
-                "",
-                "|f2|/p1; law.varying makes one large lens",
+                "of the two arrays: no field of a cell survives beyond it; over a pitch it is the"
+                " magnification of a moire magnifier"
             ),
-            (
-                "moire period, x, y",
-                of_length(zone.moire),
-                name,
-                (
-                    "of the two arrays: no field of a cell survives beyond it; over a pitch it is the"
-                    " magnification of a moire magnifier"
-                ),
-            ),
-        ]
-    return rows
+        ),
+    ]
 
 
 LENGTHS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"))
@@ -247,6 +261,7 @@ def _sheet_rows(
     window: Window, facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str
 ) -> list[FactRow]:
     """Rows of the sheet as a whole; `of_length` writes lengths in the unit `name`."""
+    row = partial(FactRow, "sheet")
     lattice = window.lattice
     x0, x1, y0, y1 = whole_extent(window)
     wide, high = of_length(x1 - x0), of_length(y1 - y0)
@@ -254,22 +269,14 @@ def _sheet_rows(
     is_round = x1 - x0 <= _diameter(rim) * (1.0 + 1e-12)  # no array protrudes from the other
     low, top = min(body.low for body in facts.bodies), max(body.high for body in facts.bodies)
     return [
-        FactRow(
-            "sheet",
+        row(
             "outer size",
             f"{wide} round" if is_round else f"{wide} x {high}",
             name,
             "of all bodies, seen along z",
         ),
-        FactRow(
-            "sheet",
-            "height",
-            of_length(top - low),
-            name,
-            "from the lowest point of all bodies to the highest",
-        ),
-        FactRow(
-            "sheet",
+        row("height", of_length(top - low), name, "from the lowest point of all bodies to the highest"),
+        row(
             "cells",
             cells_text(lattice),
             "",
@@ -279,8 +286,7 @@ def _sheet_rows(
                 else "telescopelets that lie wholly inside the outline"
             ),
         ),
-        FactRow(
-            "sheet",
+        row(
             "index ratio n1/n2, lens x, y",
             ", ".join(digits(1.0 / m) for m in focal_ratio(window.thin)),
             "",
@@ -304,14 +310,14 @@ def _diameter(rim: Outline | None) -> float:
 
 def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of the holes of a plate; empty without holes."""
+    row = partial(FactRow, "sheet")
     if not isinstance(rim, Plate) or not rim.holes:
         return []
     return [
-        FactRow("sheet", "holes through the plate", str(len(rim.holes)), "", "for mounting and for pins"),
-        FactRow(
-            "sheet",
+        row("holes through the plate", str(len(rim.holes)), "", "for mounting and for pins"),
+        row(
             "least land next to a hole",
-            of_length(rim.least_land),
+            of_length(least_land(rim)),
             name,
             "to the plate's edge or to another hole",
         ),
@@ -320,45 +326,35 @@ def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], 
 
 def _view_rows(facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of the view through the sheet; `of_length` writes lengths in the unit `name`."""
+    row = partial(FactRow, "view")
     wave = f"λ = {digits(1e9 * facts.wavelength)} nm"
     return [
-        FactRow(
-            "view",
+        row(
             "middle of the field, x, y",
             _angles(facts.aperture),
             "deg",
             "from the sheet's normal to the line from a cell's middle to its partner's",
         ),
-        FactRow(
-            "view",
+        row(
             "half field, lens x, y",
             _angles(facts.half_field),
             "deg",
             "off the middle of the field; beyond it no light meets the partner",
         ),
-        FactRow(
-            "view",
+        row(
             "first ghosts off the middle, lens x, y",
             _angles(facts.ghost_onset),
             "deg",
             "from there on some light meets a wrong lenslet",
         ),
-        FactRow(
-            "view",
-            "undeviated direction, x, y",
-            _angles(facts.undeviated),
-            "deg",
-            "through both lens centres",
-        ),
-        FactRow(
-            "view",
+        row("undeviated direction, x, y", _angles(facts.undeviated), "deg", "through both lens centres"),
+        row(
             "ray offset on the sheet, lens x, y",
             of_length(facts.offset_blur),
             name,
             "range over a cell of where light leaves less where it came",
         ),
-        FactRow(
-            "view",
+        row(
             "diffraction, lens x, y",
             _mrad(facts.diffraction_blur),
             "mrad",
@@ -366,22 +362,19 @@ def _view_rows(facts: Feasibility, of_length: Callable[[float | Pair2], str], na
             " is lit of a cell from its middle: the slit whose pattern has the same core (a square's own"
             " side, however it is turned)",
         ),
-        FactRow(
-            "view",
+        row(
             "diffraction, first zero, lens x, y",
             _mrad(facts.first_zero),
             "mrad",
             "first dark line of that pattern; more than λ/w where a corner of the zone points along the axis",
         ),
-        FactRow(
-            "view",
+        row(
             "Fresnel number",
             digits(facts.fresnel_number),
             "",
             f"(w/2)²/(λ f2), the smaller of x and y, {wave}, the same w",
         ),
-        FactRow(
-            "view",
+        row(
             "lost to diffraction at most, lens x, y",
             ", ".join(digits(v) for v in facts.viewing.lost),
             "",
@@ -395,37 +388,32 @@ def _pitch_rows(
     facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str, unit: float
 ) -> list[FactRow]:
     """Rows of the pitches recommended for an eye; `unit` is the window's, metres."""
+    row = partial(FactRow, "view")
     eye = facts.viewing
     place = f"{digits(eye.object)} m behind, seen from {digits(eye.viewer)} m"
     return [
-        FactRow(
-            "view",
+        row(
             "sharpest pitch, lens x, y",
             of_length(two(p / unit for p in eye.sharpest)),
             name,
             f"√(2λz/|η(1 − η)|)·max(1, |η|) for what lies z = {place}: larger cells are out of focus, smaller"
             " ones diffract",
         ),
-        FactRow(
-            "view",
+        row(
             "least blur, lens x, y",
             _mrad(eye.blur),
             "mrad",
             f"half of the light of a point {place}, at those pitches",
         ),
-        FactRow(
-            "view", "sharpest pitch", of_length(eye.advised / unit), name, "of the axis that is blurred more"
-        ),
-        FactRow(
-            "view",
+        row("sharpest pitch", of_length(eye.advised / unit), name, "of the axis that is blurred more"),
+        row(
             "invisible pitch",
             of_length(eye.invisible / unit),
             name,
             f"one minute of arc from {digits(eye.viewer)} m: cells of this pitch are not seen;"
             f" {_conflict(eye)}",
         ),
-        FactRow(
-            "view",
+        row(
             "pitch with diffraction below 1′, lens x, y",
             of_length(two(p / unit for p in eye.fine)),
             name,
@@ -443,50 +431,32 @@ def _conflict(eye: EyeAdvice) -> str:
 
 def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of one lens; `of_length` writes lengths in the unit `name`."""
-    about = lens.name
+    row = partial(FactRow, lens.name)
     rows = [
-        FactRow(
-            about, "focal length x, y", of_length(lens.focal_length), name, "of the equivalent thin lens"
-        ),
-        FactRow(
-            about,
+        row("focal length x, y", of_length(lens.focal_length), name, "of the equivalent thin lens"),
+        row(
             "focal length as built x, y",
             of_length(lens.built_focal_length),
             name,
             "of the lens as made, in air, about its own axis",
         ),
         *_shape_rows(lens, of_length, name),
-        FactRow(
-            about,
-            "centre thickness",
-            of_length(lens.thickness),
-            name,
-            "from apex to apex, or to the plane face",
-        ),
-        FactRow(
-            about,
-            "sag",
-            of_length(lens.sag),
-            name,
-            "height range of the face over the optical zone of its cell",
-        ),
-        FactRow(
-            about,
+        row("centre thickness", of_length(lens.thickness), name, "from apex to apex, or to the plane face"),
+        row("sag", of_length(lens.sag), name, "height range of the face over the optical zone of its cell"),
+        row(
             "rim half width x, y",
             of_length(lens.rim),
             name,
             "where the lens would end were it not cut to its cell",
         ),
-        FactRow(about, "cover", digits(lens.cover), "", "share of the optical zone where the lens exists"),
-        FactRow(
-            about,
+        row("cover", digits(lens.cover), "", "share of the optical zone where the lens exists"),
+        row(
             "least normal z",
             digits(lens.least_normal_z),
             "",
             "cosine of the steepest slope against the sheet",
         ),
-        FactRow(
-            about,
+        row(
             "F-number x, y",
             ", ".join(digits(v) for v in lens.f_number),
             "",
@@ -495,8 +465,7 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
     ]
     if isfinite(lens.corner):
         rows.append(
-            FactRow(
-                about,
+            row(
                 "least thickness over the cell",
                 of_length(lens.corner),
                 name,
@@ -505,8 +474,7 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
         )
     if lens.least_thickness > 0.0:
         rows.append(
-            FactRow(
-                about,
+            row(
                 "centre thickness that covers the cell",
                 of_length(lens.least_thickness),
                 name,
@@ -518,35 +486,34 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
 
 def _shape_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of radii and conic constants, face by face where the faces differ."""
-    about, rows = lens.name, []
+    row, rows = partial(FactRow, lens.name), []
     one = FaceShape("", lens.radius, lens.conic, None)
     for shape in lens.shapes or (one,):
         of = f"{shape.side}, " if shape.side else ""
         conic = ", ".join("-" if k is None else digits(k) for k in shape.conic)
         rows += [
-            FactRow(about, f"{of}apex radius x, y", of_length(shape.radius), name, "negative: concave"),
-            FactRow(about, f"{of}conic constant x, y", conic, "", "0: circle, -1: parabola"),
+            row(f"{of}apex radius x, y", of_length(shape.radius), name, "negative: concave"),
+            row(f"{of}conic constant x, y", conic, "", "0: circle, -1: parabola"),
         ]
         for order, of_terms in MONOMIALS.items():
             terms, unit = getattr(shape, order), f"1/{name}{RAISED[POWER[order]]}"
             if terms is not None:
                 text = ", ".join(digits(a) for a in terms)
                 said = f"{of}{order}: {', '.join(of_terms)}"
-                rows.append(FactRow(about, said, text, unit, "outwards, on top of the conic"))
+                rows.append(row(said, text, unit, "outwards, on top of the conic"))
     return rows
 
 
 def _body_rows(body: BodyFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
+    row = partial(FactRow, body.name)
     rows = [
-        FactRow(body.name, "edge thickness", of_length(body.edge), name, "least along the outer side"),
-        FactRow(body.name, "greatest step", of_length(body.step), name, "of a face across a border of cells"),
-        FactRow(body.name, "height range", of_length((body.low, body.high)), name, "lowest and highest z"),
-        FactRow(body.name, "pieces, holes", f"{body.pieces}, {body.holes}", ""),
+        row("edge thickness", of_length(body.edge), name, "least along the outer side"),
+        row("greatest step", of_length(body.step), name, "of a face across a border of cells"),
+        row("height range", of_length((body.low, body.high)), name, "lowest and highest z"),
+        row("pieces, holes", f"{body.pieces}, {body.holes}", ""),
     ]
     if isfinite(body.neck):
-        rows.insert(
-            1, FactRow(body.name, "neck", of_length(body.neck), name, "least thickness that joins neighbours")
-        )
+        rows.insert(1, row("neck", of_length(body.neck), name, "least thickness that joins neighbours"))
     return rows
 
 

@@ -1,5 +1,5 @@
 """An even polynomial, compiled: one ray, one face; the same steps as
-`clacad.optics.surface.even_polynomial`.
+`clacad.optics.surface.roots`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from math import copysign, inf, isfinite, isnan, nan, sqrt
 
 from clacad.base.compiled import exact
 from clacad.base.types import Floats
-from clacad.optics.surface.even_polynomial import CLOSE, POLYNOMIAL_STEPS, SETTLED, TIGHT, UPRIGHT
+from clacad.optics.surface.roots import CLOSE, POLYNOMIAL_STEPS, SETTLED, TIGHT, UPRIGHT
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.records import Ray, Vector
 
@@ -128,7 +128,7 @@ def polynomial_root(faces: Floats, row: int, ray: Ray, base: Vector) -> float:
 @exact
 def _real_stretch(faces: Floats, row: int, x: float, y: float, L: float, M: float) -> tuple[float, float]:
     """Ends of the stretch of the line over which the base is real; see
-    `clacad.optics.surface.even_polynomial`.
+    `clacad.optics.surface.roots`.
     """
     cx, cy = faces[row, slot.CX], faces[row, slot.CY]
     a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy

@@ -11,8 +11,7 @@ from typing import NamedTuple
 from clacad.base.compiled import exact, pair_product, pair_sum, two_product
 from clacad.base.types import Floats
 from clacad.optics.surface import ULP
-from clacad.optics.surface.biconic import FLAT, NEWTON_STEPS, POLISHES, SETTLED
-from clacad.optics.surface.quadric import CANCELS, STEEPEST
+from clacad.optics.surface.roots import CANCELS, FLAT, NEWTON_STEPS, POLISHES, SETTLED, STEEPEST
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.even_polynomial import polynomial_normal, polynomial_over, polynomial_root
 from clacad.tracing.compiled.records import Ray, Vector
@@ -134,7 +133,7 @@ def _biconic_parts(faces: Floats, row: int, x: float, y: float) -> tuple[float, 
 
 @exact
 def _biconic_root(faces: Floats, row: int, ray: Ray, base: Vector) -> tuple[float, float]:
-    """Newton on the azimuth's own quadric, see `clacad.optics.surface.biconic`; root search where it does not
+    """Newton on the azimuth's own quadric, see `clacad.optics.surface.roots`; root search where it does not
     converge.
     """
     bx, by, bz = base

@@ -292,8 +292,7 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
     from functools import partial
 
     from clacad.mesh import tessellate
-    from clacad.sheet.asked_focus import RequestedLaw
-    from clacad.sheet.bundle import bundle
+    from clacad.sheet.bundle import RequestedLaw, bundle
     from clacad.tracing.trace import trace
     from clacad.verification.accuracy import measure_rungs
 

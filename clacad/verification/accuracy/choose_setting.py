@@ -328,7 +328,7 @@ def _step(design: Design, window: Window, target: float) -> list[FileWithin]:
     """The STEP file, where the bodies can be solids and its size is allowed."""
     from clacad.exporting.formats import step
     from clacad.formats.step.step_mode import chosen_mode
-    from clacad.topology.cannot_build import CannotBuild
+    from clacad.topology.complex_parts import CannotBuild
 
     if target < STEP_ERROR:
         return []

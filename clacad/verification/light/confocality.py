@@ -17,8 +17,8 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, Interface, parabasal, trace_sequence
-from clacad.sheet.asked_focus import asked_power
-from clacad.sheet.telescopelet import interfaces, lens_distance
+from clacad.sheet.bundle import asked_power
+from clacad.sheet.like_cell import interfaces, lens_distance
 from clacad.sheet.window import PLANE, Window
 
 __all__ = ["Confocality", "confocality"]

@@ -36,10 +36,9 @@ from clacad.base.units import millimetres
 from clacad.judging.cell_triangles import Cell, CellFacets, Gatherer, telescopelet
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.sequence import trace_sequence
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, bundle, launched, middle_direction
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched, middle_direction
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.representative_cells import central_cell
-from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.facets.telescopelet import trace_facets

@@ -25,8 +25,7 @@ from clacad.light.compare import Comparison, rms_between
 from clacad.light.measure import Light, measure
 from clacad.optics.law import difference_of_laws
 from clacad.optics.rays import Fate, TraceResult
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, bundle, launched, middle_direction
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched, middle_direction
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window

@@ -28,8 +28,7 @@ from clacad.checks.light_kinds import (
 )
 from clacad.light.measure import Light
 from clacad.optics.rays import Fate
-from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
-from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
+from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, diffraction_loss
 from clacad.sheet.vignetting import fresnel_numbers, mean_share, thin_cells
 from clacad.verification.light.confocality import confocality
 from clacad.verification.light.through_window import Lit, Optics, Turn

@@ -23,9 +23,8 @@ from clacad.light.measure import Light
 from clacad.optics.law.imaging import spot_widths
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, Interface, trace_sequence
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, bundle
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
+from clacad.sheet.like_cell import interfaces
 from clacad.sheet.vignetting import aperture_slope, half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace

@@ -20,8 +20,7 @@ from clacad.checks.check import Check, found_by
 from clacad.checks.light_kinds import DELTA, ETA, TILT
 from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
 from clacad.optics.rays import Rays
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import bundle, field_points
+from clacad.sheet.bundle import RequestedLaw, bundle, field_points
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import SeenCell, through_all, tried_cells, worst_of

@@ -19,17 +19,16 @@ from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
 from clacad.checks.check import Check, accepted, wrong
 from clacad.checks.light_kinds import VIEWED
-from clacad.config.design_error import DesignError
 from clacad.config.edit_text import value_text
+from clacad.config.mistakes import DesignError
 from clacad.design import Design
-from clacad.design.keys import LATTICE, PAIR
-from clacad.design.sections import AimedAt
+from clacad.design.sections import LATTICE, PAIR, AimedAt
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.aimed_cells import refuse_aim
 from clacad.prescription.prescribe import prescribe
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.feasibility import feasibility
-from clacad.sheet.feasibility.pitch_for_eye import VIEWING_DISTANCE
+from clacad.sheet.feasibility.derived_numbers import VIEWING_DISTANCE
 from clacad.sheet.vignetting import partner_share
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace

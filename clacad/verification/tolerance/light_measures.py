@@ -38,8 +38,7 @@ from clacad.effects.scatter import haze
 from clacad.light.measure import Light, Send, measure_each
 from clacad.optics.law import Law, difference_of_laws
 from clacad.optics.rays import Rays
-from clacad.sheet.asked_focus import RequestedLaw
-from clacad.sheet.bundle import Bundle, bundle, field_about, middle_direction
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, field_about, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.representative_cells import places_of_errors
 from clacad.sheet.vignetting import share, thin_cells

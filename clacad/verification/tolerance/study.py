@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clacad import __version__
 from clacad.base.types import Floats, Progress, silent
-from clacad.design.keys import CHECK, TOLERANCES
+from clacad.design.sections import CHECK, TOLERANCES
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.tracing.worst_cell import worst_cell

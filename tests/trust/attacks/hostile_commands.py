@@ -22,7 +22,7 @@ from trust.attacks.odd_values import NESTED, NUMBERS, TEXTS
 from trust.running import TINY
 
 from clacad.config.edit_text import value_text
-from clacad.design.keys import SECTIONS
+from clacad.design.sections import SECTIONS
 
 LONG = "5" * 5000
 """More digits than Python turns into a whole number (4300)."""

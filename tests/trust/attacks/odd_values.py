@@ -25,8 +25,8 @@ if __name__ == "__main__":
     sys.path[:0] = [str(ROOT)]
 
 from clacad.cli import main  # noqa: E402
-from clacad.design.keys import ROOT as TOP  # noqa: E402
-from clacad.design.keys import SECTIONS  # noqa: E402
+from clacad.design.sections import ROOT as TOP  # noqa: E402
+from clacad.design.sections import SECTIONS  # noqa: E402
 
 BASES: dict[str, dict[str, Any]] = {
     "slab": {

@@ -9,7 +9,7 @@ import pytest
 from trust.attacks.odd_values import BASES, VALUES, Tally, answered, attack, cases
 
 from clacad.design import Design
-from clacad.design.keys import ROOT, SECTIONS
+from clacad.design.sections import ROOT, SECTIONS
 from clacad.exporting.forecast import outlook
 from clacad.prescription.prescribe import prescribe
 
