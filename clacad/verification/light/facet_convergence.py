@@ -1,4 +1,4 @@
-"""Convergence of light through facets to the exact surfaces, compared with the order that physics predicts."""
+"""Convergence of light through facets to the exact surfaces, compared with the predicted order."""
 
 from __future__ import annotations
 
