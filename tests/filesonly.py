@@ -18,7 +18,8 @@ def only_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave refinement out of `verify`, and trace each design once whatever files it is asked about."""
     run = importlib.import_module("clacad.verification.run")
     nothing = (None, CONVERGENCE.not_run("left out", required=False))
-    monkeypatch.setattr(run, "_convergence", lambda *_: nothing)
+    convergence = importlib.import_module("clacad.verification.light.facet_convergence")
+    monkeypatch.setattr(convergence, "judge_convergence", lambda *_: nothing)
     for name in ("judge_window", "meridians"):
         monkeypatch.setattr(run, name, _once(name, getattr(run, name)))
 

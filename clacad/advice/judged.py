@@ -17,7 +17,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
 from clacad.verification.design_rules import design_checks
-from clacad.verification.light.through_window import judge_light
+from clacad.verification.light.law_checks import judge_light
 from clacad.verification.light.viewed import name_remedies
 
 RAYS, POINT_RAYS = 8192, 1024

@@ -16,7 +16,7 @@ from clacad.advice.wish import Wish
 from clacad.base.types import Floats
 from clacad.design import Design, DesignError
 from clacad.design.process_profiles import profile
-from clacad.light.measure import measure
+from clacad.light.measure import FIT_SCALE, measure
 from clacad.optics.rays import Rays
 from clacad.optics.sequence import trace_sequence
 from clacad.prescription.prescribe import prescribe
@@ -24,7 +24,6 @@ from clacad.sheet.bundle import RequestedLaw, of_rays
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
-from clacad.verification.light.through_window import FIT_SCALE
 
 
 @dataclass(frozen=True, slots=True)

@@ -174,13 +174,6 @@ def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
     return found
 
 
-def find_files(place: Path, roles: Roles | None = None) -> Delivery:
-    """Find the files to judge, with hashes: a folder with a manifest, one file of it, or any file; see
-    `list_files`.
-    """
-    return list_files(place, roles).hashed()
-
-
 def list_files(place: Path, roles: Roles | None = None) -> Delivery:
     """List the files to judge by name and size; no file is read, so the size of a large one is known at once.
 
@@ -410,10 +403,10 @@ class Inspection:
         return {"where": "file", "subject": self.name}
 
 
-def with_copied_table(design: Design, delivery: Delivery | None) -> Design:
+def with_copied_table(design: Design, delivery: Delivery) -> Design:
     """The design with the table next to the files, where that is the table it states; else the design."""
     table = None if design.law_spec.varying is None else design.law_spec.varying.table
-    if table is None or delivery is None:
+    if table is None:
         return design
     for subject in delivery.subjects:
         same_name = subject.format == CELL_TABLE and subject.name == table.file

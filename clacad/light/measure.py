@@ -27,6 +27,9 @@ from clacad.sheet.bundle import Bundle, RequestedLaw
 FEWEST = 64
 """Least number of ALIVE rays for a result other than NaN."""
 
+FIT_SCALE = 0.1
+"""Aperture and field of the bundle on which η and δ are fitted, over those of the main bundle."""
+
 Send = Callable[[Bundle], TraceResult]
 """Traces a bundle: through exact surfaces, facets, a file's faces, a measured map, or a displaced copy."""
 

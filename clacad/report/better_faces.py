@@ -132,8 +132,8 @@ def _measured(design: Design) -> Report:
     from clacad.sheet.feasibility import feasibility
     from clacad.tracing.trace import trace
     from clacad.verification import Report, design_checks
-    from clacad.verification.light.facet_convergence import meridians
-    from clacad.verification.light.through_window import judge_light
+    from clacad.verification.light.law_checks import judge_light
+    from clacad.verification.light.through_window import meridians
 
     window = prescribe(design)
     facts = feasibility(window)

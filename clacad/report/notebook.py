@@ -16,7 +16,7 @@ from clacad.base.text import digits
 from clacad.report.figures import ACCENT, FAINT, INK, SECOND, Margins, draw_section, panels, svg
 from clacad.sheet.feasibility.as_rows import length_unit
 from clacad.sheet.window import Window
-from clacad.verification.light.facet_convergence import Meridian, meridians
+from clacad.verification.light.through_window import Meridian, meridians
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

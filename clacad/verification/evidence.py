@@ -16,7 +16,6 @@ import numpy as np
 from clacad.base.text import plain
 from clacad.base.types import Floats, Progress
 from clacad.effects.registry import declared_all
-from clacad.judging.judge_files import FileReport
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.like_cell import interfaces
@@ -35,6 +34,7 @@ from clacad.verification.light.error_attribution import (
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.effects import Plan
+    from clacad.judging.judge_files import FileReport
     from clacad.waves import WaveReport
 
 

@@ -16,27 +16,19 @@ from typing import TYPE_CHECKING
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check, accepted
 from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
-from clacad.judging.delivery import (
-    Delivery,
-    Subject,
-    declared_roles,
-    list_files,
-    with_copied_table,
-    written_meanwhile,
-)
-from clacad.judging.judge_files import judge_files
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.design_rules import design_checks
-from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check, meridians
-from clacad.verification.light.through_window import Optics, judge_light
+from clacad.verification.light.law_checks import judge_light
+from clacad.verification.light.through_window import Optics, meridians
 from clacad.verification.light.viewed import name_remedies
 from clacad.verification.verification_report import Report
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.judging.delivery import Delivery, Subject
 
 
 def verify(
@@ -76,7 +68,11 @@ def verify(
         `files` contains no file to judge; unit or cells cannot be determined; a role is unknown, or of no
         file.
     """
-    delivery = None if files is None else list_files(Path(files), declared_roles(role))
+    delivery = None
+    if files is not None:
+        from clacad.judging.delivery import declared_roles, list_files
+
+        delivery = list_files(Path(files), declared_roles(role))
     *_, found = verified(design, delivery, cells, rays, progress or silent)
     return found
 
@@ -98,7 +94,10 @@ def verified(
     ------
     DesignError, CannotRegister
     """
-    design = with_copied_table(design, delivery)
+    if delivery is not None:
+        from clacad.judging.delivery import with_copied_table, written_meanwhile
+
+        design = with_copied_table(design, delivery)
     found = _judge_design(design, rays, progress)
     yield replace(found, checks=accepted(found.checks, design))
     if delivery is not None:
@@ -124,11 +123,14 @@ def _judge_design(design: Design, rays: int, progress: Progress) -> Report:
 def _with_files(
     report: Report, delivery: Delivery, cells: tuple[int, int] | None, rays: int, progress: Progress
 ) -> Report:
-    """Report with the results of the files added."""
+    """Report with the results of the files added; only files need the modules that read and cut them."""
+    from clacad.judging.judge_files import judge_files
+    from clacad.verification.light.facet_convergence import judge_convergence
+
     checks, judged = judge_files(report.design, delivery, cells, rays, progress)
     convergence = None
     if any(f.subject.is_mesh for f in judged):
-        convergence, check = _convergence(report.design, report.window, progress)
+        convergence, check = judge_convergence(report.design, report.window, progress)
         checks = [*checks, check]
     return replace(
         report, checks=(*report.checks, *checks), convergence=convergence, files=tuple(judged), delivered=True
@@ -152,14 +154,6 @@ def versions() -> dict[str, str]:
     from clacad import __version__
 
     return {"clacad": __version__, "numpy": np.__version__}
-
-
-def _convergence(design: Design, window: Window, progress: Progress) -> tuple[Convergence | None, Check]:
-    try:
-        found = converge(design, window, progress)
-    except ValueError as error:  # too little light passes one telescopelet to fit a law
-        return None, convergence_check(None, str(error))
-    return found, convergence_check(found)
 
 
 DESIGN, CONVERGENCE, MESH, SOLID, REPORT = 0.5, 2.0, 0.8, 3.0, 4.0

@@ -15,20 +15,20 @@ from clacad.checks import check as judging
 from clacad.checks.check import RAYS_NEEDED, Check, wrong
 from clacad.checks.file_kinds import CONVERGENCE, DELIVERY
 from clacad.exporting.roles import Role
-from clacad.judging.judge_files import FileReport
 from clacad.light.measure import Light
 from clacad.sheet.feasibility import Feasibility, describe, feasibility
 from clacad.sheet.window import Window
 from clacad.tracing.worst_cell import worst_cell
-from clacad.verification.light.facet_convergence import Convergence, Meridian
-from clacad.verification.light.through_window import Optics
+from clacad.verification.light.through_window import Meridian, Optics
 from clacad.verification.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from clacad.design import Design
+    from clacad.judging.judge_files import FileReport
     from clacad.verification.evidence import Evidence
+    from clacad.verification.light.facet_convergence import Convergence
 
 FORMAT = 1
 NAMED = 4

@@ -19,7 +19,7 @@ from clacad.design import Design, load
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import passed
 from clacad.verification.design_rules import design_checks
-from clacad.verification.light.through_window import judge_light
+from clacad.verification.light.law_checks import judge_light
 
 ROUND = """# Round window of polycarbonate.
 format = 1

@@ -16,7 +16,7 @@ from clacad.exporting.forecast import rough_span
 from clacad.exporting.request import Request
 from clacad.exporting.roles import Role
 from clacad.exporting.run import forecast_rows, in_all
-from clacad.judging.delivery import Subject, find_files, list_files
+from clacad.judging.delivery import Subject, list_files
 from clacad.verification.run import seconds, task, verified
 
 TEXT = {
@@ -78,7 +78,7 @@ def test_files_are_listed_without_their_hashes_and_hashed_once(tmp_path: Path):
     clacad.export(Design.from_dict(TEXT), tmp_path, formats=["stl", "table"], quads=4)
     listed = list_files(tmp_path)
     assert {one.sha256 for one in listed.subjects} == {""}
-    found = find_files(tmp_path)
+    found = list_files(tmp_path).hashed()
     assert [one.sha256 for one in found.subjects] == [one.entry["sha256"] for one in found.subjects]
     assert [one.sha256 for one in listed.hashed().subjects] == [one.sha256 for one in found.subjects]
 

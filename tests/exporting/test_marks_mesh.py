@@ -21,7 +21,7 @@ from clacad.exporting.roles import Role
 from clacad.exporting.run import export
 from clacad.formats.mesh.readers import read_mesh
 from clacad.formats.mesh.stl import FACET, HEADER, write_stl
-from clacad.judging.delivery import Inspection, find_files
+from clacad.judging.delivery import Inspection, list_files
 from clacad.judging.judge_part import judge_placed
 from clacad.judging.registration import place
 from clacad.mesh import check_closed
@@ -336,7 +336,7 @@ def test_verification_accepts_engraved_files_and_states_what_the_letters_take(ex
 
 def judged_alone(design, path: Path):
     """A file without a manifest: the bodies it is taken to hold, and its checks by name."""
-    subject = find_files(path).subjects[0]
+    subject = list_files(path).hashed().subjects[0]
     placed = place(design, subject, read_mesh(path), None)
     found, _ = judge_placed(Inspection(design, path.name, 1024, role=Role.PREVIEW), placed)
     return placed, {check.id: check for check in found}

@@ -9,7 +9,7 @@ from oracle.plain_mesh import sheet_facets, write_stl
 
 from clacad.design import Design
 from clacad.formats.mesh.readers import read_mesh
-from clacad.judging.delivery import find_files
+from clacad.judging.delivery import list_files
 from clacad.judging.deviation_map import _draw, deviation_map, plot_deviation
 from clacad.judging.judge_part import cut_to
 from clacad.judging.registration import place
@@ -50,7 +50,7 @@ def _only_files(monkeypatch):
 def found(tmp_path, triangles, design=DESIGN):
     path = tmp_path / "part.stl"
     write_stl(path, triangles)
-    return place(design, find_files(path).subjects[0], read_mesh(path), None)
+    return place(design, list_files(path).hashed().subjects[0], read_mesh(path), None)
 
 
 def judged(tmp_path, triangles, design=DESIGN, **options):

@@ -17,7 +17,7 @@ from clacad.exporting.run import export
 from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.formats.mesh.readers import read_mesh
 from clacad.judging.damage import find_features
-from clacad.judging.delivery import Inspection, find_files
+from clacad.judging.delivery import Inspection, list_files
 from clacad.judging.deviation_map import plot_deviation, write_deviation
 from clacad.judging.judge_part import judge_placed
 from clacad.judging.mesh_wholeness import is_open_surface, rims
@@ -70,7 +70,7 @@ def facets(made, quads=8):
 def judged(tmp_path, made, triangles, role=Role.PREVIEW):
     path = tmp_path / "part.stl"
     write_stl(path, triangles)
-    placed = place(made, find_files(path).subjects[0], read_mesh(path), None)
+    placed = place(made, list_files(path).hashed().subjects[0], read_mesh(path), None)
     found, evidence = judge_placed(Inspection(made, path.name, RAYS, role=role), placed)
     return placed, {check.id: check for check in found}, evidence
 
@@ -92,7 +92,7 @@ def test_a_copy_of_an_exported_mesh_lies_as_it_was_written(tmp_path, which):
         source = next((tmp_path / "made").glob(f"*.{suffix}"))
         copy = tmp_path / f"copy.{suffix}"
         copy.write_bytes(source.read_bytes())
-        placed = place(made, find_files(copy).subjects[0], read_mesh(copy), None)
+        placed = place(made, list_files(copy).hashed().subjects[0], read_mesh(copy), None)
         found, _ = judge_placed(Inspection(made, copy.name, RAYS, role=Role.PREVIEW), placed)
         assert placed.pose.untouched, suffix
         assert placed.exact

@@ -12,7 +12,7 @@ from oracle.plain_mesh import facets, sheet_facets, write_stl
 
 from clacad.design import Design
 from clacad.exporting.run import export
-from clacad.judging.delivery import find_files
+from clacad.judging.delivery import list_files
 from clacad.judging.registration import place
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import CannotRegister, passed, verify
@@ -201,7 +201,7 @@ def test_unit_and_cells_are_found_without_a_manifest(tmp_path, soup, unit, word)
 
     path = tmp_path / "part.stl"
     write_stl(path, soup * MM * unit)
-    placed = place(DESIGN, find_files(path).subjects[0], read_mesh(path), None)
+    placed = place(DESIGN, list_files(path).hashed().subjects[0], read_mesh(path), None)
     assert placed.window.lattice.count == (5, 4)
     assert placed.pose.factor * unit * MM == pytest.approx(1.0)
     assert placed.pose.unit == word

@@ -15,13 +15,13 @@ from clacad.advice import judge
 from clacad.effects.diffraction import lit_widths
 from clacad.effects.engine.homogeneous_light import orders, shares
 from clacad.exporting.drawing.notes import orientation
+from clacad.light.confocality import confocality
 from clacad.optics.law import angle_between
 from clacad.optics.sequence import trace_sequence
 from clacad.sheet.bundle import bundle
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, half_field, share, thin_cells
 from clacad.verification.evidence import foci
-from clacad.verification.light.confocality import confocality
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 GOLDEN = json.loads((Path(__file__).parents[1] / "data" / "field_lens.json").read_text())["cases"]

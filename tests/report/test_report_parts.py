@@ -14,6 +14,7 @@ import pytest
 from clacad.design import Design
 from clacad.exporting.drawing.body_outlines import across_cell, heights, outlines
 from clacad.exporting.drawing.notes import orientation
+from clacad.light.confocality import confocality
 from clacad.mesh import tessellate
 from clacad.prescription.prescribe import prescribe
 from clacad.report.content import assembly, lens_detail, plan, telescopelet
@@ -22,7 +23,6 @@ from clacad.report.rows import fabrication
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.verification.evidence import foci
-from clacad.verification.light.confocality import confocality
 from clacad.verification.light.error_attribution import ghost_map
 
 TEXT = {

@@ -14,8 +14,9 @@ import clacad
 from clacad.optics.law.focusing import SharpPair, cell_width
 from clacad.optics.rays import Fate
 from clacad.sheet.bundle import RequestedLaw
+from clacad.verification.light.law_checks import judge_light
 from clacad.verification.light.special_checks import image_checks
-from clacad.verification.light.through_window import Lit, judge_light
+from clacad.verification.light.through_window import Lit
 from clacad.verification.tolerance import bench
 
 BASE = {

@@ -74,9 +74,9 @@ def test_a_process_that_goes_on_holds_no_more_than_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rounds: int
 ) -> None:
     """The study of refinement is left out: it makes, of the design alone, the meshes that the export makes."""
-    run = importlib.import_module("clacad.verification.run")
+    convergence = importlib.import_module("clacad.verification.light.facet_convergence")
     monkeypatch.setattr(
-        run, "_convergence", lambda *_: (None, CONVERGENCE.not_run("left out", required=False))
+        convergence, "judge_convergence", lambda *_: (None, CONVERGENCE.not_run("left out", required=False))
     )
     (tmp_path / "scratch").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))

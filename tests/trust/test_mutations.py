@@ -87,13 +87,13 @@ def damages(data: bytes) -> list[bytes]:
 
 def hold_by_hash(files: dict[str, bytes], folder: Path) -> set[str]:
     """Damage every file of an export; each must fail. Returns their formats."""
-    from clacad.judging.delivery import find_files, integrity
+    from clacad.judging.delivery import integrity, list_files
 
     for entry in listed(files):
         for spoilt in damages(files[entry["name"]]):
             (folder / "manifest.json").write_text(json.dumps({"format": 1, "files": [entry]}))
             (folder / entry["name"]).write_bytes(spoilt)
-            (subject,) = find_files(folder).subjects
+            (subject,) = list_files(folder).hashed().subjects
             assert integrity(subject).state == "fail", entry["name"]
     return {entry["format"] for entry in listed(files)}
 

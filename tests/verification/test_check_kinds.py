@@ -61,7 +61,7 @@ ELSEWHERE = {
     "judging/mesh_light.py": "field of a check's detail",
     "judging/step_file.py": "field of what is read from a STEP file",
     "judging/judge_files.py": "field of what is read from a STEP file",
-    "verification/light/confocality.py": "public function",
+    "light/confocality.py": "public function",
     "verification/light/special_checks.py": "field of a check's detail",
     "verification/tolerance/light_measures.py": "measures of a study of tolerances",
     "verification/tolerance/parameter_sweep.py": "measures of a study of tolerances",

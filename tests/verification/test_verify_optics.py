@@ -9,6 +9,7 @@ import pytest
 
 from clacad.checks.check import passed
 from clacad.design import Design
+from clacad.light.confocality import confocality
 from clacad.optics.rays import Fate
 from clacad.optics.surface import Quadric
 from clacad.prescription.prescribe import prescribe
@@ -17,9 +18,14 @@ from clacad.sheet.feasibility import feasibility
 from clacad.sheet.representative_cells import central_cell
 from clacad.tracing.trace import trace
 from clacad.verification.design_rules import design_checks
-from clacad.verification.light.confocality import confocality
-from clacad.verification.light.law_checks import accounting, confocality_check, law_checks, throughput
-from clacad.verification.light.through_window import Lit, judge_light, optics_of
+from clacad.verification.light.law_checks import (
+    accounting,
+    confocality_check,
+    judge_light,
+    law_checks,
+    throughput,
+)
+from clacad.verification.light.through_window import Lit, optics_of
 
 BASE = Design.from_dict({
     "format": 1, "name": "base", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.02], "euler": [0.0, 0.5, 0.0]},

@@ -14,7 +14,8 @@ from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.verification.design_rules import design_checks
-from clacad.verification.light.through_window import Lit, judge_light
+from clacad.verification.light.law_checks import judge_light
+from clacad.verification.light.through_window import Lit
 from clacad.verification.light.viewed import name_remedies, viewed_check
 from clacad.verification.run import judge_window
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from clacad.base.text import digits
 from clacad.base.types import Floats
-from clacad.checks.check import Check, CheckKind, other
+from clacad.checks.check import Check, CheckKind, found_by, other
 from clacad.checks.light_kinds import (
     ACCOUNTING,
     CONFOCALITY,
@@ -26,12 +26,14 @@ from clacad.checks.light_kinds import (
     THROUGHPUT,
     TILT,
 )
+from clacad.light.confocality import confocality
 from clacad.light.measure import Light
 from clacad.optics.rays import Fate
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, diffraction_loss
 from clacad.sheet.vignetting import fresnel_numbers, mean_share, thin_cells
-from clacad.verification.light.confocality import confocality
-from clacad.verification.light.through_window import Lit, Optics, Turn
+from clacad.sheet.window import Window
+from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
+from clacad.verification.light.through_window import POINT_RAYS, Lit, Optics, Turn, fitted_over_all, optics_of
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -42,6 +44,34 @@ design."""
 
 WORTH_SAYING = 0.005
 """Smallest on-axis share of light lost to diffraction that is reported with the traced share."""
+
+
+def judge_light(
+    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS
+) -> tuple[list[Check], Optics]:
+    """Judge light through a window's exact surfaces by the limits of its design; rays as in `optics_of`."""
+    tried = tried_cells(window, design.check.field)
+    seen = worst_of(tried, design.check.field)
+    optics = optics_of(design, seen.like, seen.send, rays, point_rays)
+    if len(tried) > 1:
+        optics = fitted_over_all(optics, tried, design.check.field)
+    lit = Lit(design, window, seen.like, optics)
+    of_cell = [_named(seen, check) for judge in found_by("light") for check in judge(lit)]
+    return [*of_cell, *(check for judge in found_by("sheet") for check in judge(lit))], optics
+
+
+def _named(seen: SeenCell, check: Check) -> Check:
+    """The check with the cell named in its sentence."""
+    if not seen.tried:
+        return check
+    i, j = seen.cell.tolist()
+    words = f"in cell ({i}, {j}), the worst of {seen.tried} tried"
+    if check.kind in (ETA, DELTA, TILT):
+        words = f"over the light of {seen.tried} cells"
+        laws = seen.window.cell_laws
+        words += ", each taken by its own eta" if laws is not None and laws.ratios is not None else ""
+    words += f": {check.sentence}"
+    return replace(check, sentence=words, detail={**check.detail, "cell": [i, j], "tried": seen.tried})
 
 
 def law_checks(lit: Lit) -> Iterator[Check]:

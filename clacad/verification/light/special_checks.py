@@ -19,6 +19,7 @@ from clacad.base.types import Floats, Pair2
 from clacad.checks.check import Check
 from clacad.checks.light_kinds import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, IMAGE_POINT, PUPIL, SPOT
 from clacad.imaging.image_by_rays import image, lens_plane
+from clacad.light.confocality import axis_start, field_onto_axis
 from clacad.light.measure import Light
 from clacad.optics.law.imaging import spot_widths
 from clacad.optics.rays import Fate, Rays
@@ -28,7 +29,6 @@ from clacad.sheet.like_cell import interfaces
 from clacad.sheet.vignetting import aperture_slope, half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
-from clacad.verification.light.confocality import axis_start, field_onto_axis
 from clacad.verification.light.through_window import Lit
 
 if TYPE_CHECKING:

@@ -1,35 +1,33 @@
-"""Light through a window as built, measured and judged by every check by light.
+"""Light through a window as built, measured: bundles of the checks, and curves along the lens meridians.
 
 In a non-uniform sheet one cell represents all: the cell whose light leaves farthest from the law. It is
-chosen from
-a sample over the sheet and from the cells whose lenses lie farthest out. Light of that cell's own field is
-traced
-through the whole sheet, neighbours included.
+chosen from a sample over the sheet and from the cells whose lenses lie farthest out. Light of that cell's own
+field is traced through the whole sheet, neighbours included. The law is fitted to light of all these cells.
+
+Curves: exit slope against incident slope, along the two lens meridians.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.sobol import sobol
 from clacad.base.types import Floats
-from clacad.checks.check import Check, found_by
-from clacad.checks.light_kinds import DELTA, ETA, TILT
-from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
-from clacad.optics.rays import Rays
-from clacad.sheet.bundle import RequestedLaw, bundle, field_points
-from clacad.sheet.vignetting import share, thin_cells
+from clacad.light.measure import FEWEST, FIT_SCALE, Light, Send, measure, measure_each
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, field_points, launched, middle_direction
+from clacad.sheet.representative_cells import central_cell
+from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
-from clacad.tracing.worst_cell import SeenCell, through_all, tried_cells, worst_of
+from clacad.tracing.worst_cell import SeenCell, through_all
 
 if TYPE_CHECKING:
     from clacad.design import Design
-
-FIT_SCALE = 0.1
-"""Aperture and field of the bundle on which η and δ are fitted, over those of the main bundle."""
 
 POINT_RAYS = 4096
 """Rays of each of the nine field points."""
@@ -148,21 +146,7 @@ class Lit:
     optics: Optics
 
 
-def _named(seen: SeenCell, check: Check) -> Check:
-    """The check with the cell named in its sentence."""
-    if not seen.tried:
-        return check
-    i, j = seen.cell.tolist()
-    words = f"in cell ({i}, {j}), the worst of {seen.tried} tried"
-    if check.kind in (ETA, DELTA, TILT):
-        words = f"over the light of {seen.tried} cells"
-        laws = seen.window.cell_laws
-        words += ", each taken by its own eta" if laws is not None and laws.ratios is not None else ""
-    words += f": {check.sentence}"
-    return replace(check, sentence=words, detail={**check.detail, "cell": [i, j], "tried": seen.tried})
-
-
-def _fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Optics:
+def fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Optics:
     """Optics with η, δ and turn fitted to light of the field centres of all cells, each lit in its own
     field.
     """
@@ -197,15 +181,104 @@ def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
     return np.asarray(lens @ law.rotation.T)
 
 
-def judge_light(
-    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS
-) -> tuple[list[Check], Optics]:
-    """Judge light through a window's exact surfaces by the limits of its design; rays as in `optics_of`."""
-    tried = tried_cells(window, design.check.field)
-    seen = worst_of(tried, design.check.field)
-    optics = optics_of(design, seen.like, seen.send, rays, point_rays)
-    if len(tried) > 1:
-        optics = _fitted_over_all(optics, tried, design.check.field)
-    lit = Lit(design, window, seen.like, optics)
-    of_cell = [_named(seen, check) for judge in found_by("light") for check in judge(lit)]
-    return [*of_cell, *(check for judge in found_by("sheet") for check in judge(lit))], optics
+DIRECTIONS = 49
+PLACES = 768
+MAP = 61
+"""Positions across the cell, and directions, of the residual map."""
+
+
+@dataclass(frozen=True, eq=False)
+class Meridian:
+    """Curves of one lens meridian over the whole field of view.
+
+    slope : (k,) incident slopes along the lens axis, the other slope at the middle of the field
+    law, mean, spread : (k,) exit slopes: the law's, the mean of the ALIVE rays, and the rms of those about it
+    alive, closed_form, ghost : (k,) shares of light
+    place : (m,) lengths across the cell, map_slope : (m,) slopes, residual : (m, m) radians
+        Error of single rays in the meridian's plane, [direction, position]; NaN where the ray is not ALIVE.
+    """
+
+    slope: Floats
+    law: Floats
+    mean: Floats
+    spread: Floats
+    alive: Floats
+    closed_form: Floats
+    ghost: Floats
+    place: Floats
+    map_slope: Floats
+    residual: Floats
+
+
+def meridians(window: Window, send: Callable[[Bundle], TraceResult]) -> tuple[Meridian, Meridian]:
+    """Trace fans of directions along lens x and lens y, each over the whole cell."""
+    return _meridian(window, send, 0), _meridian(window, send, 1)
+
+
+def _directions(window: Window, axis: int, slopes: Floats) -> Floats:
+    """Directions (k, 3) whose slope along a lens axis is `slopes` off the middle of the field."""
+    turn = window.thin.rotation
+    cells = thin_cells(window)
+    middle = cells.slopes(middle_direction(window)[None])[0]
+    local = np.column_stack([np.tile(middle, (len(slopes), 1)), np.ones(len(slopes))])
+    local[:, axis] += slopes
+    found = local @ turn.T
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+
+def _meridian(window: Window, send: Callable[[Bundle], TraceResult], axis: int) -> Meridian:
+    """The curves along lens x (axis 0) or lens y (1)."""
+    cells, cell = thin_cells(window), central_cell(window)
+    reach = min(half_field(cells)[axis], 1.0)
+    offsets = np.linspace(-reach, reach, DIRECTIONS)
+    direction = _directions(window, axis, offsets)
+    places = window.lattice.over_cell(sobol(PLACES, 2))
+    every, middle = np.repeat(direction, PLACES, axis=0), direction[DIRECTIONS // 2]
+    result = send(launched(window, np.tile(places, (DIRECTIONS, 1)), every, cell, middle))
+    fate = result.fate.reshape(DIRECTIONS, PLACES)
+    alive = fate == Fate.ALIVE
+    out = cells.slopes(np.where(alive.reshape(-1, 1), result.direction, [0.0, 0.0, 1.0]))[:, axis]
+    out = np.where(alive, out.reshape(fate.shape), np.nan)
+    enough = alive.sum(axis=1) >= 8
+    with np.errstate(invalid="ignore", divide="ignore"):
+        count = np.where(enough, alive.sum(axis=1), np.nan)
+        mean = np.nansum(out, axis=1) / count
+        spread = np.sqrt(np.nansum((out - mean[:, None]) ** 2, axis=1) / count)
+    asked = window.law.refract(direction)
+    law = np.full(DIRECTIONS, np.nan)
+    known = np.isfinite(asked).all(axis=1)
+    law[known] = cells.slopes(asked[known])[:, axis]
+    place, map_slope, residual = _map(window, send, axis, reach)
+    return Meridian(
+        slope=cells.slopes(direction)[:, axis],
+        law=law,
+        mean=mean,
+        spread=spread,
+        alive=alive.mean(axis=1),
+        closed_form=share(cells, direction),
+        ghost=(fate == Fate.GHOST).mean(axis=1),
+        place=place,
+        map_slope=map_slope,
+        residual=residual,
+    )
+
+
+def _map(
+    window: Window, send: Callable[[Bundle], TraceResult], axis: int, reach: float
+) -> tuple[Floats, Floats, Floats]:
+    """Error of rays along a line across the cell in a lens meridian, for directions in the same plane."""
+    along = window.thin.rotation[:2, axis]
+    along = along / np.hypot(*along)
+    half = min(window.lattice.half_widths) * 0.98  # a ray at the exact border may enter the neighbour
+    place = np.linspace(-half, half, MAP)
+    slopes = np.linspace(-reach, reach, MAP)
+    direction = _directions(window, axis, slopes)
+    lit = launched(
+        window,
+        np.tile(place[:, None] * along, (MAP, 1)),
+        np.repeat(direction, MAP, axis=0),
+        central_cell(window),
+        direction[MAP // 2],
+    )
+    error = measure(send, lit, RequestedLaw.of(window)).error
+    return place, thin_cells(window).slopes(direction)[:, axis], error.reshape(MAP, MAP)

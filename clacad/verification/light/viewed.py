@@ -33,7 +33,8 @@ from clacad.sheet.vignetting import partner_share
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.verification.design_rules import design_checks
-from clacad.verification.light.through_window import Lit, judge_light
+from clacad.verification.light.law_checks import judge_light
+from clacad.verification.light.through_window import Lit
 
 RAYS = 8192
 """Sobol rays over the whole sheet: the mean is within .004 (random rays: rms .5/√8192)."""

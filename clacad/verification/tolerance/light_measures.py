@@ -35,9 +35,10 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.effects.scatter import haze
-from clacad.light.measure import Light, Send, measure_each
+from clacad.light.measure import FIT_SCALE, Light, Send, measure_each
 from clacad.optics.law import Law, difference_of_laws
 from clacad.optics.rays import Rays
+from clacad.optics.sequence import STEP
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, field_about, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.representative_cells import places_of_errors
@@ -52,13 +53,6 @@ if TYPE_CHECKING:
 
 RAYS = 256
 """Rays of each bundle."""
-
-HAIR = 2e-3
-"""Entrance height of the parabasal rays over the cell's circumradius."""
-
-FIT_SCALE = 0.1
-"""Aperture and field of the rays on which eta and delta are fitted, over those of the main rays, as in the
-checks."""
 
 FEWEST_OF_BEAM = 8
 """Least number of rays of a parallel beam that must get through."""
@@ -187,7 +181,7 @@ class Bench:
         window, unit = self.window, self.window.unit
         here = self.chief_slopes(errors)
         shift = here[0] - self.chief
-        size = HAIR * window.lattice.circumradius
+        size = STEP * window.lattice.circumradius
         power = -np.stack([here[1] - here[2], here[3] - here[4]], axis=1) / (2.0 * size * unit)
         step = np.array(window.lattice.pitch)
         across = np.stack(
@@ -290,7 +284,7 @@ def _chief_rays(window: Window, middle: Floats, low: float) -> Rays:
     window.
     """
     u, v, _ = window.thin.rotation.T
-    size = HAIR * window.lattice.circumradius
+    size = STEP * window.lattice.circumradius
     at = np.array([0.0 * u, u, -u, v, -v]) * size
     start = at + middle * ((low - at[:, 2:]) / middle[2])
     return Rays(start, np.broadcast_to(middle, start.shape).copy())
