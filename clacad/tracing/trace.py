@@ -21,12 +21,9 @@ from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
 from clacad.tracing.facets.tiles import Tiles
-from clacad.tracing.facets.triangle_soup import OWN_QUADS, Facets, facets_of
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.launch import trace_law
-from clacad.tracing.reference.surfaces import trace_surfaces
-from clacad.tracing.reference.thin import trace_thin
 from clacad.tracing.which_path import (
     IDEAL_FACES,
     LOADED,
@@ -43,7 +40,7 @@ if TYPE_CHECKING:
     from clacad.optics.law import Law
     from clacad.tracing.facets.squares import Triangles
     from clacad.tracing.facets.tiles import Normals
-    from clacad.tracing.facets.triangle_soup import AnyMesh
+    from clacad.tracing.facets.triangle_soup import AnyMesh, Facets
 
 ONLY_BARE = 'precision "float32" is for rung "surfaces", compiled, with no effects and no record'
 """Message for single precision requested elsewhere."""
@@ -75,6 +72,8 @@ class SheetTracer:
         ):
             need_equal_cells(self.window, "this compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":
+            from clacad.tracing.facets.triangle_soup import OWN_QUADS, facets_of
+
             mesh = OWN_QUADS if self.mesh is None else self.mesh
             object.__setattr__(self, "facets", facets_of(self.window, mesh, self.normals))
         else:
@@ -180,8 +179,12 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
     if rung == "law":
         trace_law(layout, ledger, rows, continuous)
     elif rung == "thin":
+        from clacad.tracing.reference.thin import trace_thin
+
         trace_thin(layout, ledger, rows)
     else:
+        from clacad.tracing.reference.surfaces import trace_surfaces
+
         for same, indices in colours(layout, rays, rows):
             trace_surfaces(layout, ledger, same, indices)
     return ledger.closed()

@@ -34,7 +34,7 @@ def soup(window, quads):
 
 def without_squares(window, triangles, rays):
     """The same trace by the trees alone."""
-    facets = tracer.facets_of(window, triangles, "facet")
+    facets = soups.facets_of(window, triangles, "facet")
     found_in = facets.found_in._replace(squares=NO_SQUARES)
     return tracer._compiled(facets.layout, rays, 0, 1, found_in)
 
