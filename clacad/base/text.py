@@ -189,22 +189,14 @@ def shown(
     factor, name = SHOWN_IN.get(unit, (1, unit))
     holds = HOLDS.get(relation)
     if holds is None or not (_finite(value) and _finite(limit)):
-        unbound = _infinite(limit)
-        return Shown(
-            _text(value, factor, DIGITS), NO_LIMIT if unbound else _text(limit, factor, DIGITS), name
-        )
+        bound_text = NO_LIMIT if _infinite(limit) else _text(limit, factor, DIGITS)
+        return Shown(_text(value, factor, DIGITS), bound_text, name)
     truth = holds(value, limit)
     if 0.0 < abs(value) < NOTHING * abs(limit) and holds(0.0, limit) == truth:  # type: ignore[arg-type]
         return shown(0, limit, relation, unit, state)
-    texts = next(
-        (
-            found
-            for count in range(DIGITS, MOST + 1)
-            if holds(*map(Decimal, found := (_text(value, factor, count), _text(limit, factor, count))))
-            == truth
-        ),
-        (_exactly(value, factor), _exactly(limit, factor)),
-    )
+    tried = ((_text(value, factor, n), _text(limit, factor, n)) for n in range(DIGITS, MOST + 1))
+    exact = (_exactly(value, factor), _exactly(limit, factor))
+    texts = next((both for both in tried if holds(*map(Decimal, both)) == truth), exact)
     return Shown(*texts, name, {("fail", True): ELSEWHERE, ("pass", False): UNBOUND}.get((state, truth), ""))
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.machine_rates import processor_seconds
 from clacad.cli.command import Command, OfDesign, dry_run_option, option, overwrite_option
 from clacad.cli.console import Console, table
-from clacad.cli.option_values import BadOption, load_counted, picture_kind, words_of
+from clacad.cli.option_values import BadOption, load_counted, picture_kind, read_length, words_of
 
 if TYPE_CHECKING:
     from clacad.imaging import Image
@@ -82,38 +82,20 @@ def parse_place(text: str, unit: str) -> tuple[float, float, float]:
     ------
     BadOption
     """
-    from clacad.base.units import design_unit
-    from clacad.config.quantities import Quantity
-    from clacad.config.value_kinds import Refusal
+    from clacad.config.quantities import LENGTH
 
-    own = design_unit(unit)
-    assert own is not None  # the design was read with it
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 3:
         raise BadOption(
             f'--object {text}: it is a point x,y,z such as "0,0,-300", or slopes and -inf for parallel light'
         )
-    kind = Quantity("length", "a length")
-    made = []
-    for k, part in enumerate(parts):
-        if k == 2 and part == "-inf":
-            made.append(float("-inf"))
-            continue
-        try:
-            made.append(kind.read(float(part) if _is_number(part) else part, own))
-        except Refusal as refusal:
-            raise BadOption(
-                f"--object {text}: {'xyz'[k]} = {part} {refusal.complaint}; {refusal.allowed}"
-            ) from None
-    return made[0], made[1], made[2]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    x, y, z = (
+        -inf
+        if axis == "z" and part == "-inf"
+        else read_length(f"--object {text}: {axis} = {part}", part, unit, LENGTH)
+        for axis, part in zip("xyz", parts, strict=True)
+    )
+    return x, y, z
 
 
 def _show_forecast(request: ImagePoint, seconds: float, building: float, console: Console) -> int:

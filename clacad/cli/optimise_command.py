@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import degrees, inf
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console
@@ -107,10 +107,7 @@ def run(request: Optimise, console: Console) -> int:
     page, weights = _page(request), request.weights or ((1.0, 1.0),)
     with _named_as_typed():
         ahead = outlook(design, request.free, weights, tolerances=request.tolerances)
-    if page is not None:
-        from clacad.report.better_faces import SECONDS
-
-        ahead["seconds"] += SECONDS
+    ahead["seconds"] += _page_seconds(page)
     if request.dry_run:
         console.show(lambda: {"forecast": ahead}, lambda: _forecast_text(ahead, page))
         return 0
@@ -122,17 +119,10 @@ def run(request: Optimise, console: Console) -> int:
         progress(f"best so far {1e3 * rms:.3g} mrad", min(0.99, evaluations / ahead["evaluations"]))
 
     def search(private: Path) -> None:
+        options: Any = {"weights": weights, "tolerances": request.tolerances, "seconds": request.seconds}
         with console.forecast(TASK, ahead["seconds"]) as span:
             progress.expect(span.middle)
-            found = optimise(
-                design,
-                request.free,
-                request.field,
-                best_so_far,
-                weights=weights,
-                tolerances=request.tolerances,
-                seconds=request.seconds,
-            )
+            found = optimise(design, request.free, request.field, best_so_far, **options)
         ended.append(found)
         private.write_text(design_text(found), encoding="utf-8", newline="\n")
 
@@ -170,6 +160,15 @@ def _page(request: Optimise) -> Path | None:
     if page.exists() and not request.overwrite and not request.dry_run:
         raise ExportRefused(f"{page} exists; choose another name, or ask to overwrite")
     return page
+
+
+def _page_seconds(page: Path | None) -> float:
+    """Seconds that a page takes."""
+    if page is None:
+        return 0.0
+    from clacad.report.better_faces import SECONDS
+
+    return SECONDS
 
 
 def _compared(found: Optimised, page: Path | None, *, overwrite: bool) -> GainAsMade | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from math import hypot, isfinite, pi, tan
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -12,6 +13,7 @@ from clacad.base.text import whole_number
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from clacad.config.quantities import Quantity
     from clacad.design import Design
 
 
@@ -211,22 +213,27 @@ def parse_bevel(text: str | None, design: Design) -> float:
 
 def parse_distance(option: str, text: str, unit: str, *, zero: bool = False) -> float:
     """Read a length above 0, or from 0 on, bare or with a unit, in the unit of a design."""
+    from clacad.config.quantities import LENGTH_ABOVE_0, LENGTH_FROM_0
+
+    return read_length(f"{option} {text.strip()}:", text, unit, LENGTH_FROM_0 if zero else LENGTH_ABOVE_0)
+
+
+def read_length(said: str, text: str, unit: str, kind: Quantity) -> float:
+    """Read a length of a kind, bare or with a unit, in the unit of a design; `said` begins the refusal.
+
+    Raises
+    ------
+    BadOption
+    """
     from clacad.base.units import design_unit
-    from clacad.config.quantities import Quantity
     from clacad.config.value_kinds import Refusal
 
     own = design_unit(unit)
     assert own is not None  # the design was read with it
-    kind = (
-        Quantity("length", "a length >= 0", least=0.0)
-        if zero
-        else Quantity("length", "a length > 0", above=0.0)
-    )
-    try:
-        value: object = float(text)
-    except ValueError:
-        value = text.strip()
+    value: object = text.strip()
+    with suppress(ValueError):
+        value = float(text)
     try:
         return kind.read(value, own)
     except Refusal as refusal:
-        raise BadOption(f"{option} {text.strip()}: {refusal.complaint}; {refusal.allowed}") from None
+        raise BadOption(f"{said} {refusal.complaint}; {refusal.allowed}") from None

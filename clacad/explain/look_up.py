@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from math import inf, pi
@@ -319,13 +320,10 @@ def explain(text: str, more: Sequence[Entry] = ()) -> Entry:
     same = [entry for name, entry in by_name.items() if _bare(name) == _bare(word)]
     if same and "." not in folded:
         return same[0]
-    key = _key(folded)
-    if key is not None:
+    if (key := _key(folded)) is not None:
         return key
-    try:
+    with suppress(KeyError, ValueError):
         return by_name[find(word).name]  # another name of a material
-    except (KeyError, ValueError):
-        pass
     raise Unexplained(f"nothing is called {text!r}; {_nearest(word, known, list(by_name))}")
 
 

@@ -72,6 +72,10 @@ class Slider:
         return float(f"{(self.high - self.low) / 400.0:.0e}")
 
 
+Row = tuple[str, str, str, float, Range, bool, str]
+"""Fields of a slider but its group, with its range: id, label, unit, start, (low, high), log, about."""
+
+
 def sheet_width(window: Window) -> Range:
     """Width and height (lengths) of all cells, including those that an outline cuts off."""
     x0, x1, y0, y1 = window.lattice.with_count(window.lattice.count).extent()
@@ -94,85 +98,68 @@ def places(design: Design, window: Window) -> tuple[float, float]:
 
 def sliders(design: Design, window: Window) -> tuple[Slider, ...]:
     """All sliders of a design, each with a range that holds the design's own value."""
-    law, thin = design.to_dict()["law"], window.thin  # as the file has it: sliders move its keys
-    pitch, separation = window.lattice.pitch[0], thin.separation
-    eye, distance = places(design, window)
+    return tuple(
+        Slider(id, label, group, unit, start, min(low, start), max(high, start), log, about)
+        for group, rows in (
+            (LAW, _of_law(design, window)),
+            (SHEET, _of_sheet(design, window)),
+            (VIEW, _of_view(design, window)),
+        )
+        for id, label, unit, start, (low, high), log, about in rows
+    )
+
+
+def _of_law(design: Design, window: Window) -> tuple[Row, ...]:
+    """Sliders of the keys of [law], as the file has them."""
+    law = design.to_dict()["law"]
+    (eta_x, eta_y), (delta_x, delta_y), (phi, theta, psi) = law["eta"], law["delta"], law["euler"]
+    reach = max(4.0 * window.lattice.pitch[0] / window.thin.separation, 2.0 * hypot(delta_x, delta_y))
+    eta, delta = "−f2/f1: slopes leave as (t − δ)/η", "offset of lens 2 over f1"
+    return (
+        ("eta_x", "η x", "", eta_x, (-3.0, 3.0), False, eta),
+        ("eta_y", "η y", "", eta_y, (-3.0, 3.0), False, eta),
+        ("delta_x", "δ x", "", delta_x, (-reach, reach), False, delta),
+        ("delta_y", "δ y", "", delta_y, (-reach, reach), False, delta),
+        ("phi", "φ", "deg", phi, (-180.0, 180.0), False, "turn of the lenses about z"),
+        ("theta", "θ", "deg", theta, (-60.0, 60.0), False, "turn of the lenses about x"),
+        ("psi", "ψ", "deg", psi, (-180.0, 180.0), False, "turn of the lenses about z, once more"),
+    )
+
+
+def _of_sheet(design: Design, window: Window) -> tuple[Row, ...]:
+    """Sliders of the sheet's lengths."""
+    unit, pitch, gap, keeps = (
+        design.unit,
+        window.lattice.pitch[0],
+        window.thin.separation,
+        "the sheet keeps its size",
+    )
+    return (
+        ("pitch", "pitch", unit, pitch, _pitches(window), True, f"width of a cell; {keeps}"),
+        ("separation", "separation", unit, gap, (gap / 8.0, 8.0 * gap), True, "of the two lenses, in air"),
+    )
+
+
+def _of_view(design: Design, window: Window) -> tuple[Row, ...]:
+    """Sliders of the eye and of what it looks at."""
+    unit, off, sides = design.unit, "angle of the eye off the sheet's normal", (-60.0, 60.0)
+    eye, far = places(design, window)
     fov = float(f"{2.0 * degrees(atan(MARGIN * 0.5 * max(sheet_width(window)) / eye)):.3g}")
-    offset, (phi, theta, psi) = max(4.0 * pitch / separation, 2.0 * hypot(*law["delta"])), law["euler"]
-    unit, eta, delta = design.unit, "−f2/f1: slopes leave as (t − δ)/η", "offset of lens 2 over f1"
-    rows: tuple[tuple[str, str, str, str, float, Range, bool, str], ...] = (
-        ("eta_x", "η x", LAW, "", law["eta"][0], (-3.0, 3.0), False, eta),
-        ("eta_y", "η y", LAW, "", law["eta"][1], (-3.0, 3.0), False, eta),
-        ("delta_x", "δ x", LAW, "", law["delta"][0], (-offset, offset), False, delta),
-        ("delta_y", "δ y", LAW, "", law["delta"][1], (-offset, offset), False, delta),
-        ("phi", "φ", LAW, "deg", phi, (-180.0, 180.0), False, "turn of the lenses about z"),
-        ("theta", "θ", LAW, "deg", theta, (-60.0, 60.0), False, "turn of the lenses about x"),
-        ("psi", "ψ", LAW, "deg", psi, (-180.0, 180.0), False, "turn of the lenses about z, once more"),
-        (
-            "pitch",
-            "pitch",
-            SHEET,
-            unit,
-            pitch,
-            _pitches(window),
-            True,
-            "width of a cell; the sheet keeps its size",
-        ),
-        (
-            "separation",
-            "separation",
-            SHEET,
-            unit,
-            separation,
-            (separation / 8.0, 8.0 * separation),
-            True,
-            "of the two lenses, in air",
-        ),
-        (
-            "object",
-            "object behind",
-            VIEW,
-            unit,
-            distance,
-            (distance / 50.0, 50.0 * distance),
-            True,
-            "from array 2 to what is looked at",
-        ),
-        ("eye", "eye before", VIEW, unit, eye, (eye / 20.0, 20.0 * eye), True, "from array 1 to the eye"),
-        (
-            "azimuth",
-            "eye aside",
-            VIEW,
-            "deg",
-            0.0,
-            (-60.0, 60.0),
-            False,
-            "angle of the eye off the sheet's normal, to x",
-        ),
-        (
-            "elevation",
-            "eye above",
-            VIEW,
-            "deg",
-            0.0,
-            (-60.0, 60.0),
-            False,
-            "angle of the eye off the sheet's normal, to y",
-        ),
+    least, behind = min(0.05 * fov, 5.0), (far / 50.0, 50.0 * far)
+    return (
+        ("object", "object behind", unit, far, behind, True, "from array 2 to what is looked at"),
+        ("eye", "eye before", unit, eye, (eye / 20.0, 20.0 * eye), True, "from array 1 to the eye"),
+        ("azimuth", "eye aside", "deg", 0.0, sides, False, f"{off}, to x"),
+        ("elevation", "eye above", "deg", 0.0, sides, False, f"{off}, to y"),
         (
             "fov",
             "angle of view",
-            VIEW,
             "deg",
             min(fov, 120.0),
-            (min(0.05 * fov, 5.0), 120.0),
+            (least, 120.0),
             True,
             "of the picture's shorter side",
         ),
-    )
-    return tuple(
-        Slider(id, label, group, unit, start, min(low, start), max(high, start), log, about)
-        for id, label, group, unit, start, (low, high), log, about in rows
     )
 
 

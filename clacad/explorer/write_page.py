@@ -150,10 +150,8 @@ def explore(
     design : Design
     out : path
         Ends in .html; its folder is made if missing. The file appears whole or not at all.
-    overwrite : bool
-        Replace a file that is there.
-    dry_run : bool
-        Make the page and report its size, but write nothing.
+    overwrite, dry_run : bool
+        Replace a file that is there; make the page and report its size, but write nothing.
 
     Returns
     -------
@@ -161,13 +159,10 @@ def explore(
 
     Raises
     ------
-    BadRequest
-        `out` is no page.
-    LimitRefused
-        More lenslets than are ever gone through.
-    NoSuchLens, DesignError
-        The design cannot be built.
-    ExportRefused, CannotWrite
+    BadRequest, ExportRefused, CannotWrite
+        `out` is no page, or cannot be written.
+    LimitRefused, NoSuchLens, DesignError
+        The design has too many lenslets, or cannot be built.
     """
     from clacad.explorer.page_facts import not_shown, places
     from clacad.exporting.limits import refuse_uncountable
@@ -178,15 +173,13 @@ def explore(
     if file.suffix.lower() not in (".html", ".htm"):
         raise BadRequest(f"{file}: the page is one file that ends in .html")
     refuse_uncountable(design)
-    window = prescribe(design)
-    text = page(design)
-    if dry_run:
-        if file.exists() and not overwrite:
-            raise ExportRefused(f"{file} exists; choose another name, or ask to overwrite")
-    else:
+    window, text = prescribe(design), page(design)
+    if dry_run and file.exists() and not overwrite:
+        raise ExportRefused(f"{file} exists; choose another name, or ask to overwrite")
+    if not dry_run:
         write_content(file, text, overwrite=overwrite)
-    verdict = first_verdict(window, *places(design, window))
-    return Explored(file, len(text.encode()), not dry_run, verdict, not_shown(design, window))
+    verdict, missing = first_verdict(window, *places(design, window)), not_shown(design, window)
+    return Explored(file, len(text.encode()), not dry_run, verdict, missing)
 
 
 def page(design: Design) -> str:

@@ -67,18 +67,13 @@ def page_of(
     """
     parts = [f"<p>{html.escape(NOTE)}</p>"]
     if "fig1a.svg" in names:
-        parts.append(
-            "<h2>F1 &ndash; Fig. 1: geometry</h2>"
-            + _img("fig1a.svg", "one telescopelet, to scale, rays traced")
-        )
-        parts.append(_img("fig1b.png", "both arrays, drawn as tinted solids (no refraction)"))
-        if "F1" in findings:
-            parts.append(_table(findings["F1"]))
+        section = _img("fig1a.svg", "one telescopelet, to scale, rays traced")
+        solids = _img("fig1b.png", "both arrays, drawn as tinted solids (no refraction)")
+        parts += [f"<h2>F1 &ndash; Fig. 1: geometry</h2>{section}", solids]
+        parts += [_table(findings["F1"])] if "F1" in findings else []
     for figure in figures:
-        parts.append(
-            f"<h2>{html.escape(figure.row)} &ndash;"
-            f" {html.escape(figure.title)}</h2><p>{html.escape(figure.says)}</p>"
-        )
+        row, title, says = map(html.escape, (figure.row, figure.title, figure.says))
+        parts.append(f"<h2>{row} &ndash; {title}</h2><p>{says}</p>")
         parts += [_img(f"{stem}.png", label) for stem, label in figure.scenes]
         parts += [_img(f"{stem}.png", label) for stem, label, _ in figure.drawn]
         parts += [_img(f"{stem}.webp", title) for stem, title in movies if figure.owns(title)]

@@ -173,6 +173,14 @@ def view_through(
     view = aim(still.camera)
     fast = worth_compiling(still) if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)
+    measured = _rendered(still, view, viewing, thread_count(threads), progress)
+    return Picture(*measured, still, viewing.passage, window)
+
+
+def _rendered(
+    still: Scene, view: View, viewing: Viewing, threads: int, progress: Progress | None
+) -> tuple[Floats, Ints, Floats]:
+    """Light, samples and standard error of every pixel, tile by tile."""
     shape = view.height, view.width
     single = still.camera.samples == 1 and not still.camera.noise > 0.0
     light, error = np.zeros((*shape, 3)), np.zeros(shape)
@@ -193,8 +201,8 @@ def view_through(
             viewing, still, view, rows, columns
         )
 
-    _each(one, corners, thread_count(threads), progress)
-    return Picture(light, samples, error, still, viewing.passage, window)
+    _each(one, corners, threads, progress)
+    return light, samples, error
 
 
 def worth_compiling(scene: Scene, frames: int = 1) -> bool:

@@ -201,14 +201,11 @@ def within_target(scene: Scene, target: float) -> Scene:
     BadRequest
         The scene has several sheets.
     TargetOutOfReach
-        The error of the scene's rung, or its mesh file, is larger; the message gives it and a rung that meets
-        the target.
+        The error of the scene's rung, or of its mesh file, is larger.
     """
     if len(scene.sheets) > 1:
-        raise BadRequest(
-            "a target chooses how rays pass one sheet, and the scene has several: give each its own rung,"
-            " [[sheet]] rung"
-        )
+        several = "the scene has several: give each its own rung, [[sheet]] rung"
+        raise BadRequest(f"a target chooses how rays pass one sheet, and {several}")
     chosen = scene.replace({"effects.angle": f"{1e3 * target!r} mrad"})
     rung = chosen.sheet.rung
     if rung in ("auto", "surfaces"):
@@ -218,9 +215,8 @@ def within_target(scene: Scene, target: float) -> Scene:
     window = prescribe(design)
     if rung == "mesh" and still.sheet.mesh is None:
         return chosen.replace({"sheet.quads": _quads_within(design, window, target)})
-    situation = situation_of_scene(still, window)
     mesh = still.file(still.sheet.mesh) if still.sheet.mesh else None
-    error, disagree = _compared(situation, cast("Rung", rung), mesh)
+    error, disagree = _compared(situation_of_scene(still, window), cast("Rung", rung), mesh)
     if error > target or disagree > MOST_DISAGREEMENT:
         raise TargetOutOfReach(
             f"rung {rung} is {1e3 * error:.4g} mrad rms off the exact surfaces on this scene's rays and sends"

@@ -58,17 +58,12 @@ def pane_of(
     from clacad.tracing.compiled.packing import pack
     from clacad.tracing.layout import lay_out
 
-    numbers = np.zeros(kernel.PANE_NUMBERS)
-    if not present:
-        kind = kernel.NO_SHEET
-    elif plane:
-        kind = kernel.LAW
+    numbers, law = np.zeros(kernel.PANE_NUMBERS), window.law
+    kind = kernel.NO_SHEET if not present else kernel.LAW if plane else kernel.SURFACES
+    if kind == kernel.LAW:
         edges = np.array(lattice.extent()) / scale
-        numbers[kernel.MATRIX : kernel.EDGES + 4] = np.concatenate(
-            [window.law.matrix().ravel(), window.law.optical_axis, edges]
-        )
-    else:
-        kind = kernel.SURFACES
+        numbers[kernel.MATRIX : kernel.EDGES + 4] = [*law.matrix().ravel(), *law.optical_axis, *edges]
+    elif kind == kernel.SURFACES:
         numbers[:6] = first_box(window) / scale
     numbers[kernel.SCALE], numbers[kernel.FRONT] = scale, front
     shining = np.zeros(256, dtype=np.uint8)
@@ -181,10 +176,8 @@ def set_up(
     front = 0.0 if planned.rung in ("law", "thin") else window.z_range[0] / scale
     box = _box_of_all(planned, window) / scale
     colours = lines(scene.light, window, planned.by_lines)
-    opaque, before = (
-        sheet and scene.sheet.surround == "opaque",
-        may_stand_before(stage, front, scene.camera, box),
-    )
+    opaque = sheet and scene.sheet.surround == "opaque"
+    before = may_stand_before(stage, front, scene.camera, box)
     made = pane = None
     if planned.several:
         _refuse_between(stage, planned, scale)
@@ -192,26 +185,11 @@ def set_up(
         from clacad.rendering.compiled.scene_tables import tables
 
         made = tables(stage)
-        pane = (
-            None
-            if planned.several or scene.sheet.tint != UNTINTED
-            else pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
-        )
+        if not planned.several and scene.sheet.tint == UNTINTED:
+            pane = pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
+    tint = scene.sheet.tint
     return Viewing(
-        stage,
-        window,
-        planned,
-        colours,
-        scale,
-        box,
-        front,
-        opaque,
-        sheet,
-        before,
-        compiled,
-        made,
-        scene.sheet.tint,
-        pane,
+        stage, window, planned, colours, scale, box, front, opaque, sheet, before, compiled, made, tint, pane
     )
 
 

@@ -258,15 +258,9 @@ def spots(report: Report, label: str = "spot diagrams over the field") -> str:
             panel.add_patch(Ellipse((0, 0), 2 * blur[0], 2 * blur[1], fill=False, color=SECOND, lw=0.8))
             panel.plot([0], [0], "+", color=INK, ms=6, mew=0.8)
             text = "dark" if not len(spot) else f"bias {1e3 * point.bias:.2g}, rms {1e3 * point.rms:.2g}"
+            box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
             panel.text(
-                0.03,
-                0.95,
-                text,
-                transform=panel.transAxes,
-                va="top",
-                fontsize=7.5,
-                zorder=5,
-                bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
+                0.03, 0.95, text, transform=panel.transAxes, va="top", fontsize=7.5, zorder=5, bbox=box
             )
             panel.set_xlim(-1.1 * reach, 1.1 * reach)
             panel.set_ylim(-1.1 * reach, 1.1 * reach)

@@ -178,37 +178,24 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
         _heading("Orientation", 2),
         {"kind": "list", "lines": content.orientation},
         _heading("Drawings", 2),
+        _figure(shelf, "assembly", assembly(content.sheet), "Assembly, cut along x, to scale; millimetres."),
+        _figure(shelf, "pair", telescopelet(report), "One telescopelet, cut along x; millimetres."),
     ]
-    blocks.append(
-        _figure(
-            shelf,
-            "assembly",
-            assembly(content.sheet),
-            "Assembly, cut along x, to scale; millimetres.",
-        )
-    )
-    blocks.append(_figure(shelf, "pair", telescopelet(report), "One telescopelet, cut along x; millimetres."))
     lenses = [
-        {
-            "file": shelf.put(f"lens{k}", lens_detail(report, k)),
-            "caption": f"Lens {k + 1} over its cell.",
-            "alt": f"lens {k + 1}",
-        }
+        _item(shelf, f"lens{k}", lens_detail(report, k), f"Lens {k + 1} over its cell.", f"lens {k + 1}")
         for k in (0, 1)
     ]
     from clacad.report.pictures import picture
 
-    whole = {
-        "file": shelf.put("plan", plan(content.sheet)),
-        "caption": "The sheet as light sees it.",
-        "alt": "plan",
-    }
-    solid = {
-        "file": shelf.put("solid", picture(content.parts)),
-        "alt": "the part",
-        "caption": f"{content.parts.cells} × {content.parts.cells} cells, from the side of lens 2.",
-    }
+    cells = f"{content.parts.cells} × {content.parts.cells} cells, from the side of lens 2."
+    whole = _item(shelf, "plan", plan(content.sheet), "The sheet as light sees it.", "plan")
+    solid = _item(shelf, "solid", picture(content.parts), cells, "the part")
     return [*blocks, {"kind": "pair", "items": lenses}, {"kind": "pair", "items": [whole, solid]}]
+
+
+def _item(shelf: _Shelf, name: str, data: str | bytes, caption: str, alt: str) -> dict[str, Any]:
+    """One of two pictures next to one another."""
+    return {"file": shelf.put(name, data), "caption": caption, "alt": alt}
 
 
 def _checks(content: Content) -> list[Block]:
@@ -244,6 +231,10 @@ def _asked(content: Content) -> list[Block]:
     ]
 
 
+FOCI = ("meridian", "focus of lens 1 (mm)", "focus of lens 2 (mm)", "apart (mm)", "relative", "caustics (mm)")
+"""Head of the table of foci."""
+
+
 def _light(content: Content, shelf: _Shelf) -> list[Block]:
     """Blocks for the referee: views, transfer, transmission, maps, spots, foci."""
     report, evidence = content.report, content.evidence
@@ -275,20 +266,8 @@ def _light(content: Content, shelf: _Shelf) -> list[Block]:
         _figure(shelf, "spots", figures.spots(report), "Spots about the law's direction over the field.", 66),
     ]
     if content.light.foci:
-        head = (
-            "meridian",
-            "focus of lens 1 (mm)",
-            "focus of lens 2 (mm)",
-            "apart (mm)",
-            "relative",
-            "caustics (mm)",
-        )
-        blocks += [
-            _figure(
-                shelf, "foci", plots.foci(report, evidence), "Both foci in both meridians, and the caustics."
-            ),
-            _table(head, content.light.foci, (1, 2, 3, 4, 5)),
-        ]
+        foci, words = plots.foci(report, evidence), "Both foci in both meridians, and the caustics."
+        blocks += [_figure(shelf, "foci", foci, words), _table(FOCI, content.light.foci, (1, 2, 3, 4, 5))]
     return blocks
 
 

@@ -130,11 +130,8 @@ def packed(shown: Parts) -> tuple[str, str]:
         place[:, :3] = np.rint(piece.vertices / unit)
         normal = np.zeros((len(piece.vertices), 4), dtype="i1")
         normal[:, :3] = np.rint(127.0 * piece.normals)
-        for name, values in (
-            ("place", place),
-            ("normal", normal),
-            ("index", piece.triangles.astype("<u2")),
-        ):
+        index = piece.triangles.astype("<u2")
+        for name, values in (("place", place), ("normal", normal), ("index", index)):
             data += b"\0" * (-len(data) % 4)
             entry[name] = len(data)
             data += values.tobytes()

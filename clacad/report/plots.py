@@ -25,6 +25,7 @@ from clacad.verification.light.viewed import share_map, viewer_of
 from clacad.verification.light.viewed import viewed as seen_from
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from clacad.sheet.window import Window
@@ -263,29 +264,14 @@ def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
                 continue
             time = 1e6 * row.seconds / row.rays if timings else us
             colour, marker = style[row.rung]
-            hollow = row.normals == "vertex"
-            panel.loglog(
-                [time],
-                [1e3 * row.model_rms],
-                marker,
-                color=colour,
-                ms=9 if marker == "*" else 6,
-                mfc="white" if hollow else colour,
-            )
+            fill, size = "white" if row.normals == "vertex" else colour, 9 if marker == "*" else 6
+            panel.loglog([time], [1e3 * row.model_rms], marker, color=colour, ms=size, mfc=fill)
             words = row.rung if row.quads is None else f"{row.quads}"
             labels.append((words, (time, 1e3 * row.model_rms)))
-        limit = 1e3 * report.design.check.law_rms
+        limit, over = 1e3 * report.design.check.law_rms, {"ha": "right", "fontsize": 8, "color": BAD}
         panel.axhline(limit, color=BAD, lw=0.9, ls="--")
-        panel.annotate(
-            "limit of law_rms",
-            (0.99, limit),
-            xycoords=("axes fraction", "data"),
-            ha="right",
-            xytext=(0, 3),
-            textcoords="offset points",
-            fontsize=8,
-            color=BAD,
-        )
+        place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
+        panel.annotate("limit of law_rms", (0.99, limit), **place, **over)
         panel.set_xlabel("microseconds a ray, " + ("measured in this run" if timings else "forecast"))
         panel.set_ylabel("rms direction error to the exact trace (mrad)")
         panel.margins(0.14, 0.12)
@@ -317,26 +303,23 @@ def varying(report: Report, window: Window) -> str:
     maps = _maps(window)
     asked = asked_image(report.design)
     seen = None if asked is None else image(window, asked[0], ("surfaces",), RAYS).rungs[0]
-    box = tuple(v * mm for v in window.lattice.extent())
+    x0, x1, y0, y1 = (v * mm for v in window.lattice.extent())
+    box = x0, x1, y0, y1
+    last = "the light of the requested point through focus" if laws.ratios is None else "eta of each cell"
 
     def draw(figure: Figure) -> None:
         room = Margins(left=0.75, bottom=0.62, top=0.3, across=1.35, down=0.75, right=0.85)
         axes = panels(figure, 2, 2, room).ravel()
         most = max(float(np.nanmax(np.abs(maps[:2]))), 1e-300)
         for k, axis in enumerate("xy"):
-            shown = axes[k].imshow(maps[k], cmap="RdBu_r", vmin=-most, vmax=most, **_placed(box))
-            axes[k].set_title(f"delta {axis}", fontsize=8.5)
-            figure.colorbar(shown, ax=axes[k], fraction=0.05, pad=0.03)
+            _map(axes[k], maps[k], box, f"delta {axis}", cmap="RdBu_r", vmin=-most, vmax=most)
         high = 1e3 * mm * maps[2]
         top = float(np.nanmax(high)) if np.nanmax(high) > ROUNDING else 1.0
-        shown = axes[2].imshow(high, cmap="viridis", vmin=0.0, vmax=top, **_placed(box))
-        axes[2].set_title("greatest step to the next cell (\N{MICRO SIGN}m)", fontsize=8.5)
-        figure.colorbar(shown, ax=axes[2], fraction=0.05, pad=0.03)
+        title = "greatest step to the next cell (\N{MICRO SIGN}m)"
+        _map(axes[2], high, box, title, cmap="viridis", vmin=0.0, vmax=top)
         own_eta = laws.ratios is not None
         if own_eta:
-            shown = axes[3].imshow(maps[3], cmap="viridis", **_placed(box))
-            axes[3].set_title("eta", fontsize=8.5)
-            figure.colorbar(shown, ax=axes[3], fraction=0.05, pad=0.03)
+            _map(axes[3], maps[3], box, "eta", cmap="viridis")
         for panel in axes[: 3 + own_eta]:
             panel.grid(False)
             panel.set_xlabel("x on the sheet (mm)")
@@ -348,18 +331,18 @@ def varying(report: Report, window: Window) -> str:
         elif not own_eta:
             axes[3].set_axis_off()
 
-    return svg(
-        7.6,
-        6.0,
-        "delta of each cell, steps between cells, and "
-        + ("the light of the requested point through focus" if laws.ratios is None else "eta of each cell"),
-        draw,
+    return svg(7.6, 6.0, f"delta of each cell, steps between cells, and {last}", draw)
+
+
+def _map(
+    panel: Axes, values: Floats, box: tuple[float, float, float, float], title: str, **colours: Any
+) -> None:
+    """Draw a map as it lies on the sheet, with its title and the bar of its colours."""
+    shown = panel.imshow(
+        values, extent=box, origin="lower", interpolation="nearest", aspect="equal", **colours
     )
-
-
-def _placed(box: tuple[float, ...]) -> dict[str, Any]:
-    """How a map lies on the sheet."""
-    return {"extent": box, "origin": "lower", "interpolation": "nearest", "aspect": "equal"}
+    panel.set_title(title, fontsize=8.5)
+    panel.figure.colorbar(shown, ax=panel, fraction=0.05, pad=0.03)
 
 
 def _maps(window: Window) -> Floats:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.types import Progress, silent
 from clacad.base.untrusted_files import read_regular
 from clacad.report import figures, plots
 from clacad.report.content import Content, assembly, data_uri, lens_detail, plan, telescopelet
@@ -22,7 +23,6 @@ from clacad.report.self_contained import HERE, environment, one_script
 from clacad.storage.atomic import RUN_FACTS, write_set
 
 if TYPE_CHECKING:
-    from clacad.base.types import Progress
     from clacad.verification import Report
 
 
@@ -63,8 +63,7 @@ def write_report(
     pdf : bool
         Write report.pdf as well.
     timings : bool
-        Show seconds of this run in page and numbers; they go to run.json anyway. A Content has its own
-        setting.
+        Show seconds of this run in page and numbers, too; a Content has its own setting.
 
     Returns
     -------
@@ -76,12 +75,6 @@ def write_report(
     PdfMissing
         The extra package that sets the PDF is not installed.
     """
-    from clacad.base.types import silent
-
-    if pdf:
-        from clacad.report.pdf import typesetter
-
-        typesetter()  # reported before the work, not after it
     return _write_all(report, Path(folder), overwrite, progress or silent, more, pdf=pdf, timings=timings)
 
 
@@ -98,6 +91,10 @@ def _write_all(
     """Gather what is shown, write page, numbers, PDF and run facts; paths of all but the last."""
     from clacad.report import content as contents
 
+    if pdf:
+        from clacad.report.pdf import pdf_bytes, typesetter
+
+        typesetter()  # reported before the work, not after it
     began = time.monotonic()
     made = report if isinstance(report, contents.Content) else contents.content(report, tell, timings)
     html, numbers = folder / "report.html", folder / "report.json"
@@ -107,8 +104,6 @@ def _write_all(
         html.name: page(made, MARK, more, tell),
     }
     if pdf:
-        from clacad.report.pdf import pdf_bytes
-
         tell("setting the PDF", 0.0)
         written.append(folder / "report.pdf")
         files["report.pdf"] = pdf_bytes(made)
