@@ -9,17 +9,17 @@ import pytest
 from benchmarks.house import measured
 
 MOST = {
-    "modules": 581,
-    "modules imported by one other only": 111,
-    "modules under 60 lines": 32,
+    "modules": 490,
+    "modules imported by one other only": 88,
+    "modules under 60 lines": 16,
     "lines over 110 characters": 0,
     "# fmt: skip": 0,
     "function lines, most, compiled": 72,
-    "methods of the largest class": 27,
+    "methods of the largest class": 20,
     "parameters, most": 18,
     "class names twice": 5,
     "rings of imports": 0,
-    "deepest chain of imports at heads": 28,
+    "deepest chain of imports at heads": 24,
     "exceptions of the layer test": 0,
 }
 """Largest value of each figure: lower it when the package gets there."""

@@ -6,12 +6,13 @@ The finaliser of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014); its compiled c
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Words
+if TYPE_CHECKING:
+    from clacad.base.types import Words
 
 GOLDEN = 0x9E3779B97F4A7C15
 """2^64 over the golden ratio: the step of SplitMix64."""

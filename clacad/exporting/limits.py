@@ -4,15 +4,7 @@ Cells and facets are counted in integers, so a design of 10^18 lenslets is refus
 Every refusal of a size gives the number, the limit and two ways to stay below it. Each format checks its own
 requirements (an installed extra, a gap, a border, room for a line of text); the reasons are given together.
 
-Limits on cells, facets, bytes, memory and disk, checked before any work.
-
-Cells and facets are counted in integers, so a design of 10^18 lenslets is refused as fast as one of 10^8.
-Every refusal gives the number, the limit and two ways to stay below it.
-
-Refusals of an export before its first byte, with the reasons of all formats together.
-
-Each format checks its own requirements: an installed extra, a gap, a border, room for a line of text. Limits
-of size, and bodies that cannot be built, are found by the forecast and collected here too.
+Limits of size, and bodies that cannot be built, are found by the forecast and collected here too.
 """
 
 from __future__ import annotations
@@ -27,8 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.exporting.formats.registry import format_of, formats
-from clacad.sheet.need_window import need_equal_cells
-from clacad.sheet.volume_and_extent import NoFixture
 from clacad.storage.errors import BadRequest, ExportError, LimitRefused, NotPossible
 from clacad.storage.worker import MEMORY_SHARE, free_memory
 
@@ -288,6 +278,8 @@ class Refusals:
         except (ExportError, ValueError) as error:
             if getattr(error, "exit_status", None) is None:
                 raise
+            from clacad.sheet.volume_and_extent import NoFixture  # cells are counted without the sheet
+
             refusal = NotPossible(str(error)) if isinstance(error, NoFixture) else error
             self._found |= dict.fromkeys(formats, refusal)
 
@@ -326,6 +318,8 @@ def refuse_other_cells(window: Window, word: str) -> None:
     CellsDiffer
     """
     if not format_of(word).holds(window):
+        from clacad.sheet.need_window import need_equal_cells
+
         held = sorted((one for one in formats() if one.holds(window)), key=lambda one: one.family != "exact")
         listed = ", ".join(one.word for one in held)
         need_equal_cells(window, f"format {word}", f"such sheets are held by: {listed}")
