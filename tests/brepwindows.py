@@ -43,7 +43,7 @@ def biconvex(
     unit=1e-3,
     n=1.5,
 ):
-    """A pair of biconvex arrays, lengths in mm unless `unit` says otherwise."""
+    """A pair of biconvex arrays, lengths in mm unless `unit` states another unit."""
     rotation = np.eye(3) if not any(euler) else turn(*euler)
     f1 = [separation / (1.0 - e) for e in eta]
     f2 = [-e * f for e, f in zip(eta, f1)]

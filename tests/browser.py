@@ -98,7 +98,7 @@ class Browser:
 
     def complaints(self):
         """What the page wrote to its console, and what went wrong in it."""
-        self.run("1")  # whatever was under way has come
+        self.run("1")  # all messages that were pending have arrived
         found = []
         for event in self.events:
             if event.get("method") in (
@@ -110,7 +110,7 @@ class Browser:
         return found
 
     def requests(self):
-        """Addresses asked for, other than the page's own and what the page holds itself."""
+        """Addresses requested, other than the page's own and what the page holds itself."""
         self.run("1")
         asked = [
             e["params"]["request"]["url"]

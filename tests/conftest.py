@@ -84,7 +84,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(autouse=True)
 def _nothing_loaded() -> None:
-    """Let the size of a trace choose its path, as in a fresh process, whatever ran before: the same bits every time."""
+    """Let the size of a trace choose its path, as in a fresh process, regardless of what ran before: the same bits every time."""
     paths = sys.modules.get("clacad.tracing.which_path")
     if paths is not None:
         paths.LOADED.clear()

@@ -1,4 +1,4 @@
-"""An explorer page in a browser: what it draws and says, as arrays and numbers."""
+"""An explorer page in a browser: its drawing and its text, as arrays and numbers."""
 
 from __future__ import annotations
 

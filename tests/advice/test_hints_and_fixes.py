@@ -1,4 +1,4 @@
-"""What check says verify will say, keys that mend what fails, and the design with them changed: each held against verify itself."""
+"""Forecast of verdicts by `check`, suggested keys for failing checks, and the changed design: each compared with `verify`."""
 
 from __future__ import annotations
 

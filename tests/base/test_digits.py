@@ -106,7 +106,7 @@ def test_a_failure_within_its_limit_says_that_the_limit_is_not_why():
 
 
 def test_a_gap_of_nothing_is_not_told_that_nothing_would_do():
-    """Where the limit is 0 a value of 0 fails: the line must not say 0 >= 0."""
+    """Where the limit is 0 a value of 0 fails: the line must not read 0 >= 0."""
     from clacad.verification.design_rules import _at_least
 
     built = SimpleNamespace(limit=lambda kind: (0.0, DEFAULT), design=SimpleNamespace(unit="mm"))

@@ -18,7 +18,7 @@ from clacad.cli.console import Console
 
 
 class Clock:
-    """Seconds that pass only when told."""
+    """Clock that advances only when a test sets it."""
 
     def __init__(self):
         self.now = 100.0
@@ -248,12 +248,12 @@ def test_an_export_notes_what_its_formats_took(cache, tmp_path):
 @pytest.mark.skipif(not hasattr(os, "sysconf"), reason="no process table")
 def test_the_seconds_of_another_process_are_read_or_replaced():
     assert rates_module.seconds_of(None, 5.0) == 5.0
-    # children are not counted: each worker is asked by its own number
+    # children are not counted: the seconds of each worker are read by its own process number
     assert rates_module.seconds_of(os.getpid(), -1.0) == pytest.approx(time.process_time(), abs=1.0)
 
 
 def test_a_forecast_measured_on_a_part_is_corrected_by_what_such_work_took_before(cache, monkeypatch):
-    """A picture that takes twice what its first pixels say is forecast so the next time."""
+    """A picture that takes twice the forecast from its first pixels has a corrected forecast the next time."""
     monkeypatch.setattr("clacad.cli.console._kernels", lambda: 5)
     clock = Clock()
     with Console(quiet=True).forecast("render", Span(4.0 / 1.3, 4.0 * 1.3), clock=clock) as first:

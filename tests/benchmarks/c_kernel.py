@@ -3,7 +3,7 @@
 `ellipsoids.c`, compiled here by gcc -O3 -march=native in several ways (WAYS), of which the fastest counts: every operation rounded as
 written, as ours are, so that the same rays give the same bits on any machine; and, apart, with multiplies and adds fused (FUSING),
 which is another result. Turn by turn on one thread: a busy machine slows all, and ratios are medians of the rounds. "into arrays"
-rows write into arrays that exist, "fresh" ones ask for new arrays at each call, as `trace` does. Directions must agree to 1e-14 or
+rows write into arrays that exist, "fresh" ones allocate new arrays at each call, as `trace` does. Directions must agree to 1e-14 or
 nothing is printed.
 """
 

@@ -1,9 +1,9 @@
 """One call as its user makes it, in a process of its own: what the first one takes, and what later ones take.
 
-    python tests/benchmarks/call_rates.py ROW        one line of JSON; calls.py asks for it, in this tree or in another
+    python tests/benchmarks/call_rates.py ROW        one line of JSON; calls.py runs it, in this tree or in another
 
 `calls.py` holds it to one core. A row that names a peer traces the same rays through the same faces by that peer's public calls,
-from arrays to arrays; where it is not installed the row says so. Rays are made, designs read and meshes cut beforehand.
+from arrays to arrays; where it is not installed the row records that. Rays are made, designs read and meshes cut beforehand.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def light(cells: int, count: int):
 
 
 def exact(count: int, rung: str = "surfaces") -> Job:
-    """`clacad.trace`, nothing said of how."""
+    """`clacad.trace` without options."""
     import clacad
 
     sheet, rays = window(), light(200, count)
@@ -82,7 +82,7 @@ def rows_and_sums(count: int) -> Job:
 
 
 def grown(power: int) -> Job:
-    """Rays all over a sheet of 10^power cells, laid out anew."""
+    """Rays all over a sheet of 10^power cells, prepared again at each call."""
     import clacad
     from clacad.optics.rays import Rays
 

@@ -5,7 +5,7 @@
 
 Without rows all of them run; `--list` names them. A row runs with PYTHONPATH set to the tree, after the kernels of that tree
 were compiled, and counts its whole process: starting Python, loading modules, and every process it starts itself. Of rows
-that take less than ten seconds the best of three is said. With `--against` each row runs once in this tree and once in the
+that take less than ten seconds the best of three is reported. With `--against` each row runs once in this tree and once in the
 other, in turns, so that both meet the same neighbours on a shared machine.
 
 With `--python` the rows are those calls of the library, and of its peers, whose names hold a word: `call_rates.py`.
@@ -28,7 +28,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 SHORT, TIMES = 10.0, 3
-"""Seconds below which a row is measured so many times."""
+"""Seconds below which a row is measured several times."""
 
 ENDED = (0, 1)
 """Exit statuses of a run that did its work; 1: a check failed."""
@@ -120,7 +120,7 @@ def run(row: Row, tree: Path, out: Path, given: Path) -> Seconds:
     Raises
     ------
     SystemExit
-        It ended with a status that says that it did not do its work.
+        It ended with a status which shows that it did not do its work.
     """
     words = [word.format(tree=tree, out=out, given=given) for word in row.command]
     program = (
@@ -174,7 +174,7 @@ PYTHON_HEAD = (
 
 
 THREADS = ("CLACAD_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""What says on how many cores this program and its peers run."""
+"""Environment variables that set the number of cores of this program and its peers."""
 
 
 def called(name: str, tree: Path) -> dict[str, Any]:

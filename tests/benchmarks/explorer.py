@@ -55,7 +55,7 @@ def seconds_of_drawing(root: int) -> float:
 
 
 def main() -> None:
-    """Measure, print, and write if asked."""
+    """Measure, print, and write if requested."""
     sys.path[:0] = [str(HERE.parent), str(ROOT)]
     import browser
     from explorerpage import Page

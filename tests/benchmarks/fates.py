@@ -79,7 +79,7 @@ def main() -> int:
     text += "| fate | rays |\n|---|---:|\n" + "".join(f"| {f.name} | {counts[f]} |\n" for f in Fate)
     sys.stdout.write(text + f"{time.process_time() - start:.0f} s of one core\n")
     if "--write" in sys.argv:
-        from trace_peers import write  # needs the peers' own helpers, which lie beside it
+        from trace_peers import write  # needs the peers' own helpers, which lie in the same folder
 
         write(text, "fates")
     return int(differing > 0)

@@ -95,7 +95,7 @@ def commands(out: Path) -> list[tuple[str, str, list[Command], Command]]:
 
 
 def drawn(pixels: int) -> str:
-    """Name under which the scene at so many pixels across is noted."""
+    """Name under which the scene of a given width in pixels is recorded."""
     scene = load_scene(SCENE)
     return render_task(scene.replace({"camera.pixels": [pixels, pixels]}))
 
@@ -142,7 +142,7 @@ middle against the run. "accuracy, another design" and those below it have seen 
 
 
 def kept_rows() -> dict[str, str]:
-    """Rows of the table as it stands, by name."""
+    """Rows of the existing table, by name."""
     file = HERE / "forecast.md"
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     rows = [line for line in lines if line.startswith("| ")][1:]
@@ -161,7 +161,7 @@ def write(rows: dict[str, str], names: Sequence[str]) -> None:
 
 
 def main() -> int:
-    """Run everything and write the table, row by row; with words, measure anew the rows whose names hold one."""
+    """Run everything and write the table, row by row; with words, measure again only the rows whose names contain one."""
     wanted, worst = sys.argv[1:], 0.0
     rows = kept_rows() if wanted else {}
     with tempfile.TemporaryDirectory() as place:

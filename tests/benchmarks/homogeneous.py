@@ -1,7 +1,7 @@
-"""What it costs sheets of equal cells that others may differ: the same jobs in this checkout and in an older one, turn by turn.
+"""Cost of non-uniform sheets to uniform ones: the same jobs in this checkout and in an older one, turn by turn.
 
 `python tests/benchmarks/homogeneous.py OLD` prints, for each job, CPU seconds (the least of the turns) in the checkout at the folder OLD
-and in this one, their ratio, and whether the bytes are the same. Before cells could differ: commit 3a30a00, `git worktree add OLD 3a30a00`.
+and in this one, their ratio, and whether the bytes are the same. Before non-uniform sheets: commit 3a30a00, `git worktree add OLD 3a30a00`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python tests/benchmarks/interruption.py -n 40 --into tests/benchmarks/interruption.md
 
 Each run is the program itself with a kernel cache that is empty, so that instants fall into compilation too. Every
-third run is told twice. Counted: runs that did not end with status 130 and exactly one sentence (and had not ended by
+third run receives two signals. Counted: runs that did not end with status 130 and exactly one sentence (and had not ended by
 themselves), and files left behind.
 """
 
@@ -78,7 +78,7 @@ second on a machine of one's own; the tests ask only that it ends, in one senten
 
 
 def main() -> None:
-    """Measure, print, and write if asked."""
+    """Measure, print, and write if requested."""
     parser = argparse.ArgumentParser(description="Seconds from a signal to the end.")
     parser.add_argument("-n", type=int, default=40, help="runs of each command")
     parser.add_argument("--into", type=Path, help="write the page here")

@@ -1,8 +1,8 @@
 """What compiling takes, kernel by kernel: python tests/benchmarks/kernel_compile.py [WORD | --main-job].
 
 Each kernel in a process of its own with an empty cache, then again with the cache it left: seconds of processor of the
-first call, of loading, memory at the peak, and which calls of a user ask for it. WORD picks rows. With --main-job the main job
-of the README runs on an empty cache, and each kernel that it compiles is told.
+first call, of loading, memory at the peak, and which calls of a user need it. WORD picks rows. With --main-job the main job
+of the README runs on an empty cache, and each kernel that it compiles is reported.
 """
 
 from __future__ import annotations

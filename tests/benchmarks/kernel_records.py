@@ -3,7 +3,7 @@
 One process a tree, each with an empty cache of compiled code, does the same work turn by turn: the seconds of
 processor that compiling took, the rates as ratios new over old (median and middle half of the rounds: a busy machine
 slows both), and whether every number of every result is the same to the last bit. Exit status 1 where one is not. A
-folder of caches is kept for the next run, which then tells nothing of compiling.
+folder of caches is kept for the next run, which then reports nothing of compiling.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def answers() -> dict[str, Callable[[], Any]]:
 
 
 def serve(tree: str) -> None:
-    """Do what the lines of the standard input ask, in one tree; seconds of processor, or a digest, a line."""
+    """Do the work that the lines of the standard input request, in one tree; seconds of processor, or a digest, a line."""
     sys.path[:0] = places(tree)
     known, compared = rates(), answers()
     for line in sys.stdin:

@@ -1,9 +1,9 @@
-"""What it costs that cells differ: the same rays through window-100mm as it is and aimed, turn by turn in one run.
+"""Cost of non-uniform cells: the same rays through window-100mm as it is and aimed, turn by turn in one run.
 
 `python tests/benchmarks/own_cells.py` prints nanoseconds a ray on one thread, the least of the turns, and their ratio; of the
-biconic lenses that an aimed sheet asks for, and of ellipsoids, whose arithmetic is a tenth of it. Of equal cells fewer rays
-are walked: lenses that stand far out in their cells reach farther up, and more rays pass a border beside one.
-Sheets of equal cells do not come near the kernels of the others (`tests/tracing/test_own_kernels.py`).
+biconic lenses that an aimed sheet needs, and of ellipsoids, whose arithmetic is a tenth of it. Of a uniform sheet fewer rays
+are walked: lenses that lie far out in their cells reach farther up, and more rays pass a border next to one.
+Uniform sheets do not use the kernels of non-uniform ones (`tests/tracing/test_own_kernels.py`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What other tracers are asked to do: the same rays through the same faces, each as its own user would trace them.
+"""Jobs of other tracers: the same rays through the same faces, each as its own user would trace them.
 
 A maker gives a call to be timed and one that gives the directions (n, 3) of what it did last; those of whole
 traces, the last points (n, 3) too. They raise ImportError where the peer is not installed.
@@ -172,7 +172,7 @@ def centre_of(face) -> list[float]:
 def mitsuba_whole(
     window: Window, rays: Rays
 ) -> tuple[Job, Callable[[], np.ndarray], Callable[[], np.ndarray]]:
-    """Each face's sphere a scene of mitsuba, which says where rays meet it and its normal there (float32, LLVM); Snell in its arrays."""
+    """Each face's sphere a scene of mitsuba, which gives hit points and normals (float32, LLVM); Snell in its arrays."""
     import drjit as dr
     import mitsuba as mi
 
@@ -271,7 +271,7 @@ def through_planes(faces, name: Callable, index: float, rays: Rays) -> np.ndarra
 
 
 def embreex_job(window: Window, faces, rays: Rays) -> tuple[Job, Callable[[], np.ndarray]]:
-    """Embree (float32) says which triangle; hit and refraction are numpy's, float64."""
+    """Embree (float32) finds the triangle; hit and refraction are numpy's, float64."""
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh
 

@@ -1,4 +1,4 @@
-"""What check says that verify will say, against what verify says: random designs, and the STEP made from each as a master.
+"""Verdicts of `verify` forecast by `check`, compared with `verify`: random designs, and the STEP made from each as a master.
 
     python tests/benchmarks/predictions.py -n 200               the designs alone
     python tests/benchmarks/predictions.py -n 200 --step        those of the record, their STEP masters, too
@@ -6,7 +6,7 @@
 
 Designs are those of `soak_designs.py`, by number. It goes on where the record (`predictions.json`) ends, so it can be run in
 pieces (`--seconds 600`). What the reader or the prescription refuses both refuse: it is counted, and no more. A verdict is
-near where a check that decides it stands within 5 % of its limit; elsewhere the two must not differ, or it exits with 1.
+near where a check that decides it lies within 5 % of its limit; elsewhere the two must not differ, or it exits with 1.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from clacad.verification import verify
 RECORD = Path(__file__).with_name("predictions.json")
 TABLE = RECORD.with_suffix(".md")
 BAND = 0.05
-"""Part of a limit within which a check may say otherwise."""
+"""Part of a limit within which a forecast check may differ from the verified one."""
 
 
 def compare(number: int) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def _apart(mine: Check, theirs: Check) -> tuple[str, float]:
 
 
 def near(*several: Any) -> bool:
-    """Whether a check that decides between the verdicts stands within the band about its limit."""
+    """Whether a check that decides between the verdicts lies within the band about its limit."""
     tables = [{(c.id, c.subject): c for c in checks} for checks in several]
     decide = [key for key in tables[0] if len({bool(wrong([table[key]])) for table in tables}) == 2]
     return bool(decide) and all(any(_within(table[key]) for table in tables) for key in decide)
@@ -78,7 +78,7 @@ def _within(check: Check) -> bool:
 
 
 def of_step(number: int, predicted: Sequence[str]) -> dict[str, Any]:
-    """What verify says of the STEP made from a design."""
+    """Verdict of `verify` on the STEP made from a design."""
     design = Design.from_dict(draw(number))
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -98,7 +98,7 @@ def of_step(number: int, predicted: Sequence[str]) -> dict[str, Any]:
 
 
 def run(record: dict[str, Any], valid: int, seconds: float, *, step: bool) -> None:
-    """Go on until so many valid designs were compared, or the seconds are over."""
+    """Continue until the given number of valid designs was compared, or the seconds are over."""
     end, number = time.monotonic() + seconds, 0
     while sum("check" in row for row in list(record.values())[:number]) < valid and time.monotonic() < end:
         row = record.setdefault(str(number), {}) or compare(number)

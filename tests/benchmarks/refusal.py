@@ -1,8 +1,8 @@
-"""Processor seconds of `--help`, `check` and each refusal, against a floor measured beside them: writes refusal.md.
+"""Processor seconds of `--help`, `check` and each refusal, compared with a floor measured in turn: writes refusal.md.
 
     python tests/benchmarks/refusal.py --into tests/benchmarks/refusal.md
 
-Every row is the program itself, started anew, five times; the fastest counts. The floor, `python -c "import numpy"`, is
+Every row is the program itself, started five times; the fastest counts. The floor, `python -c "import numpy"`, is
 measured in turn with it, so the ratio means the same on a fast and on a slow machine, and while others use the machine.
 Bytecode is cached, as after an installation.
 """
@@ -104,7 +104,7 @@ only measured, here.
 
 
 def main() -> None:
-    """Measure, print, and write if asked."""
+    """Measure, print, and write if requested."""
     parser = argparse.ArgumentParser(description="Processor seconds of answers and refusals.")
     parser.add_argument("--into", type=Path, help="write the page here")
     into = parser.parse_args().into

@@ -129,7 +129,7 @@ def report() -> list[str]:
 
 
 def main() -> None:
-    """Print the table, and write it where asked."""
+    """Print the table, and write it where requested."""
     lines = report()
     print("\n".join(lines))
     if len(sys.argv) > 1:

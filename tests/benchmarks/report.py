@@ -53,7 +53,7 @@ own the wall clock is between the processor seconds and half of them. The floor 
 
 
 def main() -> None:
-    """Measure, print, and write if asked."""
+    """Measure, print, and write if requested."""
     parser = argparse.ArgumentParser(description="Processor seconds of reports.")
     parser.add_argument("--into", type=Path, help="write the page here")
     into, lines = parser.parse_args().into, []

@@ -4,7 +4,7 @@
     python tests/benchmarks/soak.py 1e5 --seed 7            a short one, printed only
 
 The rays are drawn in parts of two million, each from its own stream of random numbers: the record is the same for
-any number of jobs (processes). It is written after every part, so a run that is stopped still says how far it came.
+any number of jobs (processes). It is written after every part, so a run that is stopped still records how far it came.
 
 Promises: every launched ray ends in exactly one fate; no row but INVALID holds a NaN or an infinity; directions of
 light that goes on have length 1 and d_z > 0; the order of an ALIVE ray is (0, 0), that of a GHOST is not; what was

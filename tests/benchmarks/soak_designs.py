@@ -1,4 +1,4 @@
-"""Random valid designs, exported and verified: says each that fails, and keeps count in a record.
+"""Random valid designs, exported and verified: prints each that fails, and keeps count in a record.
 
     python tests/benchmarks/soak_designs.py                      10 designs
     python tests/benchmarks/soak_designs.py -n 500 --record      the soak of a release, into tests/trust/soak.json
@@ -100,7 +100,7 @@ def formats_of(number: int) -> tuple[str, ...]:
 
 @contextlib.contextmanager
 def without_curves() -> Iterator[None]:
-    """Leave out what verify says of the design by many more traces, whatever the files are."""
+    """Leave out the checks of `verify` that trace the design many more times and do not depend on the files."""
     run = importlib.import_module("clacad.verification.run")
     nothing = (None, CONVERGENCE.not_run("left out", required=False))
     convergence = importlib.import_module("clacad.verification.light.facet_convergence")
@@ -125,7 +125,7 @@ def judge(number: int, folder: Path) -> tuple[str, str]:
     except DesignError as refusal:
         codes = sorted(set(re.findall(r"CL\d{3}", str(refusal)))) or ["no code"]
         return "refused", ", ".join(codes)
-    except Exception as error:  # whatever it is: that it is no refusal is the finding
+    except Exception as error:  # any exception that is no refusal is a finding
         return "failed", f"{type(error).__name__}: {str(error)[:300]}"
     bad = [c for c in report.checks if c.where == "file" and c.required and c.state in ("fail", "not run")]
     return ("failed", "; ".join(f"{c.id}: {c.sentence}" for c in bad)[:400]) if bad else ("passed", "")
@@ -194,7 +194,7 @@ def _used() -> float:
 
 
 def soak(tally: Tally, valid: int, seconds: float, record: Path | None) -> None:
-    """Go on until so many valid designs were judged, or the seconds are over."""
+    """Continue until the given number of valid designs was judged, or the seconds are over."""
     end = time.monotonic() + seconds
     while tally.valid < valid and time.monotonic() < end:
         began = _used()

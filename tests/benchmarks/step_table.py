@@ -1,8 +1,8 @@
 """What a STEP file costs, by N: `python tests/benchmarks/step_table.py --into tests/benchmarks/step.md` writes the table.
 
-Fused and instanced, with and without parameter curves, beside the obvious route by Boolean operations of the CAD
+Fused and instanced, with and without parameter curves, compared with the obvious route by Boolean operations of the CAD
 kernel. Every row runs in a process of its own, so that its peak memory is its own; seconds are processor seconds, those
-of a limit too: a busy machine takes longer, it does not stop a row earlier. Rows that are not asked for stay as the
+of a limit too: a busy machine takes longer, it does not stop a row earlier. Rows that are not requested stay as the
 file has them.
 """
 
@@ -66,7 +66,7 @@ def written(design: str, n: int, mode: str, pcurves: bool) -> dict[str, float]:
         facts = write_step(again, path, mode=mode, pcurves=pcurves)
         total = time.process_time() - start
     if mode != "fused":
-        build = 0.0  # one cell, one row: nothing to tell apart
+        build = 0.0  # one cell, one row: nothing to distinguish
     return {"build": build, "write": max(0.0, total - build), "megabytes": facts["bytes"] / 1e6,
             "faces": facts["faces"], "solids": facts["solids"], "memory": _peak()}  # fmt: skip
 

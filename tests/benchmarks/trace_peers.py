@@ -1,7 +1,7 @@
-"""The tracer beside other tracers, in one run on one core: python tests/benchmarks/trace_peers.py [rays] [--json] [--write].
+"""The tracer compared with other tracers, in one run on one core: python tests/benchmarks/trace_peers.py [rays] [--json] [--write].
 
 Same geometry (two biconvex lenses with spherical faces; or their facets), same number of rays, float64 unless a peer
-has no such thing. Every measurement stands next to one of this package's own kernel and one of the machine's floor,
+has no such thing. Every measurement alternates with one of this package's own kernel and one of the machine's floor,
 turn by turn, processor seconds; ratios are medians of the rounds. A peer that is not installed is left out by name.
 --write puts the table into tests/benchmarks/trace.md.
 """
@@ -69,7 +69,7 @@ def against(ours: Job, peer: Job, own_rays: int, peer_rays: int) -> tuple[float,
 
 
 def peers(count: int) -> list[dict[str, object]]:
-    """One row a peer, its faces alone beside our kernel alone: how many times slower, how far off its directions."""
+    """One row a peer, its faces alone compared with our kernel alone: how many times slower, how far off its directions."""
     window = biconvex(eta=(-0.5, -0.5), count=(1, 1))
     rays = beam(window, count, 0.02, 0.4)
     mesh = tessellate(window, quads=QUADS)
@@ -193,7 +193,7 @@ def threads(count: int) -> dict[str, float]:
 
 
 def trace_with(window: Window, rays: Rays, number: int) -> Job:
-    """The compiled tracer on so many threads, into arrays that exist already."""
+    """The compiled tracer on a given number of threads, into arrays that exist already."""
     from clacad.tracing.compiled.surfaces import trace_compiled
     from clacad.tracing.layout import lay_out
     from clacad.tracing.ledger import Ledger

@@ -3,7 +3,7 @@
 The floor is a compiled loop that does per ray and surface what no tracer can do without, two square roots and two
 divisions, and moves six numbers in and out. Everything runs on one thread, turn by turn with the floor, so that a busy
 machine slows both; the ratio is the median of the rounds. "kernel" rows write into arrays that exist already, as the
-floor does; "trace" rows are the public call, which also asks the system for the memory of the result.
+floor does; "trace" rows are the public call, which also allocates the memory of the result.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def text(x: float, z: float, words: str, anchor: str = "middle") -> str:
 
 
 def ray(window: clacad.Window, x: float, slope: float) -> str:
-    """A ray that would meet z = 0 at x, from z = -3.5 mm, with its fate beside its end."""
+    """A ray that would meet z = 0 at x, from z = -3.5 mm, with its fate next to its end."""
     rays = clacad.Rays([[x - 3.5 * slope, 0.0, -3.5]], [[slope, 0.0, 1.0]])
     result = clacad.trace(window, rays, record=True)
     assert result.hits is not None

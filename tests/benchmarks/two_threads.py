@@ -1,6 +1,6 @@
 """How much two threads are worth, by what processors were given: python tests/benchmarks/two_threads.py [rays].
 
-On a shared machine wall clocks tell of the neighbours. Here a call is made on one thread, C processor seconds, and on two: M of
+On a shared machine wall clocks depend on the neighbours. Here a call is made on one thread, C processor seconds, and on two: M of
 the thread that calls and W of those that trace. On two free cores that takes M + W/2, C/(M + W/2) times as fast as on one; what
 threads cost each other, in memory and locks, is in W. The least of several rounds, in turns.
 """
@@ -29,7 +29,7 @@ On = Callable[[int], object]
 
 
 def calls(count: int) -> dict[str, On]:
-    """Calls, by name, on so many threads."""
+    """Calls, by name, on a given number of threads."""
     window = biconvex(count=(200, 200))
     rays = beam(window, count, 0.02, 1.0)
     mesh = clacad.tessellate(window, quads=16)

@@ -1,4 +1,4 @@
-"""Rays against waves, from where rays are all there is to say to where they say nothing.
+"""Rays compared with waves, from where rays describe the light completely to where they describe nothing.
 
 Usage: python tests/benchmarks/waves.py --into tests/benchmarks/waves.md
 """

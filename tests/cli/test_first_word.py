@@ -1,4 +1,4 @@
-"""What a long command says at once: about how long it takes, what it is at, and the design's own verdict."""
+"""First lines of a long command: about how long it takes, its current step, and the design's own verdict."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_nothing_is_said_of_what_is_over_before_the_silent_time(capsys):
     progress.done()
     assert progress._next is not None
     progress._next.join(20.0)
-    assert not progress._next.is_alive()  # long before its time: nothing is waited for that would say a word
+    assert not progress._next.is_alive()  # long before its time: no thread waits to print a line
     quiet = Progress(quiet=True, after=0.0)
     quiet("thinking")
     time.sleep(0.1)
@@ -121,7 +121,7 @@ def test_a_returned_part_is_forecast_with_finding_how_it_lies():
     assert seconds(0, [returned]) - (seconds(0, [listed]) - lit) == pytest.approx(
         0.7, abs=0.05
     )  # as measured
-    assert task([returned]) != task([listed])  # what one took says little of the other
+    assert task([returned]) != task([listed])  # seconds of one are no measure of the other
 
 
 def test_what_is_left_is_longer_on_a_busy_machine_and_a_forecast_that_was_short_is_said(monkeypatch):

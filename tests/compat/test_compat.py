@@ -1,6 +1,6 @@
-"""Files of format 1 stay readable for ever, and keep their meaning.
+"""Files of format 1 stay readable forever, and keep their meaning.
 
-The designs here and the export beside them are never edited. A change of a number in `meaning.json` is a
+The designs and the export in the folder of this file are never edited. A change of a number in `meaning.json` is a
 change of what an existing design file makes, and needs a new `format`.
 
     python tests/compat/test_compat.py        print the meaning of every design, for a design that is added
@@ -23,7 +23,7 @@ DESIGNS = sorted(HERE.glob("*.toml"))
 
 
 def meaning(path: Path) -> dict[str, Any]:
-    """What is made of a design, in metres: surfaces, where they stand, and how many."""
+    """Meaning of a design, in metres: surfaces, their positions, and their number."""
     window = clacad.prescribe(clacad.load(path))
     faces = [face for body in window.bodies for face in (body.front, body.back)]
     return {

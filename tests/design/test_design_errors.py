@@ -1,6 +1,6 @@
-"""Bad designs and the exact words that are said about them.
+"""Bad designs and the exact words of their error messages.
 
-Each file of tests/golden_designs is one bad design; FILE.txt beside it is what `load` must say, to the letter.
+Each file of tests/golden_designs is one bad design; FILE.txt next to it is the message of `load`, to the letter.
 """
 
 from __future__ import annotations

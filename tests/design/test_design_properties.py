@@ -1,4 +1,4 @@
-"""Whatever is done to a good design, the answer is a design or a DesignError, and every line named exists."""
+"""Any change of a good design gives a design or a DesignError, and every line named exists."""
 
 from __future__ import annotations
 

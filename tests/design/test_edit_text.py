@@ -1,4 +1,4 @@
-"""Keys changed in a file's text: what is read is the change, and every comment stands."""
+"""Keys changed in a file's text: the reader finds the change, and every comment stays."""
 
 from __future__ import annotations
 

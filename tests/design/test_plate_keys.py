@@ -133,7 +133,7 @@ def test_a_sheet_of_another_number_of_cells_is_a_plain_one():
 
 
 def drawn(tmp_path, draw, unit=4, name="plate.dxf"):
-    """A DXF drawn by ezdxf, and the design beside it."""
+    """A DXF drawn by ezdxf, and the design that names it."""
     ezdxf = pytest.importorskip("ezdxf")
     document = ezdxf.new("R2010")
     document.header["$INSUNITS"] = unit

@@ -13,7 +13,7 @@ from clacad.scene import load_scene
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 COMMENTED = {"galilean", "hexagonal", "paper", "plano", "slab", "tilted", "window"}
-"""Templates of their own; those of the same name as a design stand for its form."""
+"""Templates of their own; the template of any other form is the design of the same name."""
 
 
 @pytest.mark.parametrize("path", sorted(DESIGNS.glob("*.toml")), ids=lambda path: path.stem)

@@ -461,7 +461,7 @@ def test_without_polarisers_a_single_interface_gives_fresnels_mean():
 
 
 def test_rows_that_did_not_cross_disturb_no_others():
-    """They keep whatever directions they had, also such as no face could send on."""
+    """Rows that did not cross keep their directions, also such as no face could send on."""
     from clacad.effects.polarisation import cross_face
 
     before, after = through_plane(0.3, 1.5, 1.0)
@@ -640,7 +640,7 @@ def test_reflections_of_a_plane_plate_are_the_airy_series():
     r = np.mean(textbook(angle, 1.0, body.index))
     expected = {0: (1 - r) ** 2, 1: r + (1 - r) ** 2 * r, 2: (1 - r) ** 2 * r * r}
     for bounces, share in expected.items():
-        # unpolarised shares are multiplied, as the model says
+        # unpolarised shares are multiplied, as the model states
         assert out.flux[out.bounces == bounces].sum() == pytest.approx(share, rel=1e-9)
     assert np.allclose(out.direction[~out.front], rays.direction, atol=1e-12)
     assert np.allclose(out.direction[out.front], rays.direction * [1, 1, -1], atol=1e-12)
@@ -724,7 +724,7 @@ def test_compiled_passes_say_what_the_numpy_ones_say(name, wave):
             assert same(plain, fast, ("fate", "cell", "order", "surface"))
             going = plain.fate <= Fate.WALL
             assert np.allclose(plain.flux[going], fast.flux[going], rtol=0, atol=1e-11)
-            # both tracers agree to rounding, but draws hang on the rays alone
+            # both tracers agree to rounding, but draws depend on the rays alone
             assert np.abs(plain.direction - fast.direction).max() < 1e-10
 
 

@@ -24,7 +24,7 @@ def broken(seeds):
         for name in NAMES:
             if (
                 name == "facets"
-            ):  # rung mesh's own forecast is held against traced meshes where meshes are tested
+            ):  # rung mesh's own forecast is compared with traced meshes where meshes are tested
                 continue
             bound = declared(name).bound(situation)
             if not bound.known:

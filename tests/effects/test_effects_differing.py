@@ -1,4 +1,4 @@
-"""Effects where every cell differs: held to sheets of equal cells like one of them, to closed forms, to what is conserved."""
+"""Effects of non-uniform sheets: compared with uniform equivalents, with closed forms, and with conserved quantities."""
 
 from __future__ import annotations
 

@@ -82,7 +82,11 @@ def test_a_plan_has_facets_on_where_the_scene_asks_for_the_mesh_and_only_there()
         assert row.angle > 0.0
         assert "quads" in row.why
         assert ("facets" in plan.names) == (rung == "mesh")
-        for path in ("walls", "tir_paths", "reflections"):  # what is not done on facets is said
+        for path in (
+            "walls",
+            "tir_paths",
+            "reflections",
+        ):  # effects that are not computed on facets are reported
             assert ("not the facets" in plan.row(path).why) == (rung == "mesh")
 
 

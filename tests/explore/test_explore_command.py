@@ -1,4 +1,4 @@
-"""`clacad explore` and `clacad.explore`: one file, whole or not there, the same bytes; what it says and refuses."""
+"""`clacad explore` and `clacad.explore`: one file, whole or not there, the same bytes; messages and refusals."""
 
 from __future__ import annotations
 

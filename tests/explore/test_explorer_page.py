@@ -219,7 +219,7 @@ def test_a_spoilt_link_gives_a_page_within_its_ranges(page, link):
     assert page.design().name == "a slab"
 
 
-# -- what stands in a design cannot act ------------------------------------------------------------
+# -- markup in a design cannot act -----------------------------------------------------------------
 
 
 def test_markup_in_a_design_stays_text(chromium, tmp_path):
@@ -255,7 +255,7 @@ def test_with_a_field_lens_light_goes_where_the_closed_form_has_it(chromium, tmp
     at = (eye[:, :2] - eye[:, 2:] * t) / p + 0.5 * count
     cell, xi = np.floor(at).astype(int), (at % 1.0 - 0.5) * p
     f1 = s / (1.0 - eta)
-    centre = delta * f1  # cells of array 2 stand above lens 2's centres
+    centre = delta * f1  # cells of array 2 are aligned with lens 2's centres
     m = np.floor((f1 * t - centre * f1 / s) / p + 0.5)
     u = eta * xi + m * p * (1.0 - eta)
     met = cell + np.floor(u / p + 0.5).astype(int)
