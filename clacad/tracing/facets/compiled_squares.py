@@ -40,7 +40,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     lanes,
 )
 from clacad.tracing.facets.compiled_hierarchy import LEVEL
-from clacad.tracing.facets.compiled_tile_block import SquareGrid, half_bin
+from clacad.tracing.facets.compiled_tile_block import SquareGrid, half_bin, to_level
 from clacad.tracing.facets.squares import (
     BIN,
     BINS_X,
@@ -103,7 +103,7 @@ def through_squares(grid: Squares, sheet: Packed, s: Floats, m: int) -> None:
             media = (1.0, index) if side == 0 else (index, 1.0)
             landed = faces[f, slot.ARRAY] >= 0.0 and faces[f, slot.LAND] == faces[f, slot.LAND]
             squares = _squares_of(row, side)
-            _to_level(squares, row[SHEAR], s, m, 0.5 * (low + high))
+            to_level(squares, row[SHEAR], s, m, 0.5 * (low + high))
             for _ in range(2):
                 _planes_of_bins(grid, side, s, m)
                 _to_planes(squares, row[SHEAR], s, m, max(2.0 * HAIR, ROUNDED * row[OFF]))
@@ -164,17 +164,6 @@ def _squares_of(row: Floats, side: int) -> SquareGrid:
         row[BIN],
         row[SPLIT + side],
     )
-
-
-@exact
-def _to_level(squares: SquareGrid, shear: float, s: Floats, m: int, level: float) -> None:
-    """Extrapolate rays to a level without moving them, and find the half bin there."""
-    x, y, z, dx, dy, dz, bins = lanes(s, (X, Y, Z, DX, DY, DZ, HALF))
-    low_x, low_y, per_x, per_y, nx, ny, first, split = squares
-    for i in range(m):
-        t = (level - z[i]) / dz[i]
-        u, v = x[i] + t * dx[i], y[i] + t * dy[i]
-        bins[i] = half_bin((u - low_x) * per_x, (v - shear * u - low_y) * per_y, nx, ny, first, split)
 
 
 @exact

@@ -68,7 +68,7 @@ def cross_facets(
     tile = tiles.of[f // 2, side]
     row = tiles.table[tile]
     level = 0.5 * (faces[f, slot.LOW] + faces[f, slot.HIGH])
-    to_level(_squares_of(row), s, m, level)
+    to_level(_squares_of(row), 0.0, s, m, level)
     _planes_of_bins(tiles, side, s, m)
     _to_planes(row, s, m)
     _planes_of_bins(tiles, side, s, m)
@@ -84,15 +84,18 @@ def _squares_of(row: Floats) -> SquareGrid:
 
 
 @exact
-def to_level(squares: SquareGrid, s: Floats, m: int, level: float) -> None:
-    """Extrapolate rays to a level without moving them, and find the half bin there."""
+def to_level(squares: SquareGrid, shear: float, s: Floats, m: int, level: float) -> None:
+    """Extrapolate rays to a level without moving them, and find the half bin there.
+
+    shear : float
+        Step of the rows along y per length along x; 0 for rectangular bins.
+    """
     x, y, z, dx, dy, dz, bins = lanes(s, (X, Y, Z, DX, DY, DZ, HALF))
     low_x, low_y, per_x, per_y, nx, ny, first, split = squares
     for i in range(m):
         t = (level - z[i]) / dz[i]
-        bins[i] = half_bin(
-            (x[i] + t * dx[i] - low_x) * per_x, (y[i] + t * dy[i] - low_y) * per_y, nx, ny, first, split
-        )
+        u, v = x[i] + t * dx[i], y[i] + t * dy[i]
+        bins[i] = half_bin((u - low_x) * per_x, (v - shear * u - low_y) * per_y, nx, ny, first, split)
 
 
 @exact
