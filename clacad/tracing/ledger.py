@@ -1,4 +1,7 @@
-"""The result under construction: every ray's row is written once, when its fate is known."""
+"""The result under construction: every ray's row is written once, when its fate is known.
+
+On its way a ray goes from one event to the next; the kinds of events are named here.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,9 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+
+# Ends of a stretch: crossings of the faces' surfaces and levels, or one of three other ends.
+FRONT, FRONT_LAND, BACK, BACK_LAND, WALL, ABOVE, ASIDE = range(7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,18 +19,9 @@ from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
 from clacad.sheet.window import IDENTITY, Body, Face, Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out, lenses, sheet_position
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.reference import launch as honeycomb
-from clacad.tracing.reference.column import (
-    ABOVE,
-    ASIDE,
-    BACK,
-    BACK_LAND,
-    FRONT,
-    FRONT_LAND,
-    WALL,
-    Event,
-    first_change,
-)
+from clacad.tracing.reference.column import Event, first_change
 from clacad.tracing.reference.face import NUDGE, lens_normals, wall_normals
 from clacad.tracing.reference.launch import Beam, box_span, launch, on_to, sheet_xy, to_array
 

@@ -22,7 +22,7 @@ from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.face import height, lens_roots, to_lens, to_sheet, upward
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import DISTANCE, KIND, PLACE, CellRay, Ray
-from clacad.tracing.reference.column import ABOVE, BACK, FRONT
+from clacad.tracing.ledger import ABOVE, BACK, FRONT
 
 
 @exact

@@ -23,7 +23,7 @@ from clacad.tracing.compiled.records import (
     CellRay,
     Ray,
 )
-from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 
 @exact

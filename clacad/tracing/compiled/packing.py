@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.surface import EvenPolynomial, Quadric
 from clacad.sheet.edge_columns import EDGE_NUMBERS
 from clacad.sheet.lattice import runs
-from clacad.sheet.need_window import need_equal_cells
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, prepared
+
+if TYPE_CHECKING:
+    from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 # Columns of a face's row.
 BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)
@@ -111,6 +112,8 @@ def pack(layout: Layout) -> Packed:
     ------
     CellsDiffer
     """
+    from clacad.sheet.need_window import need_equal_cells
+
     need_equal_cells(layout.window, "the compiled kernel")
     return pack_array_1(layout)
 
@@ -119,6 +122,8 @@ def pack_array_1(layout: Layout) -> Packed:
     """Pack a layout as `pack` does; non-uniform sheets get the lattice of array 1 and the lens positions of
     its middle.
     """
+    from clacad.tracing.layout import prepared
+
     kept: Packed | None = prepared(layout).get("packed")
     if kept is not None:
         return kept

@@ -50,7 +50,7 @@ from clacad.tracing.facets.compiled_hierarchy import first_soup_change
 from clacad.tracing.facets.compiled_tiles import first_facet_change
 from clacad.tracing.facets.hierarchy import Hierarchy
 from clacad.tracing.facets.tiles import Tiles
-from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 
 BEHIND = 8 * ULP
 """Share of the travelled distance by which a first face may lie behind the start: rounding error."""

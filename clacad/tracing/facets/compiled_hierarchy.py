@@ -20,7 +20,7 @@ from clacad.tracing.compiled.face import height
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import DEPTH, DISTANCE, FACET_NORMAL, KIND, PLACE, CellRay, Ray, Vector
 from clacad.tracing.facets.hierarchy import COUNT, FIRST, LEVELS, ROOT, Hierarchy
-from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 INWARDS, OUTWARDS, BOTH = 1, 2, 3
 """Results of `ways_through`: the direction in which triangles are passed."""

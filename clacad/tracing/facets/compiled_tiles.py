@@ -36,7 +36,7 @@ from clacad.tracing.facets.tiles import (
     VOID,
     Tiles,
 )
-from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 NOT_LOOKED_UP, NONE = -2, -1
 """State of the facet that an array is in: not yet looked up; none exists."""

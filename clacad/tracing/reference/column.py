@@ -19,13 +19,11 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate_edges import next_crossing
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
 from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 
 Kinds = NDArray[np.int8]
-
-# Ends of a stretch: crossings of the faces' surfaces and levels, or one of three other ends.
-FRONT, FRONT_LAND, BACK, BACK_LAND, WALL, ABOVE, ASIDE = range(7)
 
 
 @dataclass(frozen=True, eq=False)

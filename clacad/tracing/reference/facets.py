@@ -33,14 +33,8 @@ from clacad.tracing.facets.tiles import (
     Tiles,
 )
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.reference.column import (
-    ABOVE,
-    ASIDE,
-    BACK,
-    BACK_LAND,
-    FRONT,
-    FRONT_LAND,
-    WALL,
     Event,
     Kinds,
     RaysInArray,

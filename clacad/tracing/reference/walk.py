@@ -16,17 +16,9 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP, refract
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
-from clacad.tracing.ledger import Ledger
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, Ledger
 from clacad.tracing.reference import launch as honeycomb
-from clacad.tracing.reference.column import (
-    ABOVE,
-    ASIDE,
-    BACK,
-    BACK_LAND,
-    FRONT,
-    FRONT_LAND,
-    Event,
-)
+from clacad.tracing.reference.column import Event
 from clacad.tracing.reference.face import Hit, cross, cross_at, cross_land, in_footprint
 from clacad.tracing.reference.facets import change
 from clacad.tracing.reference.launch import Beam, box_span, on_to, sheet_xy, to_array
