@@ -1,4 +1,4 @@
-"""For tests of files: what `verify` says of the design alone is judged elsewhere, here it is worked out once."""
+"""Shortcuts for tests of files: checks of `verify` on the design alone, tested elsewhere, are computed once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SEEN: dict[Any, Any] = {}
 
 
 def only_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave refinement out of `verify`, and trace each design once whatever files it is asked about."""
+    """Leave refinement out of `verify`, and trace each design once, regardless of the files."""
     run = importlib.import_module("clacad.verification.run")
     nothing = (None, CONVERGENCE.not_run("left out", required=False))
     convergence = importlib.import_module("clacad.verification.light.facet_convergence")

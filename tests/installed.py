@@ -54,7 +54,7 @@ def main_job() -> str:
 
 
 def holds_the_designs(wheel: Path) -> None:
-    """The wheel's designs and scenes are the repository's, byte for byte; nothing else lies beside the package."""
+    """The wheel's designs and scenes are the repository's, byte for byte; nothing else is installed next to the package."""
     home, name = ROOT / "designs", "clacad/designs/"
     files = (path for path in home.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc"))
     ours = {name + path.relative_to(home).as_posix(): path.read_bytes() for path in files}
@@ -98,7 +98,7 @@ def does_the_main_job(clacad: Path, place: Path) -> None:
 
 
 def tried(what: str, python: str, wheel: Path, constraints: str, work: Callable[[Path, Path], None]) -> bool:
-    """Install the wheel in an environment of its own, do the work, say how it ended; everything is gone afterwards."""
+    """Install the wheel in an environment of its own, do the work, print the outcome; everything is gone afterwards."""
     with tempfile.TemporaryDirectory() as folder:
         away = Path(folder)
         (away / "place").mkdir()
@@ -115,7 +115,7 @@ def tried(what: str, python: str, wheel: Path, constraints: str, work: Callable[
 
 
 def main() -> int:
-    """Try what was asked for; 1 when anything failed."""
+    """Try what was requested; 1 when anything failed."""
     parser = argparse.ArgumentParser(description="Install the wheel away from the repository, and run it.")
     parser.add_argument("versions", nargs="*", help="of Python, such as 3.12")
     parser.add_argument(

@@ -1,6 +1,6 @@
 """Volume of a body as designed, by a route of its own: quadrature in polar coordinates between exact rims.
 
-To 1e-12 where `clacad.sheet.volume_and_extent.body_volume`, which halves boxes, ends at its own 1e-8 beside a rim.
+To 1e-12 where `clacad.sheet.volume_and_extent.body_volume`, which halves boxes, ends at its own 1e-8 near a rim.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _cell_volume(window: Window, body: Body) -> float:
 
 
 def _above_land(face: Face, x: Floats, y: Floats) -> Floats:
-    """Positive where a lens stands proud of its land."""
+    """Height of a lens above its land, positive where the lens is proud of it."""
     return np.asarray(face.side * (_land(face) - lens_height(face, x, y)))
 
 
@@ -145,7 +145,7 @@ def _rays(integrand: Along, rims: list[Along], ends: Floats) -> Floats:
 
 
 def _crossings(rim: Along, ends: Floats) -> list[Floats]:
-    """Where each ray crosses a rim, as lists of equal length: 1 stands for no (further) crossing."""
+    """Where each ray crosses a rim, as lists of equal length: 1 means no (further) crossing."""
     samples = np.linspace(0.0, 1.0, _SAMPLES)
     grid = samples * np.ones((len(ends), 1))
     inside = rim((grid * ends[:, :1]).ravel(), (grid * ends[:, 1:]).ravel()).reshape(grid.shape) > 0.0

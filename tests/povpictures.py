@@ -41,7 +41,7 @@ def povray(scene: Scene, folder: Path, seconds: list[float] | None = None) -> Fl
 
 
 def before_stripes(name: str, sheet: dict[str, Any], camera: dict[str, Any]) -> Scene:
-    """A sheet before a striped screen, ghosts shown and every other effect left out: single rays tell where they went."""
+    """A sheet before a striped screen, ghosts shown and every other effect left out: single rays show where they went."""
     return Scene.from_dict(
         {
             "format": 1, "name": name, "unit": "mm", "sheet": {"rung": "surfaces", **sheet}, "camera": {"samples": 1, **camera},

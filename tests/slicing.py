@@ -1,4 +1,4 @@
-"""What a slicer that shares no line with this project says of an STL file."""
+"""An STL file as read by a slicer that shares no line with this project."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REPAIRS = (
 
 
 def slicer_for(what: str) -> str:
-    """A slicer; skips the test where none is installed, and says what was not looked at."""
+    """A slicer; skips the test where none is installed, and names what was not looked at."""
     found = next((path for name in SLICERS if (path := shutil.which(name))), None)
     if found is None:
         pytest.skip(f"neither prusa-slicer nor slic3r is installed: no slicer looked at {what}")

@@ -1,4 +1,4 @@
-"""No code stands twice: every run of six lines that is the same in two places is a missing function."""
+"""Duplicated code: every run of six lines that is the same in two places is a missing function."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 RUN = 6
-"""So many code lines in a row, the same to the letter, are a double."""
+"""Number of consecutive code lines, the same to the letter, that make a double."""
 
 
 def code_lines(path: Path) -> list[tuple[int, str]]:

@@ -1,4 +1,4 @@
-"""Plain technical English: words that comments and docstrings do not use, and what to write in their place."""
+"""Plain technical English: words that comments and docstrings of the package and its tests do not use, and their replacements."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from package_source import syntax
 
-PACKAGE = Path(__file__).parents[1] / "clacad"
+TESTS = Path(__file__).parent
+PACKAGE = TESTS.parent / "clacad"
 
 LEFT_OUT = {
     r"tells?|told|says?|said": "reports, returns, prints, records, gives; states (of a file or a person)",
@@ -62,7 +63,7 @@ def found(path: Path) -> list[str]:
     """Places of words that are left out, with what to write."""
     quoted = re.compile(r"`[^`]*`|\"[^\"]*\"")
     return [
-        f"{path.relative_to(PACKAGE)}:{number}: {match[0]!r}: write {instead}"
+        f"{path.relative_to(TESTS.parent)}:{number}: {match[0]!r}: write {instead}"
         for number, line in prose(path.read_text(encoding="utf-8"))
         for pattern, instead in LEFT_OUT.items()
         for match in re.finditer(rf"\b(?:{pattern})\b", quoted.sub("", line), re.IGNORECASE)
@@ -84,12 +85,17 @@ def in_messages(path: Path) -> list[str]:
     ]
 
 
-ROOMS = sorted({path.relative_to(PACKAGE).parts[0] for path in PACKAGE.rglob("*.py")})
+def rooms(root: Path) -> list[Path]:
+    """Folders and single files of a folder that hold Python code, less the file of the left-out words itself."""
+    paths = {root / path.relative_to(root).parts[0] for path in root.rglob("*.py")}
+    return sorted(paths - {Path(__file__)})
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_comments_and_docstrings_use_plain_words(room: str) -> None:
-    paths = sorted((PACKAGE / room).rglob("*.py")) if (PACKAGE / room).is_dir() else [PACKAGE / room]
+@pytest.mark.parametrize(
+    "room", [*rooms(PACKAGE), *rooms(TESTS)], ids=lambda p: str(p.relative_to(TESTS.parent))
+)
+def test_comments_and_docstrings_use_plain_words(room: Path) -> None:
+    paths = sorted(room.rglob("*.py")) if room.is_dir() else [room]
     assert [] == [words for path in paths for words in found(path)]
 
 

@@ -18,7 +18,7 @@ ROOMS = [
     "base",  # arithmetic, tables and services without optics
     "optics",  # law, surfaces, materials, rays: single things
     "sheet",  # the sheet as built, and what follows from it in closed form
-    "light",  # light against the law, whoever traces it
+    "light",  # light against the law, regardless of the tracer
     "config",  # what design and scene files share
     "design",
     "scene",
@@ -26,18 +26,18 @@ ROOMS = [
     "topology",  # where cells meet: mesh and solid both build from it
     "mesh",
     "solid",
-    "storage",  # files on disk, whatever is in them
+    "storage",  # files on disk, regardless of their content
     "formats",  # one format a module
     "tracing",
     "effects",
     "imaging",  # where light of a point meets behind a sheet, and tables that send light into a pattern
     "exporting",
-    "waves",  # light as a wave through one telescopelet, beside its rays
+    "waves",  # light as a wave through one telescopelet, in addition to its rays
     "checks",  # kinds of checks: code, unit, limit, explanation, levers
     "judging",  # files against a design: found, placed, whole, in shape, lit
     "verification",
     "stacking",  # sheets behind one another
-    "advice",  # what verify will say, and which keys would change it
+    "advice",  # forecast of verify's verdict, and the keys that would change it
     "optimising",  # a search needs the walls that checks judge by
     "rendering",
     "paper",  # the figures and movies of the paper, and what is measured in them
@@ -130,7 +130,7 @@ def test_at_their_heads_modules_import_one_another_in_no_ring():
 
 
 def test_no_module_has_the_name_of_what_its_package_gives():
-    """So that `import clacad.tracing.compiled.column as c` gives the module, whatever was imported before."""
+    """So that `import clacad.tracing.compiled.column as c` gives the module, regardless of earlier imports."""
     for name, path in files().items():
         if not name.endswith("__init__.py"):
             continue

@@ -1,4 +1,4 @@
-"""The package as a whole: public names, whatever was imported before them."""
+"""The package as a whole: public names, regardless of earlier imports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The package as it is called from Python: one ray or many, the call that works named, objects told in a line."""
+"""The package as it is called from Python: one ray or many, the call that works named, objects described in a line."""
 
 from __future__ import annotations
 

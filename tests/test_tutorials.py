@@ -1,4 +1,4 @@
-"""The tutorials run as they stand, each within a minute of processor time, and their own assertions hold."""
+"""The tutorials run unchanged, each within a minute of processor time, and their own assertions hold."""
 
 from __future__ import annotations
 

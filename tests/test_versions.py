@@ -1,4 +1,4 @@
-"""What pyproject.toml says of versions is what its constraints hold."""
+"""Versions in pyproject.toml agree with its constraints."""
 
 from __future__ import annotations
 

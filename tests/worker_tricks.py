@@ -1,4 +1,4 @@
-"""Functions a worker is told to run in tests: each misbehaves as native code can."""
+"""Functions that a worker runs in tests: each misbehaves as native code can."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An export of which nothing is asked but formats passes its own verification, and `check` foresees its facets."""
+"""An export with no options but formats passes its own verification, and `check` forecasts its facets."""
 
 from __future__ import annotations
 

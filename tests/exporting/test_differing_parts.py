@@ -1,4 +1,4 @@
-"""Frames, engraved parts and BREP of sheets whose cells differ: true outlines, letters beside the cells, light as asked."""
+"""Frames, engraved parts and BREP of non-uniform sheets: true outlines, letters next to the cells, light as specified."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def test_a_drawn_plate_has_the_box_holes_corners_and_bends_of_its_step_file(tmp_
     for face in (face for solid in shape.solids() for face in solid.faces()):
         found_cylinder = (
             gp_Cylinder()
-        )  # the file holds rational quarters; the kernel says which cylinder they are of
+        )  # the file holds rational quarters; the kernel reports which cylinder they belong to
         if ShapeAnalysis_CanonicalRecognition(face.wrapped).IsCylinder(1e-7, found_cylinder):
             at = found_cylinder.Location()
             place = (float(f"{v:.5g}") if abs(v) > 1e-9 else 0.0 for v in (at.X(), at.Y()))

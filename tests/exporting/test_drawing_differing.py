@@ -1,4 +1,4 @@
-"""Drawings and frames of sheets whose cells differ, read by ezdxf, pdftotext and the kernel."""
+"""Drawings and frames of non-uniform sheets, read by ezdxf, pdftotext and the kernel."""
 
 from __future__ import annotations
 

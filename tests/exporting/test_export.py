@@ -1,4 +1,4 @@
-"""One call writes a design's files: each read back and held against the design, published as one set."""
+"""One call writes a design's files: each read back and compared with the design, published as one set."""
 
 from __future__ import annotations
 
@@ -279,7 +279,7 @@ def test_a_file_that_is_not_ours_is_refused_before_any_work(tmp_path: Path) -> N
 
 @pytest.fixture
 def _no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever costs something fails: surfaces, meshes, the worker, the folder."""
+    """All costly steps fail: surfaces, meshes, the worker, the folder."""
     run = import_module("clacad.exporting.run")
 
     def worked(*_: object, **__: object) -> None:

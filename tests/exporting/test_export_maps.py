@@ -1,4 +1,4 @@
-"""Height maps, point clouds, grid sag, tables and masks say what the design's surfaces say."""
+"""Height maps, point clouds, grid sag, tables and masks agree with the design's surfaces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of single formats: schema and parameter curves of STEP, instances of GLB, names engraved, as asked."""
+"""Options of single formats: schema and parameter curves of STEP, instances of GLB, names engraved."""
 
 from __future__ import annotations
 
@@ -194,9 +194,7 @@ def test_the_letters_read_rightly_from_the_viewers_side_and_the_arrow_points_up(
     made = engraved(plate, letters, 0.0)
     floors = sorted((f for f in made.faces() if abs(f.center().Z - 0.2) < 1e-9), key=lambda f: f.center().X)
     assert len(floors) == 2
-    letter, arrow = (
-        floors  # the viewer at -z, y up, sees +x on the left: the arrow stands first, at greater x
-    )
+    letter, arrow = floors  # the viewer at -z, y up, sees +x on the left: the arrow is first, at greater x
     assert arrow.area > 0
     top, bottom = (max((v for v in arrow.vertices()), key=lambda v: s * v.Y) for s in (1, -1))
     assert abs(top.X - arrow.bounding_box().center().X) < 1e-6  # the tip is in the middle, above
@@ -228,7 +226,7 @@ def test_marked_bodies_are_files_that_read_back(tmp_path: Path) -> None:
 
 
 def test_the_forecast_of_gdsii_counts_the_levels_that_are_asked_for(tmp_path: Path) -> None:
-    """Whatever was asked for, 64 levels were forecast."""
+    """The forecast was 64 levels regardless of the requested number."""
     pytest.importorskip("gdstk", reason="the extra gds is not installed")
     path = str(DESIGNS / "slab.toml")
     for levels in (2, 64, 256):

@@ -86,7 +86,7 @@ def test_light_through_facets_is_forecast_as_the_kernels_of_rung_mesh_trace_the_
 
 
 def test_the_formula_tells_fine_grids_from_coarse_ones():
-    """Of 128 quads the measured 2.99 mrad, of 256 the 2.75 that follow from 1.38 · 128/256 beside 2.65."""
+    """Rms angular error of the facets: 2.99 mrad measured at 128 quads, 2.75 at 256, from 1.38 · 128/256 and 2.65 of the exact surfaces."""
     grader = grader_of("paper-a-covered")
     assert 1e3 * grader.law_rms(128) == pytest.approx(2.99, rel=0.04)
     assert 1e3 * grader.law_rms(256) == pytest.approx(2.75, rel=0.03)
@@ -103,7 +103,7 @@ def test_heights_in_steps_make_fine_facets_worse_and_the_formula_knows():
 @pytest.mark.daily_cases("0.01-8")
 @pytest.mark.parametrize(("limit", "expected"), [(2e-2, 4), (1e-2, 8), (3e-3, 32), (1e-9, None)])
 def test_the_smallest_power_of_two_within_95_percent_is_taken(limit, expected):
-    """k/m with k = 63.7 mrad: 15.9 at 4, 8.0 at 8, 4.1 at 16, 2.1 at 32 quads, .25 of the exact surfaces beside."""
+    """k/m with k = 63.7 mrad: 15.9 at 4, 8.0 at 8, 4.1 at 16, 2.1 at 32 quads, with .25 of the exact surfaces in addition."""
     design = design_of("tilted")
     grader = Grader(Meshes(clacad.prescribe(design)), LightLimits(limit), design.check.field)
     assert grader.foreseen() == expected
@@ -187,7 +187,7 @@ def test_auto_chooses_from_powers_of_two_only():
     assert (POWERS[0], POWERS[-1]) == (4, 1024)
 
 
-# -- what is asked ----------------------------------------------------------------------------------
+# -- requests ---------------------------------------------------------------------------------------
 
 
 def test_one_value_holds_for_all_meshes_and_a_mapping_for_those_it_names():
@@ -391,7 +391,7 @@ def test_bytes_of_a_whole_sheet_of_repeated_cells_are_forecast_within_a_fifth(tm
 
 @pytest.mark.slow
 def test_bytes_of_a_master_that_was_not_meshed_follow_from_a_coarser_one(tmp_path):
-    """16 quads stand for 32, against the files of 32; 0.6 % of the facets are where land and outline meet."""
+    """Sizes from 16 quads represent 32, compared with the files of 32; 0.6 % of the facets are where land and outline meet."""
     design = design_of("tilted", (4, 4))
     sizes = Sizes(Meshes(clacad.prescribe(design)))
     manifest = export(design, tmp_path, ("stl", "3mf", "ply", "glb"), quads=32)

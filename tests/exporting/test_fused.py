@@ -1,4 +1,4 @@
-"""What a workshop finds in a file: one solid, one mesh, or a cell repeated; chosen by size, by `fused`, and said."""
+"""Contents of a file for a workshop: one solid, one mesh, or a cell repeated; chosen by size, by `fused`, and reported."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DESIGN = Path(__file__).parents[2] / "designs" / "hexagonal.toml"
 
 
 def tags(path):
-    """How often each tag stands in the model of a 3MF file, read as plain XML."""
+    """Count of each tag in the model of a 3MF file, read as plain XML."""
     root = ElementTree.fromstring(zipfile.ZipFile(path).read("3D/3dmodel.model"))
     found = {}
     for element in root.iter():

@@ -1,4 +1,4 @@
-"""Every format's refusal comes before the first byte of any, and a dry run tells all of them."""
+"""Every format's refusal comes before the first byte of any, and a dry run reports all of them."""
 
 from __future__ import annotations
 

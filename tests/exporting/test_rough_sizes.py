@@ -1,4 +1,4 @@
-"""What `check` says at once of an export is near what is forecast closely, and loads nothing that writes."""
+"""The quick size estimate of an export in `check` is near the close forecast, and loads nothing that writes."""
 
 from __future__ import annotations
 

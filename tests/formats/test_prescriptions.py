@@ -210,7 +210,7 @@ def test_optilands_own_reader_finds_the_faces_of_revolution_of_a_zmx_where_they_
     assert angles(np.column_stack([rays.L, rays.M, rays.N]), wanted).max() < 1e-9
 
 
-# -- what is said and refused --------------------------------------------------------------------------
+# -- messages and refusals -----------------------------------------------------------------------------
 
 
 def test_a_series_has_the_sag_of_the_face_and_says_within_what_slope():

@@ -581,7 +581,7 @@ def test_a_binary_ply_of_either_byte_order_and_of_polygons_is_read(tmp_path, ord
         head + rows + b"".join(struct.pack(f"{order}hB{len(f)}If", -1, len(f), *f, 0.5) for f in PLY_FACES)
     )
     with pytest.raises(UnreadableFile, match=r"^x\.ply: "):
-        read_ply(path)  # rows of different lengths cannot be told apart
+        read_ply(path)  # rows of different lengths cannot be distinguished
 
 
 def test_an_ascii_ply_of_triangles_and_polygons_is_read(tmp_path):

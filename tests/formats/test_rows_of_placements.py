@@ -1,4 +1,4 @@
-"""Parts in rows of an assembly are compared with the lattice as rows: what is said is what every copy by itself says."""
+"""Parts in rows of an assembly are compared with the lattice as rows: the result equals that of every copy by itself."""
 
 from __future__ import annotations
 

@@ -219,7 +219,7 @@ def test_damaged_files_are_refused_or_found_out(tmp_path):
 
 
 def test_a_loop_that_its_face_takes_the_other_way_round_is_counted_the_other_way_round(tmp_path):
-    """Other writers store loops reversed; the flag at the bound says so."""
+    """Loops that other writers store reversed are read by the flag at the bound."""
     path, turned = tmp_path / "x.step", tmp_path / "turned.step"
     write_step(biconvex(**TILTED), path)
     text = path.read_text()

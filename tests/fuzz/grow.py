@@ -57,7 +57,7 @@ def steps_of(kind, data, folder):
 
 
 def grow(kind, seconds):
-    """Mutate for so many seconds and keep what is new."""
+    """Mutate for the given number of seconds and keep what is new."""
     rng, known = random.Random(time.time_ns()), set()
     pool = [path.read_bytes() for path in corpus(kind)]
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Readers of files from elsewhere: whatever the bytes, an answer or a sentence, and never anything else.
+"""Readers of files from elsewhere: any bytes give a result or an error message, and never anything else.
 
 The corpus in tests/fuzz/corpus is replayed always. A minute of mutations of it for each kind is a long test, which
 continuous integration runs: the rounds come in the same order everywhere, a slow machine does fewer of them.

@@ -1,4 +1,4 @@
-"""Points whose cell, or place in it, floor(x/p) and x - k p get wrong; each with the sentence that says why."""
+"""Points whose cell, or place in it, floor(x/p) and x - k p get wrong; each with its reason."""
 
 from __future__ import annotations
 

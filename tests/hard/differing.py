@@ -1,4 +1,4 @@
-"""Rays through sheets whose cells differ, where the place of cell and lens is the difficulty; each with the reason."""
+"""Rays through non-uniform sheets, where the place of cell and lens is the difficulty; each with the reason."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FAR = [20_001, 20_001]
 
 
 def window_of(changes):
-    """The sheet with some keys changed; `gradient` is that of the places of lenses 2, whatever the design makes."""
+    """The sheet with some keys changed; `gradient` replaces the gradient that the design gives the places of lenses 2."""
     keys = dict(changes)
     gradient, etas = keys.pop("gradient", None), keys.pop("etas", None)
     window = prescribe(Design.from_dict(BASE).replace(keys)) if etas is None else tabled(keys, etas)

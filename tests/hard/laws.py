@@ -1,4 +1,4 @@
-"""Laws and directions on which a law written in slopes or angles fails; each with the sentence that says why."""
+"""Laws and directions on which a law written in slopes or angles fails; each with its reason."""
 
 from __future__ import annotations
 

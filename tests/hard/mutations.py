@@ -85,7 +85,7 @@ ALIKE, ITS_KERNEL = (
 )
 
 MUTATIONS = [
-    # -- sheets whose cells differ
+    # -- non-uniform sheets
     Mutation("places: centres rounded", PLACES, "two_product(2.0 * i - (n1 - 1), 0.5 * lattice.pitch[0])", "pair((2.0 * i - (n1 - 1)) * (0.5 * lattice.pitch[0]))", FAR_OUT),
     Mutation("places: gradient transposed", PLACES, "[xx * x + xy * y, yx * x + yy * y]", "[xx * x + yx * y, xy * x + yy * y]", ROWS),
     Mutation("places: the table forgotten", PLACES, "return change if self.table is None else", "return change if True else", ROWS),
@@ -237,7 +237,7 @@ def copied(target):
 
 
 def bounded():
-    """A mutation may ask for all the memory there is; it gets eight gigabytes."""
+    """A mutation may allocate all the memory there is; it gets eight gigabytes."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 

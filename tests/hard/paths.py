@@ -1,4 +1,4 @@
-"""Every path light can take through a hard sheet: who says what, as a table.
+"""Every path of the tracer through a hard sheet: the results of all, as a table.
 
 python tests/hard/paths.py            print it, exit 1 where a path differs from the oracle and no reason is given
 python tests/hard/paths.py --write    tests/hard/paths.md
@@ -30,7 +30,7 @@ QUADS = 32
 
 
 def looked_at(window, rays, compiled):
-    """The rays as the renderer sends them: only if its box says that they may meet the sheet."""
+    """The rays as the renderer sends them: only if the bounding box shows that they may hit the sheet."""
     from clacad.rendering.sheet_passage import Passage
     from clacad.rendering.view import may_cross, sheet_box
 
@@ -82,7 +82,7 @@ def expected(case):
 
 
 def row(case):
-    """What each path says of a case: its name, fate by the oracle, then a word a path."""
+    """Result of each path for a case: its name, fate by the oracle, then a word a path."""
     window, mesh = faceted(case)
     rays, fate = Rays([case.start], [case.direction]), expected(case)
     exact = trace(window, rays, path="numpy")

@@ -1,4 +1,4 @@
-"""Rays that a textbook tracer gets wrong: one list, each with the sentence that says why.
+"""Rays that a textbook tracer gets wrong: one list, each with its reason.
 
 Every case is a sequence of surfaces, a start and a direction, all of them doubles taken as they are. What the
 right answer is, and how much of it the inputs' own rounding leaves, is the oracle's business (`oracle.trace`).
@@ -24,7 +24,7 @@ class Hard:
     faces: list
     start: tuple
     direction: tuple
-    undecidable: bool = False  # the fate hangs on the rounding of the inputs: every finite answer is right
+    undecidable: bool = False  # the fate depends on the rounding of the inputs: every finite answer is right
 
 
 def lens(cx, cy, kappa, thickness=0.0005, z=0.0, n=1.5, centre=(0.0, 0.0)):

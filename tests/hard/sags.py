@@ -1,4 +1,4 @@
-"""Heights of surfaces that R - sqrt(R² - r²) or 1 - r²/R² loses; each with the sentence that says why."""
+"""Heights of surfaces that R - sqrt(R² - r²) or 1 - r²/R² loses; each with its reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays through whole sheets where cell, border and distance are the difficulty; each with the sentence that says why."""
+"""Rays through whole sheets where cell, border and distance are the difficulty; each with its reason."""
 
 from __future__ import annotations
 

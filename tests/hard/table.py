@@ -1,4 +1,4 @@
-"""Works the stability table out anew: answers and conditions by the oracle, errors of textbook and clacad.
+"""The stability table, computed from scratch: answers and conditions by the oracle, errors of textbook and clacad.
 
 python tests/hard/table.py            compare with what is recorded, exit 1 where a row worsened
 python tests/hard/table.py --write    record: clacad/verification/stability/cases.json and tests/hard/stability.md
@@ -147,7 +147,7 @@ def cell_case(case):
     answer = {"index": list(index), "place": [digits(v) for v in place]}
     if case.undecidable:
         answer["undecidable"] = True
-    # the rows of hexagons stand sqrt(3)/2 pitches apart, which no double is
+    # the rows of hexagons are sqrt(3)/2 pitches apart, which no double is
     condition = {"place": 1.0 if case.kind != "hexagonal" else max(1.0, abs(case.y) / case.pitch[1])}
     book_index, book_place = forms.cell(case.kind, case.pitch, case.count, case.x, case.y)
     apart = max(abs(float(mpf(b) - p)) / q for b, p, q in zip(book_place, place, case.pitch)) / 2.0**-52

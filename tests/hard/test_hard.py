@@ -21,7 +21,7 @@ from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import trace_sequence
 from clacad.sheet.lattice import Lattice
 
-DIGITS = 450  # a sag of 1e-200 beside a start at distance 1
+DIGITS = 450  # a sag of 1e-200 together with a start at distance 1
 
 every = pytest.mark.parametrize
 

@@ -1,4 +1,4 @@
-"""Sheets whose cells differ on their hard list: numpy and the compiled kernel against 60 digits, ray by ray."""
+"""Non-uniform sheets on their hard list: numpy and the compiled kernel compared with 60 digits, ray by ray."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def sent(case, window, place):
 
 
 def beside_border(case, window):
-    """A ray that meets lens 2 within a last bit of its start beside a border: on which side, sixty digits say."""
+    """A ray that hits lens 2 within a last bit of its start next to a border: sixty digits decide on which side."""
     low, high = -0.2, 0.2
 
     def met(x):

@@ -1,7 +1,7 @@
 """Every kernel the same on the hard list: numpy, compiled, facets, and whole windows by every path.
 
 The scalar kernels are driven surface by surface through the list of rays; windows go through `trace` by both of
-its paths. Facets are exact where the surfaces are planes, so rung "mesh" is held to that.
+paths. Facets are exact where the surfaces are planes, so rung "mesh" is compared with those.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def test_compiled_and_numpy_biconics_agree_on_rays_from_everywhere(seed):
 
 @cache
 def oracle_of(name):
-    """What the oracle says of a case, and its condition: the same for every path."""
+    """Result of the oracle for a case, and its condition: the same for every path."""
     case = next(case for case in SHEETS if case.name == name)
     window = window_of(dict(case.changes))
     exact = sheet_oracle.trace(window, case.start, case.direction)
@@ -203,7 +203,7 @@ def test_the_distance_of_the_source_costs_a_sheet_nothing(path, power):
 def test_facets_give_the_same_fate_and_cell_and_nearly_the_same_direction(case):
     """Rung mesh: facets of slope error e turn light by a few e, telescopes multiply it by 1/η.
 
-    Where a case says that facets cannot decide it, that is shown: the exact ray passes a border of a lens, or the
+    Where a case records that facets cannot decide it, the test shows why: the exact ray passes a border of a lens, or the
     start lies before a face, nearer than the facets' error.
     """
     window, mesh = faceted(case)
@@ -257,5 +257,5 @@ def test_facets_of_planes_are_exact():
     assert np.array_equal(exact.fate, faceted.fate)
     assert np.array_equal(exact.cell, faceted.cell)
     np.testing.assert_allclose(faceted.direction, exact.direction, rtol=0, atol=1e-11)
-    # vertices stand on the grid of single precision that STL files have
+    # vertices lie on the grid of single precision that STL files have
     np.testing.assert_allclose(faceted.position, exact.position, rtol=0, atol=2 * 0.0505 * 2.0**-24)

@@ -172,7 +172,7 @@ def test_steps_from_nothing_to_a_pitch_are_traced_alike_and_stay_closed(kind, st
     assert measure([mesh.vertices[mesh.triangles]]).closed
 
 
-# -- beside a seam ---------------------------------------------------------------------------------------------------
+# -- near a seam ------------------------------------------------------------------------------------------------------
 
 
 def walked(window, rays, monkeypatch):

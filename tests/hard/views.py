@@ -1,4 +1,4 @@
-"""Angles and stretches that acos and plain quotients lose; each with the sentence that says why."""
+"""Angles and stretches that acos and plain quotients lose; each with its reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of an image where next to no light goes through partners: where it went, and which light goes through."""
+"""Report on an image where next to no light goes through partners: where it went, and which light goes through."""
 
 from __future__ import annotations
 

@@ -300,7 +300,7 @@ def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_w
 def test_a_shaped_design_whose_table_was_exchanged_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The design names the table with its hash: a new table beside an old design is no sheet."""
+    """The design names the table with its hash: a new table with an old design is no sheet."""
     for name, points in (("one", "x,y\n0,0\n2,1\n"), ("two", "x,y\n1,0\n0,3\n")):
         (tmp_path / f"{name}.csv").write_text(points)
         words = [

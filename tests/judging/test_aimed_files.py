@@ -1,4 +1,4 @@
-"""Files of sheets whose cells differ: judged by light through their own faces and triangles, mutants found out."""
+"""Files of non-uniform sheets: judged by light through their own faces and triangles; mutants fail."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def checks_of(report):
 
 
 def one_vertex_moved(window):
-    """Lens 2 of cell (2, 0) stands a fiftieth of the pitch from its place."""
+    """Lens 2 of cell (2, 0) lies a fiftieth of the pitch from its place."""
     body = window.bodies[0]
     table = body.back.change.table.copy()
     table[2, 0] += (0.01, 0.0)
@@ -45,7 +45,7 @@ def wrong_pitch(window):
 
 
 def aimed_elsewhere(window):
-    """The sheet of a viewer 6 mm beside."""
+    """The sheet of a viewer 6 mm to the side."""
     return clacad.prescribe(DESIGN.replace("lattice.aperture", {"point": [-46, 10, -400]}))
 
 
@@ -119,7 +119,7 @@ FORMS = {
 
 
 def one_lens_moved(window, by=(0.01, 0.0)):
-    """Lens 2 of cell (2, 0) stands a fiftieth of the pitch from its place, both of its faces."""
+    """Lens 2 of cell (2, 0) lies a fiftieth of the pitch from its place, both of its faces."""
 
     def moved(face):
         if face.array != 1:
@@ -135,7 +135,7 @@ def one_lens_moved(window, by=(0.01, 0.0)):
 
 
 def another_viewer(form):
-    """The sheet of a viewer 6 mm beside."""
+    """The sheet of a viewer 6 mm to the side."""
     x, y, z = FORMS[form].lattice.aperture.point
     return clacad.prescribe(FORMS[form].replace("lattice.aperture", {"point": [x - 6, y, z]}))
 
@@ -148,7 +148,7 @@ SPOILT = {
 
 
 def written(window, form, path):
-    """A mesh file of the sheet, as its suffix says."""
+    """Write a mesh file of the sheet, in the format of the suffix."""
     from clacad.formats.mesh.glb import write_glb
     from clacad.formats.mesh.ply import write_ply
     from clacad.formats.mesh.threemf import write_threemf
@@ -161,7 +161,7 @@ def written(window, form, path):
 
 
 def judged(made, form, path):
-    """Checks of a mesh file of a sheet, held against the design."""
+    """Checks of a mesh file of a sheet, compared with the design."""
     written(made, form, path)
     mesh, window = read_mesh(path), clacad.prescribe(FORMS[form])
     factor = 1.0 if mesh.unit is None else mesh.unit / window.unit
@@ -337,7 +337,7 @@ SIZES = [pytest.param(3, marks=pytest.mark.slow), pytest.param(9, marks=pytest.m
 
 @pytest.mark.parametrize("count", SIZES)
 def test_the_verdict_on_a_step_file_is_that_of_plain_numpy_through_the_faces_that_occ_reads(count, tmp_path):
-    """Of 81 cells, as steep as those at the rim of the 100 mm window, 64 and those that stand out are looked at."""
+    """Of 81 cells, as steep as those at the rim of the 100 mm window, 64 and the most extreme ones are looked at."""
     design = DESIGN.replace("lattice.count", [count, count])
     window = clacad.prescribe(design)
     write_step(window, tmp_path / "sheet.step")

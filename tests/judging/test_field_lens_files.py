@@ -1,4 +1,4 @@
-"""Files of sheets with a field lens: masters that pass, and files of slightly other ones that light tells apart."""
+"""Files of sheets with a field lens: masters that pass, and files of slightly other ones that light distinguishes."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_the_field_faces_in_the_file_are_the_closed_form_and_the_bytes_are_the_s
     files = sorted(path.name for path in (tmp_path / "one").iterdir())
     assert {f"{design.name}.{body}.stl" for body in ("array1", "field", "array2")} <= set(files)
     for name in files:
-        if name != "run.json":  # which says how long it took
+        if name != "run.json":  # which records how long it took
             assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
     window = prescribe(design)
     n, pitch = window.bodies[1].index, 1e3 * window.lattice.pitch[0]

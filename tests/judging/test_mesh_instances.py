@@ -1,4 +1,4 @@
-"""Files that hold one cell and the places where it stands: read, measured and judged without writing the cells out."""
+"""Files that hold one cell and its positions: read, measured and judged without writing the cells out."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ COMPONENT = re.compile(r'<component objectid="(\d+)" transform="1 0 0 0 1 0 0 0 
 
 
 def places_of(data, change):
-    """The list of (object, x, y, z) of a 3MF file's components changed; a fourth text may stand for a whole transform."""
+    """The list of (object, x, y, z) of a 3MF file's components changed; a fourth text may replace a whole transform."""
 
     def model(text):
         found = [(m[1], *(float(m[k]) for k in (2, 3, 4))) for m in COMPONENT.finditer(text)]
@@ -339,7 +339,7 @@ LARGE = DESIGN.replace({"lattice.count": [200, 200]})
 
 
 class Counter:
-    """Facets whose corners were asked for, whoever asked."""
+    """Count of facets whose corners were requested, by any caller."""
 
     def __init__(self, monkeypatch):
         self.facets = 0
@@ -552,7 +552,7 @@ def test_noise_of_a_tenth_of_a_micrometre_fails_where_the_honest_file_passes(tmp
 def test_errors_that_a_manifest_states_too_large_widen_no_limit(tmp_path, stated):
     assert not faults(judged(stl(tmp_path, WINDOW, 16), WINDOW, stated)[0])
     assert "shape" in faults(judged(stl(tmp_path, WINDOW, 16, 1e-4), WINDOW, stated)[0])
-    # one bump of half a micrometre in the middle of a lens: slopes over the cell hardly tell
+    # one bump of half a micrometre in the middle of a lens: slopes over the cell hardly show it
     corners = sheet_facets(prescribe(WINDOW), 16)
     top = corners[..., 2].max()
     bump = (np.abs(corners[..., :2] - 0.25).max(axis=-1) < 1e-9) & (corners[..., 2] > top - 0.1)
@@ -578,7 +578,7 @@ def test_the_forecast_of_the_clean_cut_does_not_know_the_noise(tmp_path):
 
 
 def tetrahedra(count):
-    """So many tetrahedra, none of which touches another, (4 count, 3, 3)."""
+    """A number of tetrahedra, none of which touches another, (4 count, 3, 3)."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float32)
     facets = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     places = 2.0 * np.argwhere(np.ones((count // 100 + 1, 10, 10)))[:count].astype(np.float32)

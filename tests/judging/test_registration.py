@@ -1,4 +1,4 @@
-"""A part that came back is found wherever and however it lies in its file, and a wrong part is named."""
+"""A measured part is found in any position and orientation in its file, and a wrong part is named."""
 
 from __future__ import annotations
 
@@ -298,7 +298,7 @@ def test_facets_cut_to_a_cell_keep_its_area_and_their_side():
 
 
 def labels(mapped, found):
-    """Texts beside the axes of the picture of a map."""
+    """Texts next to the axes of the picture of a map."""
     from matplotlib.figure import Figure
 
     figure = Figure()

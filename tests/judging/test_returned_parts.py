@@ -137,7 +137,7 @@ def test_a_part_turned_about_an_oblique_axis_is_found_and_judged_right(tmp_path,
     assert not failed(checks)
     back = np.concatenate(list(placed.mesh.chunks())) * placed.factor
     flat = back.reshape(-1, 3)
-    # the same part, or one the design cannot tell from it: its box and its middle are the design's
+    # the same part, or one the design cannot distinguish from it: its box and its middle are the design's
     assert np.allclose(np.ptp(flat, axis=0), np.ptp(triangles.reshape(-1, 3), axis=0), atol=2e-4)
     assert np.abs(flat.mean(axis=0) - triangles.reshape(-1, 3).mean(axis=0)).max() < 0.02
 
@@ -172,7 +172,7 @@ def test_a_disc_turned_about_its_normal_is_found_by_its_lenses(tmp_path):
     placed, checks, _ = judged(tmp_path, made, facets(made) @ about([0.0, 0.0, 1.0], 37.0).T)
     assert placed.pose.residual < 1e-5
     assert checks["shape"].state == "pass"
-    assert checks["pose"].state == "fail"  # its box is the design's: made so, its lenses stand askew
+    assert checks["pose"].state == "fail"  # its box is the design's: made so, its lenses are askew
     assert "turned" in checks["pose"].sentence
 
 

@@ -219,7 +219,7 @@ def test_one_body_moved_by_a_two_hundredth_of_the_separation_fails(written, tmp_
     )
     checks, _ = judged(design, window, path)
     assert checks["shape"].state == "fail"
-    if axis == "z":  # what confocality asks: how far array 2 is from where it should be along the normal
+    if axis == "z":  # confocality measures how far array 2 is from where it should be along the normal
         shift = np.abs(checks["file_confocality"].detail["shift"])
         assert shift == pytest.approx([0.005, 0.005], rel=0.05)
         assert checks["file_confocality"].state == "fail"
@@ -403,7 +403,7 @@ def test_what_a_file_holds_is_said(written):
     assert read["holds"]["parts"][0]["instances"] == read["holds"]["solids"] == 12
 
 
-# -- what came back -----------------------------------------------------------------------------------
+# -- measured parts -----------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -423,6 +423,6 @@ def test_a_piece_with_a_drilled_hole_is_recognised_and_the_hole_is_named(tmp_pat
     assert report.files[0].window.lattice.count == (4, 4)
     assert found["placement"].state == "pass"
     assert found["volume"].state == "fail"
-    # centres of a sheet of 4 cells of 0.5 mm stand at ±0.25, ±0.75: the drill goes through column 3, row 1
+    # centres of a sheet of 4 cells of 0.5 mm lie at ±0.25, ±0.75: the drill goes through column 3, row 1
     assert "0.3 mm across in cell (3, 1) at x 0.7, y -0.3" in found["volume"].sentence
     assert found["file_law_rms"].state == "pass"  # the middle cell is whole

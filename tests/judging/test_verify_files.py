@@ -1,4 +1,4 @@
-"""Files made wrong on purpose are told from right ones, whatever came with them."""
+"""Files made wrong on purpose are distinguished from right ones, regardless of what else is in the folder."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def failed(report):
 
 
 def with_manifest(folder, design=DESIGN):
-    """Seal whatever lies in a folder as an export would."""
+    """Seal all files of a folder as an export would."""
     from clacad.storage.atomic import canonical_json, file_hash
 
     files = [
@@ -132,7 +132,7 @@ def test_a_spoilt_file_fails_by_name(tmp_path, soup, spoil, culprit):
     folder = tmp_path / "export"
     folder.mkdir()
     write_stl(folder / "part.stl", spoil(soup) * MM)
-    with_manifest(folder)  # a manifest that vouches for the spoilt bytes: only what is in them can tell
+    with_manifest(folder)  # a manifest that vouches for the spoilt bytes: only their content can show it
     report = verify(DESIGN, folder, rays=RAYS)
     assert not report.passed
     assert culprit in failed(report)
@@ -260,7 +260,7 @@ def test_nothing_there_is_said_plainly(tmp_path):
 
 
 def sealed(tmp_path, soup, **told):
-    """A folder whose manifest says something else of the one file in it."""
+    """A folder whose manifest contradicts the one file in it."""
     write_stl(tmp_path / "part.stl", soup * MM)
     with_manifest(tmp_path)
     path = tmp_path / "manifest.json"

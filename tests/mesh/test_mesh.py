@@ -1,4 +1,4 @@
-"""The mesh: closed in every form, as large as the design says, wrong by as much as it says."""
+"""The mesh: closed in every form, of the size of the design, and within the errors that it states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Meshes of sheets whose cells differ: closed, cell by cell the lens of that cell, the same every time, a few rows at a time."""
+"""Meshes of non-uniform sheets: closed, cell by cell the lens of that cell, the same every time, a few rows at a time."""
 
 from __future__ import annotations
 

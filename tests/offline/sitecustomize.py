@@ -13,7 +13,7 @@ NAMES = {"", "localhost", "localhost.localdomain", "ip6-localhost"}
 
 
 def local(address: object) -> bool:
-    """Tell Unix sockets and this machine's own numbers from addresses elsewhere."""
+    """Whether an address is a Unix socket or a number of this machine, not an address elsewhere."""
     if not isinstance(address, tuple):
         return True
     host = address[0].decode("ascii", "replace") if isinstance(address[0], bytes) else str(address[0] or "")
@@ -41,5 +41,5 @@ def watch(event: str, arguments: tuple[object, ...]) -> None:
 
 if (
     sys.platform != "win32"
-):  # audit hooks are for ever: only children of the tests have this module on their path
+):  # audit hooks last forever: only children of the tests have this module on their path
     sys.addaudithook(watch)

@@ -1,4 +1,4 @@
-"""Rays beside an axis ray: the power they show is the lensmaker's, whatever the lens is turned to."""
+"""Parabasal rays: the power they show is the lensmaker's, regardless of the lens's orientation."""
 
 from __future__ import annotations
 

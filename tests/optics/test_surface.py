@@ -131,7 +131,7 @@ def test_only_the_half_with_the_apex_is_met():
     ray = np.array([[-1.0, 0.0, 0.01], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     distance = meet(sphere, start, ray).distance
     assert np.isnan(distance[[0, 3]]).all()
-    assert distance[1] == -1.9  # behind, and said so
+    assert distance[1] == -1.9  # behind, and reported as such
     assert distance[2] == pytest.approx(2 - np.sqrt(0.75), abs=2 * ULP)
 
 

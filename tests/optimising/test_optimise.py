@@ -150,7 +150,7 @@ def test_trap_1_the_rays_are_fixed_and_a_lost_one_counts(paper):
 
 
 def test_trap_2_walls_hold_where_no_ray_of_the_field_goes():
-    """A face whose height ends at the corner of its cell: no ray of the field tells, the walls do."""
+    """A face whose height ends at the corner of its cell: no ray of the field shows it, the walls do."""
     design = load(DESIGNS / "window-100mm.toml")
     window = prescribe(design)
     walls, unknowns = Walls.of(design, window), chosen(window, ("radii", "conic"))
@@ -341,7 +341,7 @@ def test_a_dry_run_writes_nothing_and_tells_the_cost(tmp_path):
 
 @pytest.mark.slow
 def test_a_better_design_that_verify_will_fail_is_written_and_said_to(tmp_path):
-    """Radii alone are nearest to the law of the paper's sheet where the measured η is not the asked one."""
+    """Radii alone are nearest to the law of the paper's sheet where the measured η is not the requested one."""
     words = ("optimise", DESIGNS / "paper-a-covered.toml", "-o", "better.toml", "--free", "radii", "--json")
     ended = run(*words, cwd=tmp_path)
     assert ended.status == 1

@@ -1,4 +1,4 @@
-"""What a search is asked beyond the words of --free: fields, made parts, seconds, higher orders; its record and its page."""
+"""Options of a search other than --free: fields, made parts, seconds, higher orders; its record and its page."""
 
 from __future__ import annotations
 

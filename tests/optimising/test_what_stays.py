@@ -67,7 +67,7 @@ def landed(window, field):
 
 
 def _field_slope(window):
-    """Slope from the middle of cell 1 to that of cell 2 of the thin pair that the sheet stands for."""
+    """Slope from the middle of cell 1 to that of cell 2 of the thin pair that represents the sheet."""
     return np.asarray(window.thin.shift) / window.thin.offset[2]
 
 

@@ -26,7 +26,7 @@ def _axis(u, p, n):
 
 
 def centre(p, count, i, j):
-    """Centre of hexagonal cell (i, j): the mean of all n1 n2 centres is the origin, odd rows stand half a pitch right."""
+    """Centre of hexagonal cell (i, j): the mean of all n1 n2 centres is the origin, odd rows are shifted right by half a pitch."""
     n1, n2 = count
     row = p * mp.sqrt(3) / 2
     mean_x = p * (mpf(n1 - 1) / 2 + mpf(n2 // 2) / n2 / 2)

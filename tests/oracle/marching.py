@@ -1,6 +1,6 @@
 """Rays through a window by brute force: small steps, bisection, textbook Snell.
 
-Shares nothing with the tracer but the definition of the sheet: it asks `clacad.sheet.window` how high the material is
+Shares nothing with the tracer but the definition of the sheet: it reads from `clacad.sheet.window` how high the material is
 over a point and marches. Only two things are known about a crossing: a face was met if the ray's height agrees
 with the face's there, and anything else is a wall.
 """

@@ -1,6 +1,6 @@
 """Rays through a whole sheet in 60 digits: every face of every nearby cell is tried, at its exact place.
 
-Shares nothing with the tracer but the numbers of the faces. Made for sheets whose lenses stand without steps
+Shares nothing with the tracer but the numbers of the faces. Made for sheets whose lenses have no steps
 between neighbours (untilted, principal axes along the cells), so that light never meets a wall.
 """
 
@@ -127,7 +127,7 @@ def _pitch(window, array):
 
 
 def _moved(window, face, cell):
-    """How far the lens of a cell stands from where its face has it: affine in the cell's centre, and a table."""
+    """Offset of the lens of a cell from its position on the face: affine in the cell's centre, and a table."""
     if face.change is None:
         return [mpf(0), mpf(0)]
     centre = _centre(window, cell, 0)

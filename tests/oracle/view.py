@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mpmath import mp, mpf
 
-DIGITS = 450  # 1e±200 beside 1
+DIGITS = 450  # 1e±200 together with 1
 
 
 def angle(first, second):

@@ -1,4 +1,4 @@
-"""The atlas: every figure's row holds in the rendered picture, and the page says so."""
+"""The atlas: every figure's row holds in the rendered picture, and the page records it."""
 
 from __future__ import annotations
 
@@ -441,7 +441,7 @@ def test_an_eye_sees_a_photograph_before_and_after(tmp_path):
     assert (
         inside > 0
     )  # eta = -1 seen from 400 mm with the picture at 200 mm: upright, (1 + 200/400)/(1 - 200/400) as large
-    np.testing.assert_allclose(after[:, :3], before[:, :3], atol=6)  # beside the sheet nothing changes
+    np.testing.assert_allclose(after[:, :3], before[:, :3], atol=6)  # around the sheet nothing changes
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Sheets aimed at a point: where cells and vertices stand, what is refused, what an eye there sees."""
+"""Sheets aimed at a point: positions of cells and vertices, refusals, and the view of an eye there."""
 
 import json
 from dataclasses import replace
@@ -154,9 +154,7 @@ def test_the_window_from_400_mm_before_and_after_aiming():
         slope = window.lattice.centres(cell) / 400.0
         asked = np.array([-slope[0], -slope[1], 1.0]) / sqrt(1.0 + slope @ slope)
         mean = out.mean(axis=0)
-        assert (
-            np.linalg.norm(mean / np.linalg.norm(mean) - asked) < 5e-5
-        )  # 2000 points by chance stand in for 256
+        assert np.linalg.norm(mean / np.linalg.norm(mean) - asked) < 5e-5  # 2000 random points replace 256
         spread = np.sqrt((np.linalg.norm(out[inside] - mean, axis=1) ** 2).mean())
         assert spread <= 0.75e-3
 

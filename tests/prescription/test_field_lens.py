@@ -180,7 +180,7 @@ def test_the_pair_stays_confocal_and_light_of_any_slope_finds_its_partner(name):
     window = prescribe(FORMS[name])
     assert confocality(window).defect < 1e-3
     decentred = any(v for shift in window.shifts for v in shift) and window.thin.rotation[2, 2] == 1.0
-    for focus in foci(window):  # of light from either side, each through what stands before it
+    for focus in foci(window):  # of light from either side, each through the faces before it
         assert abs(focus.gap) < (2e-3 if decentred else 1e-6) * focus.distance
     law_limit = 1e-12 if window.shifts[1] == (0.0, 0.0) else 0.02
     assert window.residual["law"] < law_limit

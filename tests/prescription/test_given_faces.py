@@ -1,4 +1,4 @@
-"""Given prescriptions: built as they stand, the same on every path, refused where they are no lens; goldens re-traced."""
+"""Given prescriptions: built unchanged, the same on every path, refused where they are no lens; goldens re-traced."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_the_faces_a_recipe_found_give_the_same_sheet_when_they_are_given(name):
 
 @pytest.mark.parametrize("name", [pytest.param("paper-a-covered", marks=pytest.mark.slow), "slab"])
 def test_effects_are_planned_for_given_faces_as_for_those_a_recipe_found(name):
-    """Reflections by the number of faces there are, ghosts by the field: nothing asks how a face was found."""
+    """Reflections by the number of faces there are, ghosts by the field: no effect depends on how a face was found."""
     design = load(DESIGNS / f"{name}.toml")
     one, two = (plan_effects(which).rows for which in (design, as_given(design)[0]))
     assert [(row.effect, row.state) for row in one] == [(row.effect, row.state) for row in two]

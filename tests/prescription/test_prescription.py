@@ -1,4 +1,4 @@
-"""The bridge from intent to geometry: afocal, confocal, with the law that was asked."""
+"""The bridge from intent to geometry: afocal, confocal, with the specified law."""
 
 from __future__ import annotations
 

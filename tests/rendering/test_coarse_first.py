@@ -85,7 +85,7 @@ def test_the_fine_picture_adds_the_difference_of_the_coarse_ones(photo, monkeypa
     slope = 0.01 * (1.0 + x - 2.0 * y)
     inner = np.s_[36:60, 36:60]  # where all blocks of every mean lie on the sheet
     np.testing.assert_allclose(fine[inner], (stripes + slope)[inner][..., None] * np.ones(3), atol=1e-12)
-    np.testing.assert_array_equal(fine[:9], (stripes[..., None] * np.ones(3))[:9])  # beside the sheet
+    np.testing.assert_array_equal(fine[:9], (stripes[..., None] * np.ones(3))[:9])  # around the sheet
 
 
 @pytest.mark.slow
@@ -99,7 +99,7 @@ def test_the_fine_picture_has_the_mean_of_all_effects(photo):
     on = np.s_[14:50, 14:50]  # well within the sheet
     off = abs((fine.light - whole.light)[on].mean(axis=(0, 1)))
     assert off.max() < 4.0 * np.sqrt((fine.error**2 + whole.error**2)[on].mean() / (36 / BLOCK) ** 2)
-    np.testing.assert_array_equal(fine.light[:4], whole.light[:4])  # beside the sheet nothing is added
+    np.testing.assert_array_equal(fine.light[:4], whole.light[:4])  # around the sheet nothing is added
     assert fine.blockwise == (("reflections", BLOCK * BROAD),)
 
 
@@ -188,7 +188,7 @@ def test_a_scene_whose_kernels_must_be_compiled_is_there_coarsely_first(
 
     monkeypatch.setattr(picture_cost, "must_compile", lambda *_: True)
     monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "picture_seconds", forecast)
-    assert main(words) == 4  # nothing is drawn over what stands there
+    assert main(words) == 4  # nothing is drawn over the existing file
     assert main([*words, "--overwrite"]) == 0
     assert seen == {"coarse": "the whole view in blocks of 8 x 8 pixels", "size": (40, 30)}
     assert "compiled first" in capsys.readouterr().err
@@ -220,7 +220,7 @@ def test_a_movie_whose_kernels_must_be_compiled_is_its_first_frame_before(
 
     monkeypatch.setattr(picture_cost, "must_compile", lambda *given: asked.append(given[2:]) or True)
     monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "picture_seconds", forecast)
-    assert main(words) == 4  # nothing is drawn over what stands there
+    assert main(words) == 4  # nothing is drawn over the existing file
     assert film.read_bytes() == whole
     film.unlink()
     assert main(words) == 0

@@ -1,4 +1,4 @@
-"""Pictures through sheets whose cells differ: every path the same, each rung what its rays say."""
+"""Pictures through non-uniform sheets: every path the same, each rung the result of its rays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The forecast of a picture is what its pixels take, times how many there are, whatever a block of them takes besides."""
+"""The forecast of a picture is the time of its pixels, times their number, regardless of the overhead of a block of them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_picture_is_forecast_from_its_own_pixels(block, pixel, monkeypatch):
     view = aim(Scene.from_dict(SCENE, folder=SCENES).camera)
     least, each = picture_cost._seconds_a_pixel(None, view, 4)
     assert least <= each
-    far = pixel * len(clock.seen) < 0.3 * block  # of blocks alone not even all pixels can tell
+    far = pixel * len(clock.seen) < 0.3 * block  # of blocks alone not even all pixels can show the time
     assert each > pixel if far else each >= pixel * (1.0 - 1e-6)
     assert far or least <= pixel * (1.0 + 1e-6)
     together = pixel + block / (65536 // 4)  # of a block as large as blocks are
@@ -70,7 +70,7 @@ def test_the_range_that_is_forecast_holds_what_a_picture_takes(name, pixels, sam
     )
     assert not worth_compiling(scene)  # what is compiled here or not must not count
     passage = plan_passage(scene, prescribe(scene.design()))
-    for _ in range(3):  # processor seconds, too, grow by up to a half beside busy neighbours
+    for _ in range(3):  # processor seconds, too, grow by up to a half with busy neighbours
         span = picture_seconds(scene, passage)
         began = time.process_time()
         view_through(scene, passage=passage, threads=1)

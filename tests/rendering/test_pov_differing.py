@@ -1,4 +1,4 @@
-"""Sheets whose cells differ as POV-Ray finds them: a renderer that knows nothing of cells, and the file's own numbers."""
+"""Non-uniform sheets as POV-Ray finds them: a renderer that knows nothing of cells, and the file's own numbers."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ DESIGNS["the middle of one aimed steeply"] = (
     DESIGNS["aimed steeply"][1] | {"lattice.count": [40, 40]},
 )
 VIEWS = {"aimed steeply": ([11, 0, 0], 3.0), "the middle of one aimed steeply": ([0.07, 0.05, 0], 3.03)}
-"""What a camera looks at, and how much it sees of it; lenses at the rim stand lower than those in the middle."""
+"""Point and width of a camera's view; lenses at the rim lie lower than those in the middle."""
 
 
 def scene_of(kind, pixels=120):
@@ -103,7 +103,7 @@ def numbers(text):
 
 @pytest.mark.parametrize("kind", ["aimed", "aimed hexagons in a disc"])
 def test_the_lenses_stand_where_the_file_s_own_numbers_have_them(kind):
-    """Loop, formula and table are worked out here as POV-Ray works them out, and held against every vertex."""
+    """Loop, formula and table are computed here as POV-Ray computes them, and compared with every vertex."""
     scene = scene_of(kind)
     window = clacad.prescribe(scene.design())
     text = "\n".join(pov_lines(window, scene))

@@ -1,4 +1,4 @@
-"""Pictures: rays meet what stands there, through the sheet and past it, the same on every path and machine."""
+"""Pictures: rays hit the objects of the scene, through the sheet and past it, the same on every path and machine."""
 
 from __future__ import annotations
 
@@ -587,7 +587,7 @@ def test_a_photograph_is_decoded_once_while_its_file_is_the_same(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
 def test_a_tint_takes_its_part_of_each_colour_seen_through_the_sheet_and_of_nothing_else(compiled):
-    """Light is linear: through the sheet each colour is the untinted one times the tint, beside and before it the same."""
+    """Light is linear: through the sheet each colour is the untinted one times the tint, around and before it the same."""
     tint = (0.42, 0.6, 0.86)
     things = ({"kind": "checker", "height": -0.6}, BALL | {"at": [0, 0, -2]})
     plain, tinted = (

@@ -66,7 +66,7 @@ def map_difference(scene, z, folder):
 def test_the_fitted_map_is_povray_s(tmp_path):
     offset, matrix = map_difference(small("delta_0.005_0.010", 300), 10.0, tmp_path)
     assert offset < 2e-4
-    assert matrix < 2e-3  # a small sheet has a short lever; the whole one is held to 2e-4
+    assert matrix < 2e-3  # a small sheet has a short lever; the whole one is checked against 2e-4
 
 
 @needs_povray

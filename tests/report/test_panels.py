@@ -1,4 +1,4 @@
-"""Panels of the report's figures stand where they are placed."""
+"""Panels of the report's figures keep their positions."""
 
 from __future__ import annotations
 

@@ -179,7 +179,7 @@ def test_a_check_that_did_not_run_is_never_green(report, made, short, tmp_path):
 
 @pytest.mark.long
 def test_the_same_report_gives_the_same_bytes(page, made, tmp_path):
-    """Measured, pictured and drawn anew from the design."""
+    """Measured, pictured and drawn again from the design."""
     html, numbers = write_report(verify(Design.from_dict(TEXT), rays=2048), tmp_path)
     assert html.read_text(encoding="utf-8") == page
     _, again = write_report(made, tmp_path / "again")

@@ -196,7 +196,7 @@ def test_on_a_telephone_nothing_is_wider_than_the_screen(chromium, address):
             ".map(e => e.tagName + ' ' + e.textContent.slice(0, 40))"
         )
         assert wider == []
-        # a number that stands apart from its column's head says what it is
+        # a number that is apart from its column's head has its own label
         told = chromium.run(
             "getComputedStyle(document.querySelector('td[data-label=limit]'), '::before').content"
         )

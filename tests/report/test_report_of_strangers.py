@@ -1,4 +1,4 @@
-"""Whatever a file, a manifest or a design is called and says: it is shown, and never read as markup, formula or command."""
+"""Names and contents of untrusted files, manifests and designs: shown, and never read as markup, formula or command."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TEXT = {
 
 
 def delivery(folder: Path, names: list[str], told: str) -> Path:
-    """A folder with coarse meshes of these names, and a manifest that says hostile things of them."""
+    """A folder with coarse meshes of these names, and a manifest that describes them in hostile words."""
     folder.mkdir()
     soup = sheet_facets(prescribe(Design.from_dict(TEXT)), 4)
     files = []

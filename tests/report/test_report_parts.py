@@ -1,4 +1,4 @@
-"""What the page shows beside the checks, each held against another way to the same number."""
+"""Parts of the page other than the checks, each compared with another way to the same number."""
 
 from __future__ import annotations
 

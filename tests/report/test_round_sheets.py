@@ -28,7 +28,7 @@ def kept_squares(scale):
 
 @pytest.fixture(scope="module", params=["plain", "aimed"])
 def shown(request):
-    """The window that `check` judges, and what the page says."""
+    """The window that `check` judges, and the content of the page."""
     changes = {} if request.param == "plain" else {"lattice.aperture": {"point": [0, 0, -400]}}
     judged = judge(Design.from_dict(ROUND).replace(changes))
     dark = SimpleNamespace(fitted=None, lit="no rays")

@@ -1,4 +1,4 @@
-"""The figure of a sheet whose cells differ: there where they do, the same every time, naming the worst cell."""
+"""The figure of a non-uniform sheet: drawn only for such sheets, the same every time, naming the worst cell."""
 
 from __future__ import annotations
 

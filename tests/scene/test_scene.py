@@ -1,4 +1,4 @@
-"""Scene files: what they say, what they may not say, and where each mistake stands."""
+"""Scene files: their meaning, what is refused, and where each mistake is."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ to = 38
 
 
 def read(text: str, folder: Path = ROOT) -> Scene:
-    """A scene from text, as if it stood in the project's folder."""
+    """A scene from text, as if it were a file in the project's folder."""
     import tomllib
 
     return Scene.from_dict(tomllib.loads(text), folder=str(folder))

@@ -1,4 +1,4 @@
-"""Scenes of several sheets: what their files say, what they may not say, and what is seen through them."""
+"""Scenes of several sheets: the meaning of their files, what is refused, and the view through the sheets."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_the_schema_takes_one_sheet_or_several():
 
 
 def test_negative_space_shows_the_world_as_if_it_stood_nearer():
-    """Homogeneous sheets of eta = -1: behind them light goes on as if from B = -100, so all stands 229.9 mm nearer than it is."""
+    """Homogeneous sheets of eta = -1: behind them light goes on as if from B = -100, so all appears 229.9 mm nearer than it is."""
     plain = {"effects.mode": "none", "sheet.a.rung": "law", "sheet.b.rung": "law"}
     through = view_through(read(**plain))
     nearer = 129.8725734571096 + 100.0

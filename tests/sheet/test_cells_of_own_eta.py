@@ -46,7 +46,7 @@ def sloping(i, j):
 
 
 def design(folder, eta=WIDELY, delta=sloping, **changes):
-    """A design with a table beside it; η None: a table of δ alone."""
+    """A design with a table; η None: a table of δ alone."""
     made = json.loads(json.dumps(BASE))
     for key, value in changes.items():
         section, _, name = key.partition("__")
@@ -263,7 +263,7 @@ def test_the_highest_step_is_found_where_radii_differ(tmp_path):
     assert step.height == pytest.approx(worst, rel=1e-12)
     assert (
         feasibility(window).bodies[0].step == step.height
-    )  # what tables say of the body, not of its middle cell
+    )  # tables give values for the body, not for its middle cell
 
 
 @pytest.mark.daily_cases("slab")
@@ -313,7 +313,7 @@ PRESENT = {
     "biconvex of a thickness to be found": {"pair__form": "biconvex", "pair__surface": None},
 }  # fmt: skip
 ELSEWHERE = {f.name for f in FEATURES} - set(PRESENT)
-"""What no table of cells stands beside is refused before it is read; law.delta and law.varying are its own."""
+"""Features that exclude a table of cells and are refused before it is read; law.delta and law.varying are its own."""
 
 
 @pytest.mark.parametrize("feature", PRESENT)

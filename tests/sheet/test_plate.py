@@ -1,4 +1,4 @@
-"""Plates are what their corners, bulges and holes say: areas in closed form, insides by other libraries, cells by brute force."""
+"""Plates follow from their corners, bulges and holes: areas in closed form, insides by other libraries, cells by brute force."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def shoelace(points):
 
 
 def apart_from(point):
-    """Whether a point is in ROUNDED, said in another way: a rectangle less corners, less holes."""
+    """Whether a point is in ROUNDED, by another formula: a rectangle less corners, less holes."""
     x, y = abs(point[0]), abs(point[1])
     inside = x <= 30 and y <= 20 and (x <= 25 or y <= 15 or hypot(x - 25, y - 15) <= 5)
     return inside and hypot(x - 25, point[1] - 15) > 1.6

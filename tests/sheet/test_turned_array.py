@@ -1,4 +1,4 @@
-"""A second array turned against the first: where its cells stand, what law that is, how far its fields reach, its files."""
+"""A second array turned against the first: positions of its cells, its law, the reach of its fields, its files."""
 
 import cmath
 from dataclasses import replace

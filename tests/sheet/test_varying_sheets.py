@@ -61,7 +61,7 @@ def test_rung_law_turns_light_by_the_law_of_the_cell_hit_and_by_the_smooth_one_w
                    lattice__kind="rectangular", lattice__count=case["count"])  # fmt: skip
     window = replace(
         window, cell_laws=CellLaws(window.law, gradient)
-    )  # no lenses can be as steep as some of these laws ask
+    )  # no lenses can be as steep as some of these laws require
     start = [place[0] - d[0] / d[2], place[1] - d[1] / d[2], -1.0]
     for continuous, exact in ((False, case["out_cell"]), (True, case["out_continuous"])):
         result = clacad.trace(window, (start, d), rung="law", continuous=continuous)
@@ -334,7 +334,7 @@ def test_steps_between_cells_are_those_of_two_ellipsoids_apart(kind):
 
 @pytest.mark.parametrize("form", ["slab", "plano", "biconvex"])
 def test_tilted_lenses_move_in_their_own_plane_and_every_ideal_pair_obeys_its_own_law(form):
-    """Lens 2 of every cell is as far along the lens axis as that of the middle, whatever its δ."""
+    """Lens 2 of every cell is as far along the lens axis as that of the middle, regardless of its δ."""
     window = built(pair__form=form, pair__surface="ellipsoid", law__euler=[30, 4, 10], pair__offset="paraxial",
                    law__varying={"gradient": [[-0.005, 0.002], [-0.002, -0.004]]})  # fmt: skip
     axis = window.law.rotation[:, 2]

@@ -1,4 +1,4 @@
-"""Letters as plane faces: the same order every time, whatever lies where in memory."""
+"""Letters as plane faces: the same order every time, regardless of addresses in memory."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_pieces_of_letters_and_the_holes_of_each_run_from_left_to_right():
     holes = [loop for loop in loops if polygon_area(loop) < 0.0]
     assert len(holes) == 2 + 2 + 1 + 1 + 2  # B, 8, 0, 9, 8
     for piece, hole in pairwise(loops):
-        if polygon_area(hole) < 0.0 < polygon_area(piece):  # a hole stands behind the piece it is in
+        if polygon_area(hole) < 0.0 < polygon_area(piece):  # a hole follows the piece it is in
             assert (piece.min(axis=0) < hole.min(axis=0)).all()
             assert (piece.max(axis=0) > hole.max(axis=0)).all()
 

@@ -1,4 +1,4 @@
-"""Faces with terms of fourth order in STEP: exact where they are polynomials of degree 4, else fitted and said to be."""
+"""Faces with terms of fourth order in STEP: exact where they are polynomials of degree 4, else fitted and reported as fitted."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def judged(folder: Path, gap: float = 20.0, eta: float = -0.5) -> list[Check]:
-    """What is said of files if this is what was asked for."""
+    """Checks of files against a stack with a given gap and eta."""
     designs = [one.with_cells(CELLS) for one in (DESIGN, DESIGN.replace("law.eta", [eta, eta]))]
     standing = stacked([clacad.prescribe(one) for one in designs], [gap])
     return judge_stack(standing, designs, folder, FIELD, lambda *_: None)
@@ -50,7 +50,7 @@ def command(*words: object) -> int:
 
 
 def test_the_cad_kernel_finds_every_sheet_in_its_place_and_a_repeated_one_once(tmp_path: Path) -> None:
-    """OCC asked directly: solids, heights, and how many of them are prototypes."""
+    """Solids, heights, and the number of prototypes, read by OCC directly."""
     from clacad.formats.step.read_back import read_step
     from clacad.formats.step.step_files import write_step_stack
 
@@ -224,7 +224,7 @@ def test_a_forecast_writes_nothing_and_refuses_what_the_real_thing_would(
 
 @pytest.mark.slow
 def test_forecast_bytes_are_those_that_are_written(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The STEP text is drawn up for it; a sheet that stands twice counts once."""
+    """The STEP text is drawn up for the forecast; a sheet that appears twice counts once."""
     line = (
         "stack",
         FILE,

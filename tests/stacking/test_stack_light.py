@@ -1,4 +1,4 @@
-"""Sheets behind one another: where they stand, rays through all of them, what space and images become."""
+"""Sheets behind one another: their positions, rays through all of them, the images of space and objects."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FIELD = atan(0.02)
 
 
 def silent(*_: object) -> None:
-    """Say nothing."""
+    """Print nothing."""
 
 
 def windows(*etas: float) -> list[clacad.Window]:
@@ -153,7 +153,7 @@ def test_lens_planes_are_where_a_thick_lens_seems_to_bend():
         assert lens_planes(window)[1][axis] == pytest.approx(bends_at, abs=1e-9)
 
 
-# --- where sheets stand -----------------------------------------------------------------------------------
+# --- positions of sheets ----------------------------------------------------------------------------------
 
 
 def test_gaps_are_clear_distances_whatever_the_units():
@@ -207,7 +207,7 @@ def test_touching_sheets_obey_the_laws_one_after_the_other():
 
 @pytest.mark.parametrize("etas", [(-1.0, -1.0), (0.5, -0.25), (0.2, 5.0)])
 def test_ideal_lenslets_pass_what_a_few_lines_by_hand_pass(etas):
-    """Fates, places and slopes of rays in the x–z plane against thin lenses written anew."""
+    """Fates, places and slopes of rays in the x–z plane against thin lenses written from scratch."""
     made = stacked(windows(*etas), [100.0])
     first, last = made.sheets[0].lens_planes[0], made.sheets[-1].lens_planes[1]
     air = made.sheets[1].lens_planes[0] - made.sheets[0].lens_planes[1]

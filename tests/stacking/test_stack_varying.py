@@ -25,7 +25,7 @@ S = 10
 
 
 def silent(*_: object) -> None:
-    """Say nothing."""
+    """Print nothing."""
 
 
 def sheet(**keys: object) -> clacad.Window:

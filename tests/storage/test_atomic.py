@@ -1,4 +1,4 @@
-"""At a final name there is the old file or the complete new one, whatever happens in between."""
+"""At a final name there is the old file or the complete new one, regardless of what happens in between."""
 
 from __future__ import annotations
 
@@ -313,7 +313,7 @@ def _killed(work: Callable[[], object]) -> None:
 
 @pytest.mark.parametrize("moves", [0, 1, 2, 3])
 def test_a_set_killed_between_its_files_is_finished_by_the_next_writer(tmp_path: Path, moves: int) -> None:
-    """Of three files so many had changed places; before the first the set was complete, so that it counts."""
+    """Number of the three files that had changed places; before the first the set was complete, so that it counts."""
     names = ("a.csv", "b.png", "c.toml")
     atomic.write_set(tmp_path, dict.fromkeys(names, "old"))
 

@@ -1,4 +1,4 @@
-"""Elements taken many at a time are those that an event parser tells one by one."""
+"""Elements read many at a time are those that an event parser reports one by one."""
 
 from __future__ import annotations
 

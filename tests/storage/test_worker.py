@@ -1,4 +1,4 @@
-"""Whatever native code does to its process, the caller gets a sentence and keeps running."""
+"""A crash, hang or exit of native code in the worker process: the caller gets an error message and keeps running."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What cannot be a solid is refused with a code and a way out; what merely looks hopeless is built as asked."""
+"""Bodies that cannot be solids: refused with a code and a way out; those that merely look hopeless are built as specified."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_lenslets_that_disconnect_the_body_are_written_as_the_pieces_they_are(tm
 
 @pytest.mark.slow
 def test_a_sag_below_the_kernels_tolerance_is_an_exact_solid_and_no_mesh_where_float32_ends(tmp_path: Path):
-    far = design(pair__separation=1e6)  # sag 3e-8 mm; lens 2 stands 1 km off, where doubles are 0.1 nm apart
+    far = design(pair__separation=1e6)  # sag 3e-8 mm; lens 2 is 1 km off, where doubles are 0.1 nm apart
     manifest = export(far, tmp_path / "x", ("step",))
     entry = manifest.files[0]
     assert entry["solids"] == 2

@@ -1,4 +1,4 @@
-"""Laws that whole sheets obey whatever their numbers: instead of examples, anything hypothesis can think of."""
+"""Laws that whole sheets obey regardless of their numbers: instead of examples, anything hypothesis can think of."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def designs(draw, form=None, tilted=True, count=None):
 
 
 def window_of(data):
-    """The window, or no example: some pairs cannot exist, and the design says so."""
+    """The window, or no example: some pairs cannot exist, and the design raises an error."""
     try:
         return prescribe(Design.from_dict(data))
     except DesignError:
@@ -372,7 +372,7 @@ def through_triangles(corners, window, start, ray):
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_exported_passes_its_verification(tmp_path, seed):
-    """Any valid small design: what was written is the part, whatever may be said of its optics."""
+    """Any valid small design: the written files are the part, regardless of its optical verdict."""
     from clacad import export, verify
 
     rng = np.random.default_rng(seed)

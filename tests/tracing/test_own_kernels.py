@@ -1,4 +1,4 @@
-"""Sheets of equal cells pay nothing for sheets whose cells differ; these are traced through their own triangles, too."""
+"""Uniform sheets pay nothing for non-uniform ones; the latter are traced through their own triangles, too."""
 
 import subprocess
 import sys
@@ -56,7 +56,7 @@ AIMED = {
 
 
 def light():
-    """Of the viewer, all over the sheet and a little beside, and some that is steeper."""
+    """Rays of the viewer, over the whole sheet and slightly past its edge, and some that are steeper."""
     rng = np.random.default_rng(4)
     at = np.column_stack([rng.uniform(-1.7, 1.7, 3000), rng.uniform(-1.4, 1.4, 3000), np.zeros(3000)])
     way = at - [-40.0, 10.0, -400.0]

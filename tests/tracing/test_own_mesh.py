@@ -1,4 +1,4 @@
-"""Rung "mesh" of sheets of two bodies whose cells differ: fates, cells and effects are those of the faces within what facets turn."""
+"""Rung "mesh" of non-uniform sheets of two bodies: fates, cells and effects are those of the faces within the tessellation error."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -33,7 +33,7 @@ def sheet(pair=None, **lattice):
 
 
 def light(n=3000, wide=0.03):
-    """Of the viewer, all over the sheet and beside it, a third of it steeper."""
+    """Rays of the viewer, over the whole sheet and past its edge, a third of them steeper."""
     rng = np.random.default_rng(4)
     at = np.column_stack([rng.uniform(-1.8, 1.8, n), rng.uniform(-1.5, 1.5, n), np.zeros(n)])
     way = at - [-40.0, 10.0, -400.0]
@@ -79,7 +79,7 @@ def test_light_through_triangles_of_two_bodies_goes_where_that_through_their_fac
         seen = clacad.trace(window, rays, rung="mesh", mesh=quads)
         second = [f for f, face in enumerate(window.faces) if face.array == 1]
         aside = turned_aside(window, quads)
-        # steps between lenses stand in the way of light that passes a border at their height
+        # steps between lenses block light that passes a border at their height
         clear = (
             straight
             & (room(window, exact, second) > aside + 0.03)
@@ -127,7 +127,7 @@ SAME = {
 
 
 def said_twice(name):
-    """A sheet of equal cells, and the same one said in words of one whose cells differ."""
+    """A uniform sheet, and the same one described as a non-uniform one."""
     lattice = {"pitch": 0.5, "count": [6, 5], "aperture": [0.1, -0.03], **SAME[name].get("lattice", {})}
     equal = clacad.prescribe(
         clacad.Design.from_dict({**AIMED, "pair": SAME[name]["pair"], "lattice": lattice})
@@ -150,7 +150,7 @@ def said_twice(name):
     "name", ["biconvex", *(pytest.param(n, marks=pytest.mark.slow) for n in SAME if n != "biconvex")]
 )
 def test_equal_cells_told_by_what_was_met_are_those_that_the_kernels_count(name, tmp_path):
-    """A sheet of equal cells, and the same said as one whose cells differ: all columns, fates of every kind."""
+    """A uniform sheet, and the same one described as a non-uniform one: all columns, fates of every kind."""
     equal, differs = said_twice(name)
     path = tmp_path / "sheet.stl"
     write_stl(tessellate(equal, quads=4).bodies, path, 1.0, "sheet")

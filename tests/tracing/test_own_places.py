@@ -1,4 +1,4 @@
-"""Sheets whose cells differ: where the cells of an array stand, and where in them the lenses are."""
+"""Non-uniform sheets: positions of the cells of an array, and of the lenses in them."""
 
 import hashlib
 import subprocess

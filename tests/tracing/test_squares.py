@@ -90,7 +90,7 @@ def test_facets_that_are_no_whole_surface_are_met_as_in_the_trees(how):
 
 @pytest.mark.parametrize("cells", CELLS)
 def test_planes_of_squares_go_through_the_corners_of_their_facets(cells):
-    """Held to the corners themselves: the middle of every facet lies on the plane of the half that it is over."""
+    """Compared with the corners themselves: the middle of every facet lies on the plane of the half that it is over."""
     found_in = soups.lay_out_soup(CELLS[cells], soup(CELLS[cells], 6), "facet")[1]
     trees, grid = found_in.trees, found_in.squares
     low, per, bins = grid.table[0, :2], grid.table[0, 2:4], grid.table[0, 4:6].astype(int)

@@ -1,4 +1,4 @@
-"""Rungs "law" and "thin" compiled: held to the numpy path on every form, to its edges, and to 50 digits."""
+"""Rungs "law" and "thin" compiled: compared with the numpy path on every form, at its edges, and with 50 digits."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def same_light(window, rays, rung):
 
 
 def lit(window, number, seed=0):
-    """Rays along the field's middle and up to 0.1 beside it, from before the sheet to all over it."""
+    """Rays along the field's middle and up to 0.1 off it, from before the sheet to all over it."""
     rng = np.random.default_rng(seed)
     x0, x1, y0, y1 = window.lattice.extent()
     slope = rng.uniform(-0.1, 0.1, (number, 2)) + np.divide(window.thin.shift, window.thin.offset[2])

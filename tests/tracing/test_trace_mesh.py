@@ -18,7 +18,7 @@ WINDOWS = collection()
 
 
 def small(window):
-    """The same window with a few cells, so that every ray can be held against every triangle."""
+    """The same window with a few cells, so that every ray can be compared with every triangle."""
     return window.with_cells((5, 4))
 
 
@@ -260,7 +260,7 @@ def test_a_file_is_traced_like_the_mesh_it_was_written_from(tmp_path):
     corners = np.concatenate([np.concatenate(list(body.rows())) for body in mesh.bodies])
     file = tmp_path / "sheet.stl"
     record = np.zeros(len(corners), dtype=[("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
-    record["c"] = corners * 1000.0  # millimetres, which the file cannot say
+    record["c"] = corners * 1000.0  # millimetres, which the file cannot record
     file.write_bytes(b" " * 80 + np.uint32(len(corners)).tobytes() + record.tobytes())
     rays = Rays(*beam(window, 3000, 18, steepest=0.4))
     own = trace(window, rays, rung="mesh", mesh=mesh)

@@ -65,7 +65,7 @@ def test_rung_thin_is_what_two_lenses_sharing_a_focal_plane_do():
         arrival, behind = per_axis(slope[:, axis], local[axis], first, second, offset + step)
         np.testing.assert_allclose(result.position[:, axis], centre[:, axis] + arrival, atol=1e-15)
         np.testing.assert_allclose(result.direction[:, axis] / result.direction[:, 2], behind, atol=1e-13)
-        # the cell of array 2 that holds the arrival tells the order
+        # the cell of array 2 that holds the arrival gives the order
         inside = np.abs(arrival - offset - step)
         assert (inside <= 0.5 * PITCH * (1 + 1e-12)).all()
     np.testing.assert_allclose(result.position[:, 2], SPACING, atol=1e-17)

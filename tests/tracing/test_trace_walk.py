@@ -33,7 +33,7 @@ def disagreements(window, number, seed):
     result = trace(window, Rays(position, direction), path="numpy")
     out = []
     for ray in range(number):
-        for step in (PITCH / 60, PITCH / 4000):  # a coarse march may jump over a corner: ask again, finely
+        for step in (PITCH / 60, PITCH / 4000):  # a coarse march may jump over a corner: march again, finely
             found = march(window, position[ray], direction[ray], step)
             if agree(found, result, ray):
                 break

@@ -1,4 +1,4 @@
-"""What is laid out once: the same light as laid out anew, from threads, after pickling, and freed with its window."""
+"""Prepared data of a tracer: the same light as prepared again, from threads, after pickling, and freed with its window."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When kernels are loaded without being asked for, and when the number of rays alone decides."""
+"""Choice of the path: when kernels are loaded without a request, and when the number of rays alone decides."""
 
 from __future__ import annotations
 

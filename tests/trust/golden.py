@@ -1,7 +1,7 @@
 """Hashes of small exports under one set of versions: what "same bytes" means from one day to the next.
 
     python tests/trust/golden.py            compare with tests/trust/golden.json
-    python tests/trust/golden.py --renew    write it anew: after a change that is meant to change bytes
+    python tests/trust/golden.py --renew    write it again: after a change that is meant to change bytes
 
 The record is a lock: it holds for the versions it names and for no others. `clacad`'s own version is among them
 only as a remark: while it stays the same, so must the bytes. The library behind numpy's products of matrices takes

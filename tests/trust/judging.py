@@ -34,7 +34,7 @@ def failed(files: Path, design: Design | None = None) -> set[str]:
 
 
 def vouched(folder: Path, made: dict[str, bytes], name: str, data: bytes) -> Path:
-    """The changed file in a folder whose manifest vouches for it: only what is in it can tell."""
+    """The changed file in a folder whose manifest vouches for it: only its content can show the change."""
     manifest = json.loads(made["manifest.json"])
     entry = next(e for e in manifest["files"] if e["name"] == name)
     manifest["files"] = [entry | {"sha256": sha256(data).hexdigest(), "bytes": len(data)}]

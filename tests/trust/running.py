@@ -50,7 +50,7 @@ HEAVY = {
 """Packages that cost seconds, or that work with rays, meshes and solids."""
 
 JUDGES = {"base", "cli", "config", "design", "exporting", "optics", "storage"}
-"""Parts of the package that read a design and count what it asks for; none can build or trace anything."""
+"""Parts of the package that read a design and count the work it requests; none can build or trace anything."""
 
 DRIVER = """
 import resource, sys
@@ -84,7 +84,7 @@ class Ended:
 
 
 def environment(**changes: str) -> dict[str, str]:
-    """Where the package and the tests' helpers are found, whatever the current folder."""
+    """Environment in which the package and the tests' helpers are found, regardless of the current folder."""
     path = os.pathsep.join([str(TESTS / "offline"), str(ROOT), str(TESTS)])
     return os.environ | {"PYTHONPATH": path} | changes
 
@@ -116,7 +116,7 @@ def talk(ended: Ended) -> list[str]:
 
 @contextmanager
 def small_disk(place: Path, kilobytes: int) -> Iterator[Path]:
-    """A disk of its own, of so many kB, at a folder that is made; skips the test where none can be mounted."""
+    """A disk of its own, of a given size in kB, at a folder that is made; skips the test where none can be mounted."""
     place.mkdir()
     made = os.geteuid() == 0 and shutil.which("mount") is not None and subprocess.run(
         ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", place], capture_output=True).returncode == 0  # fmt: skip

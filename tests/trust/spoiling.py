@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Change = Callable[[Floats, Ints], tuple[Floats, Ints]]
-"""Vertices (v, 3) and triangles (t, 3) of a file in, what shall stand there instead out."""
+"""Vertices (v, 3) and triangles (t, 3) of a file in, their replacements out."""
 
 
 def changed(name: str, data: bytes, change: Change) -> bytes:

@@ -86,7 +86,9 @@ def test_too_many_lenslets_are_3_before_anything_is_loaded_that_could_build_or_t
     assert not ended.packages & HEAVY
     assert words[0] == "check" or ended.parts <= JUDGES
     assert not ended.parts & {"effects", "rendering", "report"}
-    assert words[0] == "check" or "tracing" not in ended.parts  # it traces one cell, whatever their number
+    assert (
+        words[0] == "check" or "tracing" not in ended.parts
+    )  # it traces one cell, regardless of their number
     never = tuple(
         f"clacad.{part}" for part in ("solid.describe", "verification.tolerance", "verification.accuracy")
     )

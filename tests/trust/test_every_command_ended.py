@@ -1,4 +1,4 @@
-"""Commands killed or told to end at any instant: what they write is whole or not there, and the next run is as if alone."""
+"""Commands killed or ended by a signal at any instant: their output is whole or not there, and the next run is as if alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Line:
 
     resumes : names of files that a run which was ended may leave there to go on from
     best : names of files in which such a run may leave the best design it had found
-    coarse : names of pictures that stand there coarse, and say so, until they are drawn fine
+    coarse : names of pictures that are written coarse, and marked so, until they are drawn fine
     """
 
     words: tuple[str, ...]
@@ -88,7 +88,7 @@ def run(line: Line, given: Path, place: Path, *more: str) -> subprocess.Popen[st
 
 
 def files(place: Path) -> dict[str, bytes]:
-    """What stands under the final names."""
+    """Files under the final names."""
     found = (path for path in (place / "out").rglob("*") if path.is_file())
     return {
         path.relative_to(place / "out").as_posix(): path.read_bytes()
@@ -98,7 +98,7 @@ def files(place: Path) -> dict[str, bytes]:
 
 
 CHANGING = ("run.json",)
-"""Names of files that tell of the run itself, and are others every time."""
+"""Names of files that describe the run itself, and are others every time."""
 
 
 def held(made: dict[str, bytes], whole: dict[str, bytes], line: Line) -> None:
@@ -148,7 +148,7 @@ CASES = [
 def test_a_command_ended_at_any_instant_leaves_whole_files_and_the_next_run_no_trace(
     given: Path, tmp_path: Path, name: str, times: int
 ) -> None:
-    """Kills and signals in turn; the files of a command that says nothing of time are the same bytes every time."""
+    """Kills and signals in turn; the files of a command that record no time are the same bytes every time."""
     line = LINES[name]
     span = 0.0
     for _ in range(2):  # the first may have kernels to compile: instants are drawn from what the second takes

@@ -221,7 +221,7 @@ def test_a_small_disk_is_emptied_page_by_page_until_all_is_written(design: Path,
             try:
                 stream.write(b"\0" * (held * 1024))
             except OSError:
-                pass  # the disk keeps some pages for itself: it is full, as it shall be
+                pass  # the disk keeps some pages for itself: it is full, as it must be
         ended = clacad(
             "export", design, "-o", out, "--format", "stl,table", "--quads", "2", "-q", before=blind
         )

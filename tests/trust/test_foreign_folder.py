@@ -1,4 +1,4 @@
-"""Whatever lies in the folder a command is started in: it is data, nothing of it is ever run or obeyed."""
+"""Files in the folder a command is started in: they are data, nothing of them is ever run or obeyed."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_who_works_on_a_cluster_runs_none_either(trapped: Path) -> None:
 
 @pytest.mark.slow
 def test_the_package_is_found_where_it_lies_in_the_current_folder_itself(tmp_path: Path) -> None:
-    """A checkout that nobody installed: the folder is the last that is asked, not the first."""
+    """A checkout that nobody installed: the folder is searched last, not first."""
     (tmp_path / "clacad").symlink_to(ROOT / "clacad")
     watch = tmp_path / "watch"
     watch.mkdir()

@@ -1,4 +1,4 @@
-"""A hostile user: whatever is given as a file, a name, a number or a folder, a sentence and the right status."""
+"""A hostile user: any file, name, number or folder gives an error message and the right status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drawings of strangers: whatever lies under the name of an outline, a sentence with a code, or a plate that closes."""
+"""Untrusted drawings: any file under the name of an outline gives an error message with a code, or a plate that closes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RING = (
 
 
 def asked(folder: Path, data: bytes | str | None, name: str = "p.dxf") -> Design:
-    """The design beside a drawing."""
+    """The design that names a drawing."""
     if data is not None:
         (folder / "p.dxf").write_bytes(data.encode() if isinstance(data, str) else data)
     path = folder / "t.toml"

@@ -17,7 +17,7 @@ from trust.running import environment
 from clacad.cli.interrupts import SENTENCE, InterruptHandler
 
 HANG = 120.0
-"""Seconds after which a command that was interrupted is held to hang: many times what any takes on a busy machine."""
+"""Seconds after which an interrupted command counts as hung: many times what any takes on a busy machine."""
 
 PROGRAM = """
 {before}
@@ -41,7 +41,7 @@ def until(running: subprocess.Popen[str], word: str) -> None:
 
 
 def interrupted(running: subprocess.Popen[str], *numbers: int) -> str:
-    """Send signals; the command ends by them, says so in one sentence and shows no traceback. Returns what it said."""
+    """Send signals; the command ends by them, prints one sentence and shows no traceback. Returns its output."""
     assert running.poll() is None, "it ended by itself: make the work longer"
     for number in numbers:
         running.send_signal(number)
@@ -111,7 +111,7 @@ def test_signals_at_any_instant_are_heard_or_come_too_late(design: Path, tmp_pat
             running.send_signal(number)
         _, said = running.communicate(timeout=HANG)
         assert "Traceback" not in said
-        # of a process that has said its last word nobody listens any more: the system ends what is left
+        # nobody listens any more to a process that has printed its last word: the system ends what is left
         late = [-number for number in numbers] if '"event": "end"' in said else []
         if running.returncode in (0, *late):
             assert SENTENCE not in said

@@ -25,7 +25,7 @@ MESHES = ["tiny.stl", "tiny.3mf", "tiny.ply", "tiny.glb", "tiny.obj"]
 REPEATED = (
     TINY.replace('"slab"', '"plano"').replace("delta = [0.01, -0.02]", "").replace("-0.5, -1.0", "-0.5, -0.5")
 )
-"""Cells that are all alike and not displaced: 3MF and GLB hold one, and where the others stand."""
+"""Cells that are all alike and not displaced: 3MF and GLB hold one, and the positions of the others."""
 
 
 @pytest.fixture(scope="session")
@@ -216,7 +216,7 @@ def test_a_changed_mesh_is_caught_with_a_manifest_that_vouches_for_it_and_withou
     assert failed(vouched(tmp_path, made, name, data))
     file = alone(tmp_path / "alone", name, data)
     if what == "x 25.4" and name in ("tiny.stl", "tiny.ply", "tiny.obj"):
-        # a file whose format has no unit may be in any; that this is an odd one is said
+        # a file whose format has no unit may be in any; an odd unit is reported
         readable = next(c for c in verify(tiny(), file, rays=2048).checks if c.id == "readable")
         assert readable.state == "warn"
         assert "25.4 times as large" in readable.sentence
@@ -314,7 +314,7 @@ def _patches(text: str) -> list[str]:
 
 
 def _pole_lifted(text: str) -> str:
-    """A smaller radius: the middle pole of one patch stands 1e-4 of a pitch too high."""
+    """A smaller radius: the middle pole of one patch lies 1e-4 of a pitch too high."""
     name = _patches(text)[0].split(",")[4].strip("()")
     line = next(line for line in text.splitlines() if line.startswith(f"{name}=CARTESIAN_POINT"))
     x, y, z = line.split("(('")[-1].rpartition("(")[2].rstrip(");").split(",")

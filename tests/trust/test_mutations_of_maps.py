@@ -1,4 +1,4 @@
-"""Maps, point clouds, grids, tables, masks, layers and the kernel's own files: one number changed, verify says so."""
+"""Maps, point clouds, grids, tables, masks, layers and the kernel's own files: one number changed, reported by verify."""
 
 from __future__ import annotations
 

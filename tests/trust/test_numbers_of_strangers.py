@@ -1,4 +1,4 @@
-"""Numbers, headers and meshes of strangers that once ended in an internal error: each is refused with its reason."""
+"""Numbers, headers and meshes of untrusted files that once ended in an internal error: each is refused with its reason."""
 
 from __future__ import annotations
 

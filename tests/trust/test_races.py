@@ -1,4 +1,4 @@
-"""Two programs at work in one folder, and clocks that go backwards: one wins whole, the other says why."""
+"""Two programs at work in one folder, and clocks that go backwards: one wins whole, the other reports why."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_a_reader_sees_the_old_set_or_the_new_or_that_there_is_none(tmp_path: Pa
 
 @pytest.mark.slow
 def test_a_clock_that_goes_backwards_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files of the future, a clock of the past: what is whose is told by content and by the process that made it."""
+    """Files of the future, a clock of the past: their owner is found by content and by the process that made them."""
     (tmp_path / "t.toml").write_text(TINY)
     design, out = load(tmp_path / "t.toml"), tmp_path / "out"
     export(design, out, formats=("table", "stl"), quads=4)

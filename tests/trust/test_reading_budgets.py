@@ -150,7 +150,7 @@ LONG = "x" * 3_000_000
 def test_one_token_of_megabytes_is_refused_at_its_place(
     tmp_path: Path, made: Path, old: str, new: str, line: str
 ) -> None:
-    """The parser begins a token anew with every block: its time would grow as the square of the length."""
+    """The parser begins a token again with every block: its time would grow as the square of the length."""
     with pytest.raises(UnreadableFile, match=rf"262,144 bytes begins at byte [\d,]+ of its XML, in {line}"):
         read_mesh(model_with(tmp_path, made, old, new))
 
@@ -172,7 +172,7 @@ def test_a_list_of_entries_beyond_a_megabyte_is_refused_before_it_is_read(
         read_mesh(path)
 
 
-# -- small files that ask for much --------------------------------------------------------------------
+# -- small files that request much --------------------------------------------------------------------
 
 
 def test_a_glb_that_names_one_array_a_thousand_times_is_held_to_the_sum(

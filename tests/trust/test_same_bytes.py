@@ -67,11 +67,11 @@ assert main(["accuracy", design, "--json", "-q", "--rays", "400"]) == 0
 """
 
 MEASURED = {"seconds", "prepare_s", "rays_per_s", "memory", "pareto", "conclusion"}
-"""What `accuracy` tells of this machine at this moment; all else of it depends on the design alone."""
+"""Keys that `accuracy` reports of this machine at this moment; all others depend on the design alone."""
 
 
 def made(place: Path, **changes: str) -> dict[str, bytes]:
-    """Every file of every kind of work, by its path; what `accuracy` says, less its seconds."""
+    """Every file of every kind of work, by its path; the report of `accuracy`, less its seconds."""
     place.mkdir()
     (place / "home").mkdir()
     design = place / "design.toml"

@@ -1,4 +1,4 @@
-"""Whatever a command is started with in place of files, streams and folders: its own answer, at once."""
+"""Any object in place of the files, streams and folders of a command: its own answer, at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clacad.storage.atomic import read_manifest
 from clacad.storage.errors import OverBudget
 
 PATIENCE = 120.0
-"""Seconds after which a command that waits for a pipe has waited for ever."""
+"""Seconds after which a command that waits for a pipe counts as waiting forever."""
 
 
 @contextmanager

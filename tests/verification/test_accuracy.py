@@ -123,7 +123,7 @@ def test_the_floor_of_each_format_is_confirmed_by_a_trace(table):
 
 @pytest.mark.long
 def test_past_the_optimum_finer_facets_of_a_float32_file_are_worse():
-    # the paper's lenslets of half a millimetre: a step of float32 at 50 mm is not small beside their facets
+    # the paper's lenslets of half a millimetre: a step of float32 at 50 mm is not small compared with their facets
     design = clacad.load("designs/paper-c.toml")
     window = clacad.prescribe(design)
     lit = bundle(window, 4096, design.check.field)
@@ -138,7 +138,7 @@ def test_past_the_optimum_finer_facets_of_a_float32_file_are_worse():
     assert best < min(coarse, fine)
     assert fine < finer
     assert best == pytest.approx(floor.floor, rel=0.25)
-    # doubling a grid past the optimum nearly doubles the error, as the forecast says
+    # doubling a grid past the optimum nearly doubles the error, as forecast
     assert finer == pytest.approx(floor.error(128), rel=0.25)
 
 

@@ -1,4 +1,4 @@
-"""What `accuracy` says it will take is what it takes: of one machine's sheets by what another took there."""
+"""Forecast seconds of `accuracy` are those it takes: of one machine's sheets by what another took there."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def measured(design):
 
 @pytest.fixture(scope="module")
 def known():
-    """What a machine knows that has measured one sheet of equal cells."""
+    """Rates known to a machine that has measured one uniform sheet."""
     return Rates(None, {TASK: (measured(WINDOW),)})
 
 
@@ -55,5 +55,5 @@ def test_more_of_anything_is_forecast_to_take_longer_and_cells_that_differ_longe
         assert accuracy_seconds(4000, one, (4, 8, 16)) > accuracy_seconds(4000, one, (4, 8))
     seconds = [accuracy_seconds(100_000, one) for one in (window, glens, aimed)]
     assert seconds == sorted(seconds)
-    # facets of cells that differ are walked one by one, those of equal cells looked up: tens of seconds, not minutes
+    # facets of non-uniform sheets are walked one by one, those of uniform ones looked up: tens of seconds, not minutes
     assert 15.0 < seconds[1] < 60.0 < seconds[2] < 120.0

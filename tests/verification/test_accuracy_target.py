@@ -1,4 +1,4 @@
-"""An asked error chooses: facets for a file, rays and a verdict for a verification, a rung for a picture."""
+"""A requested error chooses: facets for a file, rays and a verdict for a verification, a rung for a picture."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_file_exported_for_a_target_is_found_within_it_by_verification(tmp_pat
     assert len(quads) == 1
     assert (
         status == 1
-    )  # within what was asked, and twice beyond what the law allows: a shape that nobody declared
+    )  # within the requested error, and twice beyond the law's limit: a shape that nobody declared
     assert json.loads(text)["word"] == "shape only"
     # the same files are not within half of it
     light = [

@@ -1,4 +1,4 @@
-"""Studies on a cluster that loses its scheduler, its workers, or one of them: nothing that was worked out is lost."""
+"""Studies on a cluster that loses its scheduler, its workers, or one of them: no computed result is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Accuracy, tolerances and sweeps of sheets whose cells differ: on the worst cell, which is named."""
+"""Accuracy, tolerances and sweeps of non-uniform sheets: on the worst cell, which is named."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_the_worst_cell_is_that_whose_light_leaves_farthest_from_its_law_by_plai
     assert errors[tuple(seen.cell.tolist())] >= 0.97 * max(errors.values())  # chosen by an eighth of the rays
 
 
-@pytest.mark.slow  # it compiles the kernels of cells that differ; numpy is held to sixty digits every day
+@pytest.mark.slow  # it compiles the kernels of non-uniform sheets; numpy is compared with sixty digits every day
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_tracer_is_exact_in_fifty_digits_where_cells_differ(kind):
     design = KINDS[kind]

@@ -1,4 +1,4 @@
-"""What will be compiled is told by the very types that kernels are called with."""
+"""Kernels to be compiled are forecast by the very types that kernels are called with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Design rules of each process, held to numbers worked out by hand."""
+"""Design rules of each process, compared with numbers computed by hand."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_walls_of_a_tilted_array_are_the_steps_between_neighbours():
 
 def test_the_edge_of_a_seam_is_a_wall_as_deep_as_lens_and_land_are_apart():
     made = design(lattice={"seam": 0.2, "seam_depth": 0.05})
-    # the land lies 0.05 below the deepest optical point, the corner (0.4, 0.4); the border's middle stands highest
+    # the land lies 0.05 below the deepest optical point, the corner (0.4, 0.4); the border's middle is highest
     deepest = R - sqrt(R * R - 2 * 0.4**2)
     highest = R - sqrt(R * R - 0.4**2)
     assert judged(made)["wall"].value == pytest.approx(0.05 + deepest - highest, rel=1e-6)

@@ -1,4 +1,4 @@
-"""Errors told apart: one source is switched on at a time, and the others are seen to be nothing."""
+"""Errors by source: one source is switched on at a time, and the others are seen to be nothing."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_the_five_parts_of_every_ray_add_up_to_its_error(whole):
 
 
 def test_the_whole_is_the_angle_to_the_law_that_the_checks_measure(slab):
-    """Without triangles the whole must be what a plain trace and the law say, ray by ray."""
+    """Without triangles the whole must equal that of a plain trace and the law, ray by ray."""
     design, window = slab
     found = attribute(design, window, exact(window), rays=4096)
     lit = bundle(window, 4096, design.check.field)
@@ -142,7 +142,7 @@ def test_triangles_on_perfect_surfaces_show_tessellation_alone_and_it_halves_wit
 
 
 def coarser(window, bits):
-    """Triangles of one cell whose corners keep so many bits of their coordinates."""
+    """Triangles of one cell whose corners keep a given number of bits of their coordinates."""
     one = window.with_cells((1, 1))
     held = CellFacets(((0, 0),))
     gatherer = Gatherer(one, [(0, 0)])

@@ -1,4 +1,4 @@
-"""Sweeps: every combination of the values, each as if it had been designed alone, wherever it was worked out."""
+"""Sweeps: every combination of the values, each as if it had been designed alone, wherever it was computed."""
 
 from __future__ import annotations
 

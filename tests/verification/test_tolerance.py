@@ -1,4 +1,4 @@
-"""What goes wrong in fabrication shows in light as the optics of lens pairs says, and studies can be trusted."""
+"""Fabrication errors show in light as the optics of lens pairs predicts, and studies can be trusted."""
 
 from __future__ import annotations
 

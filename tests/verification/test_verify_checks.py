@@ -1,4 +1,4 @@
-"""What a set of checks says: three states, and never green by accident."""
+"""Verdict of a set of checks: three states, and never green by accident."""
 
 from __future__ import annotations
 

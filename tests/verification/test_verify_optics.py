@@ -1,4 +1,4 @@
-"""Light tells a wrong window from a right one, and the check that should say so says so."""
+"""Light distinguishes a wrong window from a right one, and the check that should report it does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What equal cells do in coherent light, and what is said of it and of the light that diffraction takes."""
+"""Uniform sheets in coherent light, the report on it, and on the light that diffraction takes."""
 
 from __future__ import annotations
 

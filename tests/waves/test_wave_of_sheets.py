@@ -1,4 +1,4 @@
-"""`clacad.wave`: exact surfaces and ideal lenses as waves, beside their rays and the effect `diffraction`."""
+"""`clacad.wave`: exact surfaces and ideal lenses as waves, compared with their rays and the effect `diffraction`."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_good_pair_has_the_far_field_of_the_slit_that_is_lit():
 
 
 def test_the_phase_rises_as_the_rays_lean():
-    """Malus and Dupin: rays stand across wave fronts."""
+    """Malus and Dupin: rays are perpendicular to wave fronts."""
     window = clacad.prescribe(shipped("paper-a-covered"))
     way = np.array([0.01, 0.004, 1.0]) / np.linalg.norm([0.01, 0.004, 1.0])
     found = pupil(window, way, 550e-9, 128)
@@ -92,7 +92,7 @@ def test_a_small_wave_error_lowers_the_peak_as_its_variance_says():
 
 @pytest.mark.parametrize("slope", [0.0, 0.006])
 def test_the_effect_diffraction_spreads_ideal_light_as_waves_do(slope):
-    """Its draws for rays beside waves that know of no ray; Fresnel number 91."""
+    """Draws of `diffraction` for rays, compared with waves that know of no ray; Fresnel number 91."""
     design = shipped("window-100mm", lattice__pitch=1.0)
     found = wave(design, (np.arctan(slope), 0.0))
     window = clacad.prescribe(design)
@@ -216,7 +216,7 @@ def test_where_cells_differ_the_light_is_that_of_the_cell_the_sheet_is_judged_by
 
 
 def test_a_narrower_array_2_lets_through_what_its_own_rims_do():
-    """A beam 0.5 wide meets rims 0.4 apart; with η = −1 lens 2 stands in the shadow a slit casts at the separation (Collins)."""
+    """A beam 0.5 wide meets rims 0.4 apart; with η = −1 lens 2 is in the shadow a slit casts at the separation (Collins)."""
     from scipy.special import fresnel
 
     found = wave(shipped("window-100mm", lattice__pitch_2=0.4, lattice__count=[5, 5]))

@@ -1,1 +1,1 @@
-"""Attacks with files: mutants by number, each handed to `verify` as a stranger's, and what may come of it."""
+"""Attacks with files: mutants by number, each given to `verify` as an untrusted file, and the allowed results."""

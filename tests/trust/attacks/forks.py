@@ -113,7 +113,7 @@ def _answered(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def requests(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
-    """What is asked, line by line."""
+    """Work requested, line by line."""
     yield from map(json.loads, lines)
 
 

@@ -171,7 +171,7 @@ class Attack:
     """One command.
 
     words : of the command line
-    files : written beside those that every command finds, name -> content
+    files : written next to those that every command finds, name -> content
     """
 
     words: tuple[str, ...]
@@ -457,7 +457,7 @@ READERS: dict[str, tuple[str, str, Callable[[bytes, random.Random], bytes], str]
 
 
 def file_attack(reader: str, given: Path, chance: random.Random) -> Attack:
-    """A command that reads a mutant of a good file, with the files that lie beside that one."""
+    """A command that reads a mutant of a good file, with the other files of that file's folder."""
     source, name, make, line = READERS[reader]
     good = given / source
     words = tuple(f"{chance.choice(FEW)}.toml" if word == "DESIGN" else word for word in line.split())

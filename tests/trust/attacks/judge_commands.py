@@ -23,7 +23,7 @@ from trust.attacks import hostile_commands as hostile
 from trust.attacks.forks import Forks
 
 CPU, WALL = 20, 300
-"""Processor seconds that a command may take, and seconds after which it hangs on a busy machine."""
+"""Processor seconds that a command may take, and seconds after which it counts as hung on a busy machine."""
 
 SETS = {
     "shape": {"o.toml", "o.cells.csv", "o.png"}, "optimise": {"o.toml"}, "image": {"o.png"}, "explore": {"o.html"}, "wave": {"o.png"},
@@ -181,7 +181,7 @@ def attack(numbers: Iterable[int], given: Path, place: Path, forks: Forks, loud:
 
 
 def of_answer(answer: dict[str, Any], text: str) -> list[str]:
-    """What is wrong with a status, what was said, and the seconds."""
+    """Faults in a status, in the output, and in the seconds."""
     status = answer["status"]
     wrong = [f"status {status} after {answer['cpu']:.0f} s"] if status not in (0, 1, 2, 3, 4) else []
     wrong += [f"says {found[0].strip()!r}" for found in [WARNED.search(text)] if found]

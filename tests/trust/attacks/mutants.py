@@ -36,7 +36,7 @@ def bytes_mutant(kind: str, good: bytes, number: int) -> bytes:
 
 
 def part_mutant(kind: str, good: bytes, number: int) -> bytes:
-    """The part itself changed by so much that light, or a check of wholeness, must tell."""
+    """The part itself changed by so much that light, or a check of wholeness, must detect it."""
     chance = np.random.default_rng(number)
     change = CHANGES[int(chance.integers(len(CHANGES)))](chance)
     if kind == "ascii.stl":
@@ -47,7 +47,7 @@ def part_mutant(kind: str, good: bytes, number: int) -> bytes:
 
 
 def _shifted(chance: np.random.Generator) -> Change:
-    """One vertex, with all that stand in its place, lies a tenth of a millimetre higher or lower."""
+    """One vertex, with all others in its place, lies a tenth of a millimetre higher or lower."""
 
     def change(vertices: Floats, facets: Ints) -> tuple[Floats, Ints]:
         at = vertices[chance.integers(len(vertices))].copy()

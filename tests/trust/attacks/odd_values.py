@@ -126,7 +126,7 @@ def answered(words: list[str]) -> tuple[int, str]:
 
 
 def attack(folder: Path, share: float, seed: int) -> Tally:
-    """Judge a share of all designs, and forecast the export of those that stand; files go into a folder."""
+    """Judge a share of all designs, and forecast the export of valid ones; files go into a folder."""
     tally, begun = Tally(), time.process_time()
     path = folder / "design.json"
     for name, data in cases(share, seed):

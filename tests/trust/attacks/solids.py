@@ -1,4 +1,4 @@
-"""Mutants of STEP and BREP files, each made from its number alone; and whether one still says the same part."""
+"""Mutants of STEP and BREP files, each made from its number alone; and whether one still describes the same part."""
 
 from __future__ import annotations
 
@@ -91,10 +91,10 @@ def same_numbers(good: bytes, mutant: bytes, room: float) -> bool:
 
 
 def same_solid(good: Path, mutant: Path, room: float) -> bool:
-    """Whether a CAD kernel, asked directly, reads one and the same solid: faces, vertices, area and volume to 1e-7.
+    """Whether a CAD kernel, called directly, reads one and the same solid: faces, vertices, area and volume to 1e-7.
 
-    It mends what says a thing twice: the sense of an edge, a curve in the parameters of a face, a flag of a spline. An edge
-    between two faces that is drawn a little anew, as other programs fit it, takes 1e-8 of the volume.
+    It mends redundant data: the sense of an edge, a curve in the parameters of a face, a flag of a spline. An edge
+    between two faces that is drawn again slightly differently, as other programs fit it, takes 1e-8 of the volume.
     """
     (faces, points, *one), (others, corners, *other) = _measured(good), _measured(mutant)
     return (

@@ -73,7 +73,7 @@ def attack(
     folder: Path, name: str, good: bytes, numbers: range, mutant: Callable[[int], bytes],
     excuse: Callable[[bytes], str],
 ) -> Counter[str]:  # fmt: skip
-    """Hand in mutants by their numbers; one of which the same is said as of the good file needs an excuse."""
+    """Hand in mutants by their numbers; a mutant with the same report as the good file needs an excuse."""
     praise = answer(folder, name, good)
     assert praise == "shape only", "four quads are a preview"
     tally: Counter[str] = Counter()

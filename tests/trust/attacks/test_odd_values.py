@@ -1,4 +1,4 @@
-"""Whatever a key of a design holds, the answer is one of those a design has."""
+"""Any value of a key of a design gives one of the answers a design has."""
 
 from __future__ import annotations
 

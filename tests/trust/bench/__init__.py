@@ -1,4 +1,4 @@
-"""Mutated files, and the verdict on each that is optically right: found by numpy alone, then asked of the package.
+"""Mutated files, and the verdict on each that is optically right: found by numpy alone, then compared with the package's.
 
 `readers` and `tracer` know nothing of the package's readers, meshes, surfaces or tracers; a design gives them numbers.
 """

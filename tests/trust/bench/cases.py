@@ -9,7 +9,7 @@
 * withheld: nothing was judged; not judged, or failed, or refused
 * scan: a measured surface of a good part; passed as scan
 * light: master or unfit, as the independent tracer finds in the triangles of the file
-* either: so near the design that light cannot tell; only its not crashing is asked
+* either: so near the design that light cannot distinguish it; only its not crashing is tested
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Kit:
 
 
 class Kits:
-    """The kits, made when they are asked for."""
+    """The kits, made when they are first used."""
 
     def __init__(self, home: Path) -> None:
         self.home, self._made = home, dict[str, Kit]()
@@ -137,7 +137,7 @@ class Case:
     name : what, of which file, how
     kit : name of the design
     right : the verdict that is optically right; see above
-    make : writes it into an empty folder and says what to hand in
+    make : writes it into an empty folder and returns what to hand in
     options : of `verify`
     declared : whether it is a preview that was declared to be one
     warns : check that must at least warn
@@ -256,7 +256,7 @@ POSES: dict[str, tuple[str, Callable[[Kit], Change]]] = {
     "shrunk by .2 %": ("fail", lambda kit: mu.scaled(0.998)),
     "grown by .2 %": ("fail", lambda kit: mu.scaled(1.002)),
 }
-"""Where a part without a manifest lies, and how large it is, says nothing about its light up to the limit of scale."""
+"""Position and size of a part without a manifest: irrelevant for its light up to the limit of scale."""
 
 
 def _triangles() -> Iterator[Case]:
@@ -331,7 +331,7 @@ def _bodies() -> Iterator[Case]:
     for format in (
         "stl",
         "ply",
-    ):  # lenses alike on both sides: it is the part turned over, if nobody says how it lies
+    ):  # lenses alike on both sides: it is the part turned over, if no manifest states how it lies
         for how, right in (("alone", "master"), ("forged", "fail")):
             yield Case(f"bodies exchanged: pair {format} {how}", "pair", right, _spoilt(format, how, swapped))
     first = mu.only(lambda middle: middle[:, 2] < 5.0)
@@ -368,7 +368,7 @@ INSTANCES: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
     "glb: an instance on another": (
         "glb", lambda d: mu.nodes_changed(d, lambda n: n[1].update(translation=list(n[0]["translation"])))),
 }  # fmt: skip
-"""Cells that are written once and stand in wrong places."""
+"""Cells that are written once and repeated in wrong places."""
 
 
 def _node(node: dict[str, Any], step: float) -> None:
@@ -412,7 +412,7 @@ FORGERIES: dict[str, dict[str, Any]] = {
     'role "other"': {"role": "other", "role_declared": True},
     "an unknown role": {"role": "trust me", "role_declared": True},
 }
-"""What a manifest may say of a file that is never looked at because of it."""
+"""Statements of a manifest about a file that is never looked at because of them."""
 
 
 def _manifests() -> Iterator[Case]:
@@ -692,7 +692,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was said of a case.
+    """Result of a case.
 
     right : as settled by light, where the case left it to that
     word : of the verdict; "refused" where the file was not taken
@@ -713,7 +713,7 @@ class Outcome:
 
 
 def settled(case: Case, kit: Kit, place: Path) -> str:
-    """The verdict that is right, found by light where the case says so."""
+    """The verdict that is right, found by light where the case requires it."""
     if case.right != "light":
         return case.right
     path = place if place.is_file() else next(p for p in place.iterdir() if p.suffix[1:] in MESHES)
@@ -722,7 +722,7 @@ def settled(case: Case, kit: Kit, place: Path) -> str:
 
 
 def judged(case: Case, kits: Kits, folder: Path) -> Outcome:
-    """Make a case in a new folder, hand it in, and compare what is said with what is right."""
+    """Make a case in a new folder, hand it in, and compare the verdict with the right one."""
     kit = kits[case.kit]
     folder.mkdir()
     place = case.make(kit, folder)

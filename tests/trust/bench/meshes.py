@@ -22,9 +22,9 @@ BANDS = {"rms": 0.02, "bias": 0.05, "eta": 0.1, "delta": 0.1, "confocality": 0.1
 
 @dataclass(frozen=True)
 class Row:
-    """One mesh: what was said of it, and what light through its triangles does.
+    """One mesh: its verdict, and the effect of its triangles on light.
 
-    rms : radians, by the independent tracer; stated : by the package, None where it says none
+    rms : radians, by the independent tracer; stated : by the package, None where it states none
     worst : the quantity that uses most of its limit; used : that part
     """
 
@@ -50,7 +50,7 @@ class Row:
 
 
 def judged(design: Design, quads: int, folder: Path) -> Row:
-    """Export a bare STL, trace its triangles, and ask for the verdict on it."""
+    """Export a bare STL, trace its triangles, and get the verdict on it."""
     made = export(design, folder, formats=("stl",), quads=quads, force=True)
     path = made.path("stl-binary")
     (folder / "manifest.json").unlink()

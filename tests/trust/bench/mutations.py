@@ -17,7 +17,7 @@ from trust.spoiling import Change, document_of, glb, model_changed
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Move = Callable[[Floats], Floats]
-"""Vertices (v, 3) of a file, millimetres, in; where they shall stand out."""
+"""Vertices (v, 3) of a file, millimetres, in; their new positions out."""
 
 # -- triangles ------------------------------------------------------------------------------------------
 
@@ -89,12 +89,12 @@ def one_doubled(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 
 def without(where: Callable[[Floats], NDArray[np.bool_]]) -> Change:
-    """The facets left out whose corners (t, 3, 3) say so."""
+    """The facets left out that a function of the corners (t, 3, 3) selects."""
     return lambda vertices, triangles: (vertices, triangles[~where(vertices[triangles])])
 
 
 def walls(corners: Floats) -> NDArray[np.bool_]:
-    """Which facets stand upright."""
+    """Which facets are vertical."""
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(np.abs(across[:, 2]) <= 0.05 * np.linalg.norm(across, axis=1))
 
@@ -102,7 +102,7 @@ def walls(corners: Floats) -> NDArray[np.bool_]:
 def inside(
     cell: tuple[float, float], half: float, low: float, high: float
 ) -> Callable[[Floats], NDArray[np.bool_]]:
-    """Which points (v, 3) stand inside a square about a middle, in a range of heights."""
+    """Which points (v, 3) lie inside a square about a middle, in a range of heights."""
 
     def told(points: Floats) -> NDArray[np.bool_]:
         across = np.abs(points[:, :2] - np.array(cell)).max(axis=1)
@@ -123,7 +123,7 @@ def steeper(part: Callable[[Floats], NDArray[np.bool_]], factor: float, rim: flo
 
 
 def dented(at: tuple[float, float], low: float, high: float, radius: float, depth: float) -> Change:
-    """A soft dent of a radius and depth, millimetres, in what stands between two heights."""
+    """A soft dent of a radius and depth, millimetres, in the part between two heights."""
 
     def by(vertices: Floats) -> Floats:
         vertices = vertices.copy()
@@ -157,12 +157,12 @@ def part_turned(part: Callable[[Floats], NDArray[np.bool_]], degrees: float) -> 
 
 
 def above(height: float) -> Callable[[Floats], NDArray[np.bool_]]:
-    """Which points stand above a height."""
+    """Which points lie above a height."""
     return lambda points: points[:, 2] > height
 
 
 def exchanged(height: float, low: float, high: float) -> Change:
-    """Two bodies change places along z: what stood above a height comes down, what stood below goes up."""
+    """Two bodies change places along z: the one above a height moves down, the one below moves up."""
 
     def by(vertices: Floats) -> Floats:
         upper = vertices[:, 2] > height
@@ -176,7 +176,7 @@ def exchanged(height: float, low: float, high: float) -> Change:
 
 
 def only(where: Callable[[Floats], NDArray[np.bool_]]) -> Change:
-    """Facets whose middle (t, 3) says so; the others are left out."""
+    """Facets that a function of the middle (t, 3) selects; the others are left out."""
     return lambda vertices, triangles: (vertices, triangles[where(vertices[triangles].mean(axis=1))])
 
 
@@ -199,7 +199,7 @@ def drilled(at: tuple[float, float], radius: float, height: float) -> Change:
 
 
 def nodes_changed(data: bytes, change: Callable[[list[Any]], Any]) -> bytes:
-    """A GLB file with the nodes that stand somewhere changed."""
+    """A GLB file with the nodes that have a translation changed."""
     document, binary = document_of(data)
     change([node for node in document["nodes"] if "translation" in node])
     return glb(document, binary)
@@ -270,7 +270,7 @@ def across_negated(normals: Floats) -> Floats:
 
 
 def pole_lifted(text: str, by: float) -> str:
-    """The middle pole of one lens patch stands too high."""
+    """The middle pole of one lens patch lies too high."""
     grids = re.findall(r"B_SPLINE_SURFACE\(2,2,(\(\(.*?\)\)),\.UNSPECIFIED", text)
     name = grids[0].split(",")[4].strip("()")
     line = next(line for line in text.splitlines() if line.startswith(f"{name}=CARTESIAN_POINT"))
@@ -323,7 +323,7 @@ def _placement(text: str, usage: str) -> tuple[str, str]:
 
 
 def instance_moved(text: str, usage: str, *step: float) -> str:
-    """An instance stands elsewhere, millimetres."""
+    """An instance is placed elsewhere, millimetres."""
     _, line = _placement(text, usage)
     name, _, numbers = line.rpartition("(")
     x, y, z = (float(v) + s for v, s in zip(numbers.rstrip(");").split(","), step, strict=True))
@@ -346,7 +346,7 @@ def instance_left_out(text: str, usage: str) -> str:
 
 
 def instance_on_another(text: str, usage: str, other: str) -> str:
-    """An instance stands where another one stands too."""
+    """An instance is placed where another one is too."""
     (_, one), (_, two) = _placement(text, usage), _placement(text, other)
     return text.replace(one, one.partition("=")[0] + "=" + two.partition("=")[2])
 
@@ -434,9 +434,9 @@ def brep_bytes(shape: Any, folder: Path) -> bytes:
 def assembly_bytes(
     solids: list[Any], folder: Path, levels: int = 1, unit: str = "MM", step: float = 0.0
 ) -> bytes:
-    """STEP file of an assembly: every solid a part, so many levels deep, none of them at home.
+    """STEP file of an assembly: every solid a part, a number of levels deep, none of them at home.
 
-    Each part is written away from its place and put back by its placements; `step` leaves the last one that far off, mm.
+    Each part is written away from its place and put back by its placements; `step` leaves the last one off by its value, mm.
     """
     from OCP.gp import gp_Trsf, gp_Vec
     from OCP.STEPCAFControl import STEPCAFControl_Writer
@@ -528,5 +528,5 @@ def vouched(manifest: bytes, name: str, data: bytes, **stated: Any) -> bytes:
 
 
 def listing(manifest: bytes, entries: list[Mapping[str, Any]]) -> bytes:
-    """The manifest with these entries, whatever they are."""
+    """The manifest with these entries, of any kind."""
     return json.dumps(json.loads(manifest) | {"files": entries}).encode()

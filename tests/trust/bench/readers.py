@@ -1,4 +1,4 @@
-"""Triangles of a file by numpy, zipfile, json and xml alone: what stands in it, expanded, in millimetres."""
+"""Triangles of a file by numpy, zipfile, json and xml alone: its contents, expanded, in millimetres."""
 
 from __future__ import annotations
 

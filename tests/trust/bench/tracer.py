@@ -25,7 +25,7 @@ PAIRS = 400_000
 """Rays times triangles looked at in one go."""
 
 
-# -- what a design says ---------------------------------------------------------------------------------
+# -- contents of a design --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def _face(face: Any, scale: float) -> tuple[Any, ...]:
 
 
 def asked(optic: Optics, into: Floats) -> Floats:
-    """Unit directions (n, 3) that the law asks for: t' = (t - delta)/eta in lens axes."""
+    """Unit directions (n, 3) by the law: t' = (t - delta)/eta in lens axes."""
     lens = into @ optic.rotation
     slope = (lens[:, :2] / lens[:, 2:] - optic.delta) / optic.eta
     out = np.column_stack([slope, np.ones(len(slope))]) @ optic.rotation.T
@@ -354,7 +354,7 @@ def through_triangles(optic: Optics, what: Part, light: Light) -> Seen:
             alive[rows[~fine]] = False
         rows = np.flatnonzero(alive)
         again = np.minimum(down.meet(at[rows], along[rows], 1e-7)[0], up.meet(at[rows], along[rows], 1e-7)[0])
-        alive[rows[np.isfinite(again)]] = False  # into a neighbour that stands further out
+        alive[rows[np.isfinite(again)]] = False  # into a neighbour that protrudes farther
     return Seen(along, alive & (along[:, 2] > 0.0))
 
 
@@ -460,7 +460,7 @@ class Found:
         return all(value <= 1.0 for value in self.used().values())
 
     def near(self, band: float) -> bool:
-        """Whether a quantity lies so near its limit that it cannot tell: the worst within `band` of 1."""
+        """Whether a quantity lies so near its limit that it cannot decide: the worst within `band` of 1."""
         return abs(max(self.used().values()) - 1.0) <= band
 
 
