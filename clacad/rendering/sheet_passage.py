@@ -20,7 +20,7 @@ from clacad.sheet.stack import Stack, StackedSheet, standing
 from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest
 from clacad.tracing.through_stack import entering, leaving
-from clacad.tracing.trace import trace
+from clacad.tracing.trace import SheetTracer
 
 if TYPE_CHECKING:
     from clacad.effects import Plan
@@ -123,7 +123,7 @@ class Passage:
         if self.continuous:
             options["continuous"] = True
         if self.plain or self.plan is None:
-            result = trace(window, rays, self.rung, threads=1, path=path, **options)
+            result = SheetTracer(window, self.rung, threads=1, path=path, **options)(rays)
             rows = np.flatnonzero(np.isin(result.fate, self.shining))
             return Beyond(rows, result.position[rows], result.direction[rows], result.flux[rows]), result
         light, result = self.plan.light(window, rays, threads=1, path=path, **options)

@@ -741,16 +741,7 @@ def test_blocks_written_in_place_by_several_threads_are_the_blocks_traced_one_by
     assert np.array_equal(one.directions, two.directions)
 
 
-@pytest.mark.daily_cases(
-    "setting1-slab",
-    "setting1-hexagonal",
-    "setting1-galilean",
-    "setting0-hexagonal",
-    "setting1-paper-a-covered",
-    "setting1-plano",
-    "setting0-galilean",
-    "setting0-plano",
-)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slab", "paper-a-covered", "plano", "hexagonal", "galilean"])
 @pytest.mark.parametrize("setting", [Setting(), Setting(coating="quarter-wave", extinction=1e-7)])
 def test_compiled_split_paths_carry_the_light_of_the_walked_ones(name, setting):

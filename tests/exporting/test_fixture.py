@@ -253,7 +253,7 @@ def test_a_shoulder_keeps_off_cells_edges_and_other_holes():
     ):
         pin_spec(close)
     beside = window_of(**PINNED | {"pins": PINNED["pins"] | {"at": [[-3.0, 1.0], [4.3, -1.0]]}})
-    with pytest.raises(NoFixture, match=r"at \(-3, 1\) stands 0.7[0-9]* mm"):
+    with pytest.raises(NoFixture, match=r"at \(-3, 1\) is 0.7[0-9]* mm"):
         pin_spec(beside)
 
 
