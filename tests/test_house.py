@@ -9,9 +9,9 @@ import pytest
 from benchmarks.house import measured
 
 MOST = {
-    "modules": 490,
-    "modules imported by one other only": 88,
-    "modules under 60 lines": 16,
+    "modules": 482,
+    "modules imported by one other only": 83,
+    "modules under 60 lines": 13,
     "lines over 110 characters": 0,
     "# fmt: skip": 0,
     "function lines, most, compiled": 72,
@@ -19,7 +19,7 @@ MOST = {
     "parameters, most": 18,
     "class names twice": 5,
     "rings of imports": 0,
-    "deepest chain of imports at heads": 24,
+    "deepest chain of imports at heads": 21,
     "exceptions of the layer test": 0,
 }
 """Largest value of each figure: lower it when the package gets there."""
