@@ -368,14 +368,21 @@ def write_set(
 
 
 @contextmanager
-def scratch_folder() -> Iterator[Path]:
+def scratch_folder(file: Path | None = None) -> Iterator[Path]:
     """Yield a private folder for temporary files; it is removed at the end, remains of dead processes first.
+
+    Parameters
+    ----------
+    file : Path or None
+        File that the work reads. If it is staged, the folder lies in its stage, since an export writes
+        nothing outside its own folder; otherwise it lies in the system's folder for temporary files.
 
     Raises
     ------
     CannotWrite
     """
-    place = Path(tempfile.gettempdir())
+    staged = file is not None and _PRIVATE.match(file.parent.name) is not None
+    place = file.parent if file is not None and staged else Path(tempfile.gettempdir())
     own: int | None = None
     private = place / _private_name()
     _OPEN.add(private)

@@ -48,7 +48,7 @@ def test_the_drawing_names_the_key_and_tables_the_first_the_middle_and_the_worst
     import ezdxf
 
     texts = [text.dxf.text for text in ezdxf.readfile(next(drawn.glob("*.dxf"))).modelspace().query("TEXT")]
-    assert "cells differ (lattice.aperture.point)" in " ".join(texts)
+    assert "not uniform (lattice.aperture.point)" in " ".join(texts)
     rows = rows_of(texts)
     assert [rows[name][0] for name in ("first", "middle", "worst")] == [[0, 0], [4, 3], [0, 6]]
     for (i, j), centre, apex, step, partner, lens, highest in rows.values():

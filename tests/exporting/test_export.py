@@ -591,6 +591,8 @@ AUDITED = textwrap.dedent(
         else:
             return
         for path in paths:
+            if isinstance(args[-1], int) and args[-1] >= 0 and event in ("os.remove", "os.rmdir", "os.mkdir"):
+                path = os.path.join(os.readlink(f"/proc/self/fd/{args[-1]}"), path)  # relative to an open folder
             full = os.path.realpath(path)
             if not full.startswith(out) and "__pycache__" not in full and full != "/dev/null":
                 bad.append((event, full))

@@ -193,7 +193,7 @@ def test_light_on_a_border_of_a_scaled_array_is_in_the_cell_that_rational_number
     where, cells = border_places(window, seen)
     found = told(
         window,
-        tracer.facets.layout.bodies,
+        tracer.bare.facets.layout.bodies,
         rays,
         replace(seen, hits=np.concatenate([seen.hits[:2], where])),
         True,

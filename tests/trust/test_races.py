@@ -103,16 +103,16 @@ def test_who_reads_while_an_export_writes_is_told_so(tmp_path: Path, monkeypatch
         export(design, out, formats=("stl",), quads=4)
         return judged
 
-    import clacad.verification.run as run
+    import clacad.judging.judge_files as room
 
-    judge = run.judge_files
-    monkeypatch.setattr(run, "judge_files", rewritten)
+    judge = room.judge_files
+    monkeypatch.setattr(room, "judge_files", rewritten)
     report = verify(design, out, rays=64)
     told = [c for c in report.checks if c.subject == "manifest.json" and c.id == "integrity"]
     assert [c.state for c in told] == ["fail"]
     assert "judge them again" in told[0].sentence
     assert report.exit_status == 1
-    monkeypatch.setattr(run, "judge_files", judge)
+    monkeypatch.setattr(room, "judge_files", judge)
     assert not [
         c for c in verify(design, out, rays=64).checks if c.subject == "manifest.json" and c.id == "integrity"
     ]

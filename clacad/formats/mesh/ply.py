@@ -136,7 +136,7 @@ def read_ply(path: Path) -> FileMesh:
         spent = Spending("ply", path)
         spent.count(vertex.count + face.count)
     plain = _plain_header(form, vertex, face, columns)
-    with scratch_folder() as folder, limited_worker(spent) as worker:
+    with scratch_folder(path) as folder, limited_worker(spent) as worker:
         wait = longest_wait(spent)
         try:
             worker.run(f"{__name__}:load", path, end.end(), plain, spent, folder, timeout=wait)
