@@ -26,7 +26,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from clacad.base.hashing import MIX, STIR
+from clacad.base.hashing import HIGH, LOW, MIDDLE, MIX, STIR
 from clacad.base.kernel_cache import keep, numba
 
 JITCodeLibrary: Any = numba.core.codegen.JITCodeLibrary
@@ -101,9 +101,6 @@ class PartCompiler(CompilerBase):  # type: ignore[misc]
 _REFUSAL = ctypes.cast(ctypes.pythonapi.PyVectorcall_Call, ctypes.c_void_p).value or 0
 """Address of a C function with Python's call signature; it raises TypeError: the object is not callable."""
 
-
-LOW, MIDDLE, HIGH = np.uint64(30), np.uint64(27), np.uint64(31)
-"""Shifts of a hash."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

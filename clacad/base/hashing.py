@@ -20,14 +20,17 @@ GOLDEN = 0x9E3779B97F4A7C15
 MIX, STIR = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 """Factors of the finaliser (Stafford's variant 13)."""
 
+LOW, MIDDLE, HIGH = np.uint64(30), np.uint64(27), np.uint64(31)
+"""Shifts of the finaliser, in order."""
+
 
 def mixed(words: Words) -> Words:
     """Hash words (...): every bit of the result depends on every bit of the word; one-to-one."""
-    found = words ^ (words >> np.uint64(30))
+    found = words ^ (words >> LOW)
     found *= MIX
-    found ^= found >> np.uint64(27)
+    found ^= found >> MIDDLE
     found *= STIR
-    found ^= found >> np.uint64(31)
+    found ^= found >> HIGH
     return found
 
 

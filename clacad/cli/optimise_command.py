@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import degrees, inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console
@@ -119,10 +119,17 @@ def run(request: Optimise, console: Console) -> int:
         progress(f"best so far {1e3 * rms:.3g} mrad", min(0.99, evaluations / ahead["evaluations"]))
 
     def search(private: Path) -> None:
-        options: Any = {"weights": weights, "tolerances": request.tolerances, "seconds": request.seconds}
         with console.forecast(TASK, ahead["seconds"]) as span:
             progress.expect(span.middle)
-            found = optimise(design, request.free, request.field, best_so_far, **options)
+            found = optimise(
+                design,
+                request.free,
+                request.field,
+                best_so_far,
+                weights=weights,
+                tolerances=request.tolerances,
+                seconds=request.seconds,
+            )
         ended.append(found)
         private.write_text(design_text(found), encoding="utf-8", newline="\n")
 

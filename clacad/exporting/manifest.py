@@ -1,10 +1,6 @@
 """Job of an export, from which every format writes its files, and the manifest of what was written.
 
 The manifest lists the files, their design, and the measured properties of each file.
-
-The manifest of an export: its files, their design, and the measured properties of each file.
-
-Inputs that every format needs to write its files, and the record of a written file.
 """
 
 from __future__ import annotations

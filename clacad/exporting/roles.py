@@ -4,15 +4,6 @@ Parts are made from an optical master, so light through it must obey the law. A 
 quoting and fit checks. A scan is a measured surface: it is verified, but never approved for production.
 Everything else (baffle, frame, pins, coupon, pictures' scenes) carries no light of the law, or is made into
 no part (a prescription for a lens-design program, a drawing). The way of storing limits the accuracy.
-
-Role of a file: master (parts are made from it), preview (for viewing), scan (measured), or other.
-
-Parts are made from an optical master, so light through it must obey the law. A preview is for viewing,
-quoting and fit checks. A scan is a measured surface: it is verified, but never approved for production.
-Everything else (baffle, frame, pins, coupon, pictures' scenes) carries no light of the law, or is made into
-no part (a prescription for a lens-design program, a drawing).
-
-Ways in which files store the faces of a part, which limit their accuracy.
 """
 
 from __future__ import annotations

@@ -2,13 +2,6 @@
 
 One atomic writer serves all formats, and every file is read back before publication. A copy of a design's
 cell table lies next to the files that were exported from it.
-
-Carrying out an export: forecast, write, read back, publish.
-
-Copy of a design's cell table, next to the files that were exported from it.
-
-Export of a design's files: one atomic writer for all formats; every file is read back before
-publication.
 """
 
 from __future__ import annotations

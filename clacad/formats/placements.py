@@ -3,14 +3,6 @@
 A placement is the upper three rows of a homogeneous matrix, (3, 4): x ↦ A x + b. Rows of a sheet and the
 cells of a row are kept separate, as in the file. A sheet of a million cells is two thousand placements, and
 is written out only where each of its cells is needed.
-
-Placements of the parts of an assembly: composed level by level, as arrays.
-
-A placement is the upper three rows of a homogeneous matrix, (3, 4): x ↦ A x + b. Rows of a sheet and the
-cells of a row are kept separate, as in the file. A sheet of a million cells is two thousand placements, and
-is written out only where each of its cells is needed.
-
-Content of instanced formats: one small mesh, and its positions on the lattice.
 """
 
 from __future__ import annotations

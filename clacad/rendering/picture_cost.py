@@ -24,11 +24,8 @@ import numpy as np
 from clacad.base.machine_rates import Span
 from clacad.base.types import Bools, Floats, Ints, Rung
 from clacad.design import Design
-from clacad.effects.engine.effect import Situation
-from clacad.effects.engine.probe_rays import situation_of_scene
+from clacad.effects.engine.probe_rays import compared, situation_of_scene
 from clacad.exporting.formats.indexed_meshes import THREEMF
-from clacad.light.compare import rms_between
-from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, Viewing, aim, rays
 from clacad.rendering.picture import BLOCK, Picture, Progress, tile, tried, view_through, worth_compiling
@@ -216,7 +213,7 @@ def within_target(scene: Scene, target: float) -> Scene:
     if rung == "mesh" and still.sheet.mesh is None:
         return chosen.replace({"sheet.quads": _quads_within(design, window, target)})
     mesh = still.file(still.sheet.mesh) if still.sheet.mesh else None
-    error, disagree = _compared(situation_of_scene(still, window), cast("Rung", rung), mesh)
+    error, disagree = compared(situation_of_scene(still, window), cast("Rung", rung), mesh)
     if error > target or disagree > MOST_DISAGREEMENT:
         raise TargetOutOfReach(
             f"rung {rung} is {1e3 * error:.4g} mrad rms off the exact surfaces on this scene's rays and sends"
@@ -238,21 +235,6 @@ def _quads_within(design: Design, window: Window, target: float) -> int:
             "use rung surfaces"
         )
     return facets.quads
-
-
-def _compared(situation: Situation, rung: Rung, mesh: str | None) -> tuple[float, float]:
-    """Rms angle to the exact surfaces over the scene's rays that are alive on both, and the share of other
-    fates.
-    """
-    from clacad.tracing.trace import trace
-
-    if not len(situation.rays):
-        return 0.0, 0.0
-    found = trace(situation.window, situation.rays, rung, mesh=mesh, path="size")
-    truth = situation.probe
-    both = (truth.fate == Fate.ALIVE) & (found.fate == Fate.ALIVE)
-    rms = rms_between(truth.direction, found.direction, both) if both.any() else 0.0
-    return rms, float(np.mean(truth.fate != found.fate))
 
 
 PIXELS_A_BLOCK = 8

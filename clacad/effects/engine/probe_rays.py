@@ -302,14 +302,18 @@ def cells_met(window: Window, rays: Rays) -> Ints:
     return window.lattice.locate(*(rays.position[:, :2] - step * rays.direction[:, :2]).T)[0]
 
 
-def compared(situation: Situation, rung: Rung) -> tuple[float, float]:
+def compared(situation: Situation, rung: Rung, mesh: str | None = None) -> tuple[float, float]:
     """Rms angle of a rung against the surfaces where both are ALIVE, and the share of rays whose fate
-    differs.
+    differs; zeros without rays.
+
+    mesh : file of the facets of rung "mesh"
     """
     from clacad.tracing.trace import trace
 
+    if not len(situation.rays):
+        return 0.0, 0.0
     truth = situation.probe
-    result = trace(situation.window, situation.rays, rung, path="size")
+    result = trace(situation.window, situation.rays, rung, mesh=mesh, path="size")
     both = (truth.fate == Fate.ALIVE) & (result.fate == Fate.ALIVE)
     disagree = float(np.mean(truth.fate != result.fate))
     return rms_between(truth.direction, result.direction, both) if both.any() else 0.0, disagree

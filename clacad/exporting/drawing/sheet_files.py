@@ -5,14 +5,6 @@ dimensions. A DIMENSION measures its own two points; its factor (DIMLFAC) conver
 CAD program reads true sizes in any view. Needs the extra `dxf`.
 
 PDF is each sheet as SVG, set by Typst as in the report. Needs the extra `pdf`.
-
-A drawing as DXF (R2010), by ezdxf: sheets next to each other in model space, mm of paper, with true
-dimensions.
-
-A DIMENSION measures its own two points. Its factor (DIMLFAC) converts paper to part, so that a CAD program
-reads true sizes in any view. Needs the extra `dxf`.
-
-A drawing as PDF: each sheet as SVG, set by Typst as in the report. Needs the extra `pdf`.
 """
 
 from __future__ import annotations

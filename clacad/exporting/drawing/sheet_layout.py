@@ -173,10 +173,9 @@ def differing_notes(design: Design, window: Window) -> tuple[str, ...]:
     return (
         (
             f"The sheet is not uniform ({differing_key(design)}): the views show the cell nearest the middle,"
-            " the"
-            f" table the first, that one and the worst of {window.lattice.cell_count:,}. No cell represents"
-            " another: cut by the STEP file, or by the table of faces (--format table), which hold every"
-            " cell."
+            f" the table the first, that one and the worst of {window.lattice.cell_count:,}. No cell"
+            " represents another: cut by the STEP file, or by the table of faces (--format table), which"
+            " hold every cell."
         ),
     )
 

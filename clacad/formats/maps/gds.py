@@ -5,17 +5,6 @@ layer 0 the lowest. One cell is drawn and repeated by rows. On non-uniform sheet
 placed once, in levels that are the same for all. Lengths in the file are micrometres on a grid of a
 nanometre. The calibration file gives the height of each layer. gdstk and the bare records of the file read it
 back for comparison with the lens formula.
-
-GDSII grey levels: a layer for each height of a face. Needs the extra `gds`.
-
-A face's heights are cut into N equal levels; every pixel of a lenslet's cell goes to the layer of its level,
-layer 0 the lowest. One cell is drawn and repeated by rows. On non-uniform sheets every cell is drawn and
-placed once, in levels that are the same for all. Lengths in the file are micrometres on a grid of a
-nanometre. The calibration file gives the height of each layer. Read back in
-`clacad.formats.maps.gds`.
-
-GDSII files of grey levels read back: by gdstk and by their bare records, compared with the lens
-formula.
 """
 
 from __future__ import annotations

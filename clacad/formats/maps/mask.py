@@ -58,13 +58,14 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
         return np.empty((0, 2))
     angle = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
     ray = np.column_stack([np.cos(angle), np.sin(angle)])
-    low, high = np.zeros(len(ray)), distance_to_rim(zone, start, ray)
-    whole = _proud(window, body, face, start + high[:, None] * ray * (1 - 1e-9))
+    rim = distance_to_rim(zone, start, ray)
+    low, high = np.zeros(len(ray)), rim
+    whole = _proud(window, body, face, start + rim[:, None] * ray * (1 - 1e-9))
     for _ in range(50):
         middle = 0.5 * (low + high)
         proud = _proud(window, body, face, start + middle[:, None] * ray)
         low, high = np.where(proud, middle, low), np.where(proud, high, middle)
-    reach = np.where(whole, distance_to_rim(zone, start, ray), low)
+    reach = np.where(whole, rim, low)
     return np.asarray(start + reach[:, None] * ray)
 
 

@@ -6,19 +6,6 @@ enter the next at the same point are not refracted. Run it in a worker: OCC can 
 
 Files too large for OCC are traced by the rational Bézier patches of their text with Newton's method. Trims
 are not read, so callers must decide from the position of a hit. Lengths in mm.
-
-Rays against the faces of a file of solids as OCC reads them.
-
-Nothing of the window's formulas is used: OCC finds the hits on its own trimmed faces and gives the tangents
-there; only Snell's law is clacad's. Solids that touch are one piece to the light: rays that leave one and
-enter the next at the same point are not refracted. Lengths in mm. Run it in a worker: OCC can crash.
-
-Record of rays on their way through the faces of a file, for any search of the faces. Lengths in mm.
-
-Rays against the lens patches of a STEP file's text, for files too large for a CAD kernel. Lengths in mm.
-
-Newton's method on rational Bézier patches. The patches are used as written in the text. Their trims are not
-read here, so callers must decide from the position of a hit.
 """
 
 from __future__ import annotations
@@ -184,11 +171,10 @@ def _column(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[fl
     from OCP.IntCurvesFace import IntCurvesFace_ShapeIntersector
     from OCP.TopoDS import TopoDS_Compound
 
-    from clacad.formats.step.read_back import loaded
+    from clacad.formats.step.read_back import loaded, state_of
     from clacad.formats.step.shape_parts import boxes_of, moved, reaching
 
-    state = os.stat(path)
-    key = (os.fspath(path), state.st_size, state.st_mtime_ns, low, high)
+    key = (*state_of(path), low, high)
     if key not in _COLUMNS:
         builder, chosen, found = BRep_Builder(), TopoDS_Compound(), 0
         builder.MakeCompound(chosen)
@@ -473,10 +459,9 @@ _PATCH_COLUMNS: dict[tuple[object, ...], list[PlacedPatch]] = {}
 
 def _kept(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]) -> list[PlacedPatch]:
     """The patches of a column; kept for the next call in this process."""
-    from clacad.formats.step.read_back import scanned
+    from clacad.formats.step.read_back import scanned, state_of
 
-    state = os.stat(path)
-    key = (os.fspath(path), state.st_size, state.st_mtime_ns, low, high)
+    key = (*state_of(path), low, high)
     if key not in _PATCH_COLUMNS:
         _PATCH_COLUMNS.clear()
         _PATCH_COLUMNS[key] = column_patches(scanned(path), np.array(low), np.array(high))

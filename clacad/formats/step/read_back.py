@@ -233,14 +233,15 @@ def scanned(path: str | os.PathLike[str]) -> Scan:
     UnreadableFile
         The file is no STEP file.
     """
-    key = _state(path)
+    key = state_of(path)
     if key not in _SCANNED:
         _SCANNED.clear()
         _SCANNED[key] = scan_step(path)
     return _SCANNED[key]
 
 
-def _state(path: str | os.PathLike[str]) -> tuple[str, int, int]:
+def state_of(path: str | os.PathLike[str]) -> tuple[str, int, int]:
+    """Name, size (bytes) and time of change (ns) of a file: another state, another content."""
     found = os.stat(path)
     return (os.fspath(path), found.st_size, found.st_mtime_ns)
 
@@ -257,7 +258,7 @@ def loaded(path: str | os.PathLike[str]) -> Loaded:
     UnreadableFile
         OCC cannot read it.
     """
-    key = _state(path)
+    key = state_of(path)
     if key not in _KEPT:
         _KEPT.clear()
         shape = occ_shape(path)
