@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from clacad.base.units import (
     A4,
@@ -23,9 +23,9 @@ from clacad.base.units import (
     Unit,
     split,
 )
-from clacad.config.compound_kinds import ListOf, Several
+from clacad.config.compound_kinds import ListOf, Several, WordOr
 from clacad.config.keys import REQUIRED, key, written
-from clacad.config.quantities import LENGTH, Quantity
+from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
 from clacad.config.value_kinds import Flag, JsonSchema, Refusal, Text, Whole, WrittenAsRead, not_this
 
 if TYPE_CHECKING:  # a design is read without numpy
@@ -143,6 +143,15 @@ class FaceSpec:
         Coefficients of x⁴, x² y² and y⁴, positive outwards.
     a6, a8 : (4,) and (5,) tuple of float, 1/length⁵ and 1/length⁷
         Coefficients of the next orders, from the highest power of x to the highest of y.
+    after, z : float or None, lengths
+        Of `form = "plates"`: vertex behind the previous face's, or from the first face's.
+    array : 1, 2, "field" or None
+        Of `form = "plates"`: on whose cells the face repeats; None: a plane under the whole sheet.
+    behind : str or None
+        Of `form = "plates"`: material behind the face, or "air".
+
+    In `form = "plates"` a radius is > 0 where the centre of curvature lies towards +z, and even terms count
+    towards +z.
     """
 
     radius: Pair2 = key(
@@ -152,6 +161,15 @@ class FaceSpec:
     a4: A4 = _term("a4", NO_A4)
     a6: A6 = _term("a6", NO_A6)
     a8: A8 = _term("a8", NO_A8)
+    after: float | None = key(LENGTH_ABOVE_0, "plates: distance of the vertex behind the previous face's")
+    z: float | None = key(LENGTH_FROM_0, "plates: place of the vertex, from the first face's")
+    array: Literal[1, 2, "field"] | None = key(
+        WordOr(("field",), Whole("1 | 2", most=2)),
+        "plates: on whose cells the face repeats; without it a plane under the whole sheet",
+    )
+    behind: str | None = key(
+        Text('"air", or the name of a material', 60), "plates: what lies behind the face"
+    )
 
     @property
     def curvature(self) -> Pair2:
@@ -167,6 +185,18 @@ class FaceSpec:
     def polynomial(self) -> bool:
         """Whether the face has terms in addition to its conic."""
         return any(self.a4) or any(self.a6) or any(self.a8)
+
+
+AIR: Final = "air"
+"""Word for the medium behind a face that ends a plate."""
+
+
+def vertex_of(faces: tuple[FaceSpec, ...], number: int) -> float:
+    """Place of a listed face's vertex from the first face's (length); no place counts as no distance."""
+    z = 0.0
+    for face in faces[1 : number + 1]:
+        z = face.z if face.z is not None else z + (face.after or 0.0)
+    return z
 
 
 def face_table(face: FaceSpec) -> dict[str, Any]:

@@ -142,7 +142,7 @@ def separation_or_thickness(a: Asked) -> Iterator[Mistake]:
 def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
     """Refuse keys that belong to other forms: web, curved, seam_depth, the thin recipe, a baffle."""
     form = a(PAIR.form)
-    if form is None:
+    if form in (None, "plates"):
         return
     for key, forms in (
         (PAIR.curved, ("plano",)),
@@ -189,7 +189,9 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
 
 
 def index_or_material(a: Asked) -> Iterator[Mistake]:
-    """Require exactly one of index and material."""
+    """Require exactly one of index and material, but of a list of faces, which states the media."""
+    if a(PAIR.form) == "plates":
+        return
     if a.given(PAIR.index) and a.given(PAIR.material):
         yield Mistake(
             "CL112",
@@ -275,6 +277,8 @@ def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
 def faces_stand_alone(a: Asked) -> Iterator[Mistake]:
     """Given faces need prescription = "given", and exclude the keys of the recipes."""
     given = a(PAIR.prescription) == "given"
+    if a(PAIR.form) == "plates":
+        return
     for key in (PAIR.face, PAIR.vertex, PAIR.search):
         if a.given(key) and a(PAIR.prescription) == "derived":
             yield Mistake(

@@ -122,15 +122,16 @@ def _plano(pair: PairSpec, curved: str) -> str | None:
 class PairSpec:
     """Section [pair]: construction of a lenslet pair. Lengths in design units, wavelength in metres.
 
-    Two biconvex lenses, two plano-convex ones, or both faces of one slab. None means: of `separation`, given
+    Two biconvex lenses, two plano-convex ones, both faces of one slab, or any plates, listed face by face
+    with the medium behind each. None means: of `separation`, given
     by `thickness`; of `web`, 0, or the neck where there is a seam; of `conic`, the form's default; of `depth`
     (1/κ of lens 1 and 2), sqrt(|R_x R_y|); of `index`, from `material`; of `vertex`, δ f1; of `offset`,
     traced on non-uniform sheets; of `focus`, afocal. The given faces are 2 for a slab, else 4. A field lens
     has two more; a slab that the field lens cuts in three has the faces of plano lenses.
     """
 
-    form: Literal["biconvex", "plano", "slab"] = key(
-        Word(("biconvex", "plano", "slab")), "how a lenslet pair is built", REQUIRED
+    form: Literal["biconvex", "plano", "slab", "plates"] = key(
+        Word(("biconvex", "plano", "slab", "plates")), "how a lenslet pair is built", REQUIRED
     )
     separation: float | None = key(
         LENGTH_ABOVE_0, "biconvex: centre to centre; plano: f1 + f2 in air; slab: thickness / index"
@@ -199,7 +200,7 @@ class PairSpec:
     @property
     def given(self) -> bool:
         """Whether the faces are given."""
-        return self.prescription == "given"
+        return self.prescription == "given" or self.form == "plates"
 
     def lens_faces(self, lens: int) -> slice:
         """Indices of the faces of lens 0 or 1, plane sides included, among the given faces."""

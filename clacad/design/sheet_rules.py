@@ -12,6 +12,7 @@ from clacad.base.text import rounded_up
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
 from clacad.design.combinations import FEATURES, built_sheets, why_not
+from clacad.design.face_list_rules import FACE_LIST_RULES
 from clacad.design.rules import PAIR_RULES, Asked, Rule
 from clacad.design.sections import BODY, LATTICE, LAW, PAIR
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta
@@ -418,6 +419,7 @@ def sheet_is_built(a: Asked) -> Iterator[Mistake]:
 
 RULES: Final[tuple[Rule, ...]] = (
     *PAIR_RULES,
+    *FACE_LIST_RULES,
     pitch_fits_lattice,
     seam_leaves_a_lens,
     outline_holds_a_cell,

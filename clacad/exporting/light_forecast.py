@@ -327,7 +327,7 @@ def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = T
 
     bodies = []
     for body, part in zip(window.bodies, mesh.bodies, strict=True):
-        array = next(face.array for face in (body.front, body.back) if face.array is not None)
+        array = body.arrays[0]
         place = np.array([*(window.shifts[array] if apart else (0.0, 0.0)), 0.0])
         corners, back = _optical(mesh.window, part.rows(), bevel)
         faces = [

@@ -105,7 +105,7 @@ class Tessellation:
         return found
 
     def _places(self, body: Body) -> Places:
-        return Places(self.window.lattice, self.window.shifts[_array(body)])
+        return Places(self.window.lattice, self.window.shifts[body.arrays[0]])
 
 
 class Meshes:
@@ -129,10 +129,6 @@ class Meshes:
     def repeatable(self) -> bool:
         """Whether formats that repeat cells store one cell and its places."""
         return not self._fused and instanceable(self.window)
-
-
-def _array(body: Body) -> int:
-    return next(face.array for face in (body.front, body.back) if face.array is not None)
 
 
 def instanceable(window: Window) -> bool:

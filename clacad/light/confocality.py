@@ -102,7 +102,7 @@ def field_onto_axis(window: Window, start: Floats) -> Floats | None:
     ValueError
         The axis ray does not reach the field lens.
     """
-    if not window.thin.field:
+    if not window.field_array:
         return None
     axis = window.thin.rotation[:, 2]
     return _onto_axis(window, 2, axis, start, axis, None)

@@ -324,7 +324,7 @@ class LightInCells:
     @staticmethod
     def of(window: Window) -> LightInCells | None:
         """Constraint from the start window; None without a field lens."""
-        if not window.thin.field:
+        if not window.field_array:
             return None
         one = window.with_cells((1, 1))
         rays = bundle(one, CELL_RAYS, atan(PART * min(half_field(thin_cells(window))))).rays

@@ -224,7 +224,7 @@ def _refuse(window: Window, words: tuple[str, ...]) -> None:
                     )
                 ]
             )
-    if "field" in words and not window.thin.field:
+    if "field" in words and not window.field_array:
         raise DesignError(
             [
                 Mistake(

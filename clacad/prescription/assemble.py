@@ -49,7 +49,7 @@ def assemble_window(
         form=(
             "plano" if design.pair.form == "slab" and len(bodies) == 3 else design.pair.form
         ),  # the form as built
-        bodies=tuple(replace(body, material=intent.material) for body in bodies),
+        bodies=tuple(replace(body, material=body.material or intent.material) for body in bodies),
         lattice=intent.lattice,
         placements=tuple(
             CellPlacement(shift) for shift in ((0.0, 0.0), moved, *(() if field is None else (field,)))

@@ -58,7 +58,7 @@ def border_overlap(window: Window, body: Body) -> float:
 
     A negative value is the gap between the columns.
     """
-    least, array = np.inf, _array(body)
+    least, array = np.inf, body.arrays[0]
     lattice = window.lattice_of(array)
     steps = lattice.steps
     for number in range(len(steps) // 2):
@@ -72,7 +72,7 @@ def border_overlap(window: Window, body: Body) -> float:
 
 def least_thickness(window: Window, body: Body) -> float:
     """Least lens thickness along z over the optical zone (length), −inf where a lens is missing."""
-    front, back = _lens_column(body, zone_points(window, _array(body)))
+    front, back = _lens_column(body, zone_points(window, body.arrays[0]))
     thickness = back - front
     return -np.inf if np.isnan(thickness).any() else float(thickness.min())
 
@@ -81,14 +81,9 @@ def proud_of_land(window: Window, body: Body) -> float:
     """Least height of both lens faces over their land within the optical zone (length); inf without land."""
     if body.front.land is None or body.back.land is None:
         return np.inf
-    front, back = _lens_column(body, zone_points(window, _array(body)))
+    front, back = _lens_column(body, zone_points(window, body.arrays[0]))
     proud = np.fmin(body.front.land - front, back - body.back.land)
     return -np.inf if np.isnan(proud).any() else float(proud.min())
-
-
-def _array(body: Body) -> int:
-    """Array whose lenses a body carries; for a slab, which carries both, the first."""
-    return next(face.array for face in (body.front, body.back) if face.array is not None)
 
 
 def _lens_column(body: Body, points: Floats) -> tuple[Floats, Floats]:

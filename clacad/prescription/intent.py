@@ -65,10 +65,11 @@ def intent_of(design: Design) -> Intent:
     """Read the inputs of the recipes from a design."""
     pair = design.pair
     material = None
-    if pair.material is not None:
+    name = pair.face[0].behind if pair.form == "plates" else pair.material
+    if name is not None:
         from clacad.optics.material.catalogue import find
 
-        material = find(pair.material)
+        material = find(name)
     index = pair.index if material is None else float(material.index(pair.wavelength))
     assert index is not None  # the design holds exactly one of index and material
     law = design.law
@@ -181,6 +182,10 @@ def refuse_radius(intent: Intent) -> None:
 def separation_of(intent: Intent) -> float:
     """Distance f1 + f2 (length) between the thin lenses equivalent to the pair."""
     pair = intent.design.pair
+    if pair.form == "plates":
+        from clacad.prescription.face_list import separation
+
+        return separation(intent)
     if pair.separation is not None:
         return pair.separation
     thickness = pair.thicknesses

@@ -65,10 +65,11 @@ def placed(design: Design) -> Window:
 def _of_form(intent: Intent) -> Window:
     """Window of a pair of the requested form."""
     from clacad.prescription.biconvex import biconvex
+    from clacad.prescription.face_list import plates
     from clacad.prescription.plano import plano
     from clacad.prescription.slab import slab
 
-    build = {"biconvex": biconvex, "plano": plano, "slab": slab}[intent.design.pair.form]
+    build = {"biconvex": biconvex, "plano": plano, "slab": slab, "plates": plates}[intent.design.pair.form]
     return build(intent)
 
 
@@ -80,7 +81,9 @@ def _checked(design: Design) -> Window:
     from clacad.prescription.intent import intent_of, refuse_radius
 
     intent = intent_of(design)
-    if design.pair.given:
+    if design.pair.form == "plates":
+        pass
+    elif design.pair.given:
         refuse_crossed(design.pair)
     else:
         refuse_radius(intent)

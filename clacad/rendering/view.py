@@ -68,9 +68,7 @@ def pane_of(
     numbers[kernel.SCALE], numbers[kernel.FRONT] = scale, front
     shining = np.zeros(256, dtype=np.uint8)
     shining[list(passage.shining)] = 1
-    wave = lines[0].wavelength
-    indices = np.array([body.index if wave is None else body.index_at(wave) for body in window.bodies])
-    sheet = pack(lay_out(window))._replace(indices=indices)
+    sheet = pack(lay_out(window))._replace(media=np.array(window.media(lines[0].wavelength)))
     return kernel.Pane(kind, numbers, opaque, before, sheet, shining, suits(sheet))
 
 

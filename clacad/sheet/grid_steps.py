@@ -57,13 +57,9 @@ def half_axes(zone: Floats) -> tuple[Floats, Floats]:
 
 def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
     """Return the array(s) whose cells cut a body: one where the faces' cells coincide, else both."""
-    arrays = [face.array for face in (body.front, body.back) if face.array is not None]
-    if not arrays:
-        raise ValueError(f"body {body.name!r} has no lenslet face")
+    arrays = body.arrays
     alike = len(arrays) == 2 and window.placements[arrays[0]] == window.placements[arrays[1]]
-    if len(set(arrays)) == 1 or alike:
-        return (arrays[0],)
-    return (arrays[0], arrays[1])
+    return arrays[:1] if alike else arrays
 
 
 def _ruled(face: Face, axis: Floats) -> bool:

@@ -121,11 +121,12 @@ def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None
     """
     moved = {1: slide, 2: aside}
     found = []
-    for body in window.bodies:
-        for face, other, before, after in (
-            (body.front, body.back, 1.0, body.index),
-            (body.back, body.front, body.index, 1.0),
-        ):
+    media = window.media()
+    for number, body in enumerate(window.bodies):
+        for side, (face, other) in enumerate(((body.front, body.back), (body.back, body.front))):
+            if side == 0 and body.joined:
+                continue
+            before, after = media[2 * number + side], media[2 * number + side + 1]
             shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
             vertex = np.asarray(face.vertex) + [*shift, 0.0]
             owner = other.array if face.array is None else face.array
@@ -139,5 +140,7 @@ def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None
 
 
 def lens_distance(window: Window) -> float:
-    """Distance between the lenses along the axis, design units: in glass for a slab."""
+    """Distance between the lenses along the axis, design units: in glass for a slab, and of listed faces."""
+    if window.form == "plates":
+        return window.bodies[-1].back.vertex[2] - window.bodies[0].front.vertex[2]
     return window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)

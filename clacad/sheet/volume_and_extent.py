@@ -75,7 +75,7 @@ def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
     outline, cells = window.outline, window.lattice.cells()
     if body.columnar and _meets_itself(window, body, cells):
         return None
-    array = next(face.array for face in (body.front, body.back) if face.array is not None)
+    array = body.arrays[0]
     if outline is None:
         whole = len(cells) * window.lattice_of(array).cell_area
     elif isinstance(outline, Circle):
@@ -274,9 +274,8 @@ def _rule(height: Height, origin: Floats, u: Floats, v: Floats, boxes: Floats, s
 # -- extent and heights --------------------------------------------------------------------------
 def body_extent(window: Window, body: Body) -> tuple[float, float, float, float]:
     """Bounding box (x_min, x_max, y_min, y_max) of a body seen along z, design units."""
-    arrays = [face.array for face in (body.front, body.back) if face.array is not None]
-    one = set(arrays)
-    place = window.placements[arrays[0]] if len(one) == 1 else CellPlacement()
+    own = len(body.arrays) == 1 and not window.one_outline
+    place = window.placements[body.arrays[0]] if own else CellPlacement()
     dx, dy = place.shift
     if isinstance(window.outline, Plate):
         return window.outline.box
@@ -393,11 +392,6 @@ def bodies_apart(window: Window, what: str) -> tuple[Body, ...]:
     if len(window.bodies) < 2:
         raise NoFixture(f"a {what} lies between two arrays; {window.name} is one slab")
     return window.bodies
-
-
-def array_of(body: Body) -> int:
-    """Index of the array on a body that has one."""
-    return next(face.array for face in (body.front, body.back) if face.array is not None)
 
 
 def plane_of(body: Body, side: int) -> float:

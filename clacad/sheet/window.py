@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from clacad.optics.material.material import Material
 
 Surface = Quadric | Biconic | EvenPolynomial
-Form = Literal["biconvex", "plano", "slab"]
+Form = Literal["biconvex", "plano", "slab", "plates"]
 IDENTITY = np.eye(3)
 PLANE = Quadric(0.0, 0.0, 0.0)
 
@@ -115,6 +115,8 @@ class Body:
         "array1", "array2", "field" or "sheet"; used for files, labels and solids.
     material : Material or None
         Gives the index at other wavelengths; None is a constant index.
+    joined : bool
+        Whether `front` is a joint: the surface of the back face of the body before, without air between.
     """
 
     front: Face
@@ -122,6 +124,15 @@ class Body:
     index: float
     name: str
     material: Material | None = None
+    joined: bool = False
+
+    @property
+    def arrays(self) -> tuple[int, ...]:
+        """Arrays on whose cells the faces repeat, each once, in the order of the light; array 0 for a layer of
+        two planes, which is cut along its cells.
+        """
+        seen = [face.array for face in (self.front, self.back) if face.array is not None]
+        return tuple(dict.fromkeys(seen)) or (0,)
 
     @property
     def columnar(self) -> bool:
@@ -263,7 +274,7 @@ class Window:
 
     Attributes
     ----------
-    form : "biconvex", "plano" or "slab"
+    form : "biconvex", "plano", "slab" or "plates"
     bodies : tuple of Body
     lattice : Lattice
     placements : tuple of CellPlacement, one per array
@@ -323,6 +334,49 @@ class Window:
     def faces(self) -> tuple[Face, ...]:
         """All faces in the order light reaches them."""
         return tuple(face for body in self.bodies for face in (body.front, body.back))
+
+    @property
+    def plates(self) -> tuple[tuple[Body, ...], ...]:
+        """Bodies without air between them, in the order light reaches them."""
+        found: list[list[Body]] = []
+        for body in self.bodies:
+            if body.joined:
+                found[-1].append(body)
+            else:
+                found.append([body])
+        return tuple(map(tuple, found))
+
+    @property
+    def field_array(self) -> bool:
+        """Whether a field lens has cells of its own."""
+        return len(self.placements) > 2
+
+    @property
+    def one_outline(self) -> bool:
+        """Whether all bodies have the outline of the sheet; else each follows its own array."""
+        return self.form in ("slab", "plates")
+
+    def outline_centre(self, body: Body) -> tuple[float, float]:
+        """Centre (x, y) of a body's outline, lengths: the sheet's, or that of the body's own array."""
+        return self.shifts[body.arrays[0]] if len(body.arrays) == 1 and not self.one_outline else (0.0, 0.0)
+
+    def media(self, wavelength: float | None = None) -> tuple[float, ...]:
+        """Refractive index before the first face and behind each face, (2 bodies + 1,).
+
+        Of the two faces of a joint, the second has the same medium on both sides.
+
+        wavelength : metres; None: the design wavelength
+
+        Raises
+        ------
+        ValueError
+            The wavelength lies outside a material's data.
+        """
+        inside = [body.index_at(wavelength) for body in self.bodies]
+        found = [1.0]
+        for number, body in enumerate(self.bodies[1:], start=1):
+            found += [inside[number - 1], inside[number] if body.joined else 1.0]
+        return (*found, inside[-1], 1.0)
 
     @property
     def shifts(self) -> tuple[tuple[float, float], ...]:
@@ -456,7 +510,7 @@ def side_outline(window: Window) -> Outline | None:
     if window.lattice.outline is not None:
         return grown(window.lattice.outline, border)
     shift, own = second.shift, second.own
-    displaced = window.form == "slab" and (shift != (0.0, 0.0) or own)
+    displaced = window.one_outline and (shift != (0.0, 0.0) or own)
     if border == 0.0 and not displaced:
         return None
     extents = np.array([place.extent(window.lattice) for place in window.placements])
@@ -465,7 +519,7 @@ def side_outline(window: Window) -> Outline | None:
         off = np.array([[x, x, y, y] for x, y in window.shifts])
         x1, y1 = float(np.abs(extents - off)[:, :2].max()), float(np.abs(extents - off)[:, 2:].max())
     reach_x, reach_y = max(-x0, x1) + border, max(-y0, y1) + border
-    if window.form == "slab":
+    if window.one_outline:
         reach_x, reach_y = reach_x + abs(shift[0]), reach_y + abs(shift[1])
     if second.turn:  # the corners of a turned array do not touch the sides
         reach_x, reach_y = (reach + TURNED_ROOM * min(window.lattice.pitch) for reach in (reach_x, reach_y))

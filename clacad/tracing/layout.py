@@ -92,6 +92,8 @@ class BodyPlan:
         Of the outline and of `inner`, sheet frame.
     plate : Plate or None
         The outline where it is a plate, in the sheet frame.
+    joined : bool
+        Whether the front is the joint with the body before.
     """
 
     front: FacePlan
@@ -107,12 +109,15 @@ class BodyPlan:
     outline: tuple[str, float, float]
     centre: tuple[float, float]
     plate: Plate | None = None
+    joined: bool = False
 
     @property
     def arrays(self) -> tuple[int, ...]:
-        """Lens arrays that this body carries, each once, in the order of the light."""
+        """Lens arrays that this body carries, each once, in the order of the light; array 0 for a layer of
+        two planes.
+        """
         seen = [face.array for face in (self.front, self.back) if face.array is not None]
-        return tuple(dict.fromkeys(seen))
+        return tuple(dict.fromkeys(seen)) or (0,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,6 +320,7 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
         outline=outline,
         centre=centre,
         plate=window.outline if isinstance(window.outline, Plate) else None,
+        joined=body.joined,
     )
 
 
@@ -432,9 +438,8 @@ Footprint = tuple[Box, tuple[float, float, float], tuple[str, float, float], tup
 
 def _footprint(window: Window, body: Body) -> Footprint:
     """Bounding box, inner region, outline and their centre."""
-    arrays = {face.array for face in (body.front, body.back) if face.array is not None}
     if window.outline is None:
-        place = window.placements[body.front.array if body.front.array is not None else arrays.pop()]
+        place = window.placements[body.arrays[0]]
         box = place.extent(window.lattice)
         middle = (0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]))
         inner = _inside_cells(window.lattice, place, box)
@@ -443,7 +448,7 @@ def _footprint(window: Window, body: Body) -> Footprint:
         x0, x1, y0, y1 = window.outline.box
         middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
         return (x0, x1, y0, y1), (*window.outline.free_box, np.inf), ("plate", 0.0, 0.0), middle
-    cx, cy = window.shifts[arrays.pop()] if len(arrays) == 1 else (0.0, 0.0)
+    cx, cy = window.outline_centre(body)
     if isinstance(window.outline, Circle):
         half = 0.5 * window.outline.diameter
         return (

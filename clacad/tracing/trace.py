@@ -185,8 +185,8 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
     else:
         from clacad.tracing.reference.surfaces import trace_surfaces
 
-        for same, indices in colours(layout, rays, rows):
-            trace_surfaces(layout, ledger, same, indices)
+        for same, media in colours(layout, rays, rows):
+            trace_surfaces(layout, ledger, same, media)
     return ledger.closed()
 
 
@@ -230,13 +230,13 @@ def _compiled(
     line = common_line(rays)
     if line is not False:  # the kernels write every row themselves
         ledger = Ledger.blank(len(rays), recorded)
-        indices = tuple(body.index_at(line) for body in layout.window.bodies)
+        media = layout.window.media(line)
         rows = np.arange(len(rays)) if recorded else range(len(rays))
-        trace_compiled(layout, rays, ledger, rows, indices, count, facets, single)
+        trace_compiled(layout, rays, ledger, rows, media, count, facets, single)
     else:
         ledger = Ledger.opened(rays, recorded)
-        for rows, indices in colours(layout, rays, ledger.launchable()):
-            trace_compiled(layout, rays, ledger, rows, indices, count, facets, single)
+        for rows, media in colours(layout, rays, ledger.launchable()):
+            trace_compiled(layout, rays, ledger, rows, media, count, facets, single)
     if facets is None and not single:
         LOADED.add(kernels_of("surfaces", layout))
     return ledger.closed()
@@ -253,21 +253,23 @@ def common_line(rays: Rays) -> float | Literal[False] | None:
 
 
 def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
-    """Rows (k,) of rays of one wavelength at a time, with the refractive index of each body at it."""
-    bodies = layout.window.bodies
+    """Rows (k,) of rays of one wavelength at a time, with the media around the faces at it
+    (`Window.media`).
+    """
+    window = layout.window
     if rays.wavelength is None:
-        yield rows, tuple(body.index for body in bodies)
+        yield rows, window.media()
         return
     each = rays.wavelength[rows]
     if len(each) and bool((each == each[0]).all()):  # pictures are traced line by line: nothing to sort
-        yield rows, tuple(body.index_at(float(each[0])) for body in bodies)
+        yield rows, window.media(float(each[0]))
         return
     waves, which = np.unique(each, return_inverse=True)
     order = np.argsort(which, kind="stable")
     bounds = np.searchsorted(which[order], np.arange(len(waves) + 1))
     for k, wave in enumerate(waves):
         chosen = rows[order[bounds[k] : bounds[k + 1]]]
-        yield chosen, tuple(body.index_at(float(wave)) for body in bodies)
+        yield chosen, window.media(float(wave))
 
 
 def trace(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -131,9 +132,12 @@ def _either_side(window: Window, axis: int) -> tuple[list[Interface], list[Inter
     They are those of the lens and, with a field lens, those between the lens and the field lens's powered
     face.
     """
+    every = interfaces(window)
+    if window.form == "plates":
+        first = _before_focus(every, axis)
+        return every[:first], every[first:]
     if not window.thin.field:
         return _of_lens(window, 0), _of_lens(window, 1)
-    every = interfaces(window)
     powered = [
         k
         for k, face in enumerate(window.faces)
@@ -142,6 +146,18 @@ def _either_side(window: Window, axis: int) -> tuple[list[Interface], list[Inter
     if len(powered) == 2:  # half of the power before the focus, half behind it
         return every[: powered[1]], every[powered[1] :]
     return every[: powered[0]], every[powered[0] + 1 :]
+
+
+def _before_focus(every: list[Interface], axis: int) -> int:
+    """Number of interfaces that paraxial light of a meridian crosses before its first focus."""
+    height, slope = 1.0, 0.0  # slope times refractive index
+    for number, (here, beyond) in enumerate(pairwise(every), start=1):
+        curvature = (here.surface.curvature_x, here.surface.curvature_y)[axis] * here.surface.side
+        slope -= (here.index_after - here.index_before) * curvature * height
+        height += slope * (beyond.vertex[2] - here.vertex[2]) / here.index_after
+        if not height > 0.0:
+            return number
+    return len(every) // 2
 
 
 def _of_lens(window: Window, number: int) -> list[Interface]:

@@ -5,7 +5,7 @@ Draws are deterministic: a ray with given bits and row number always gets the sa
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -76,9 +76,9 @@ class RayBlock:
         return np.asarray(self.result.fate <= Fate.LAND)
 
     @property
-    def indices(self) -> Floats:
+    def media(self) -> Floats:
         """Refractive index before the first face and behind each, (faces + 1,)."""
-        return np.array(around([self.index(body) for body in self.window.bodies]))
+        return np.array(self.window.media(self.wavelength))
 
     @property
     def air_wavelength(self) -> float:
@@ -105,16 +105,14 @@ def crossings(block: RayBlock) -> Iterator[FaceCrossing]:
     if block.rung in ("law", "thin"):
         yield from plate_crossings(block)
         return
-    result, bodies = block.result, block.window.bodies
+    result, media = block.result, block.window.media(block.wavelength)
     assert result.hits is not None
     assert result.directions is not None
     everywhere = bool((result.fate <= Fate.GHOST).all())
     before, point = unit_rows(block.rays.direction), block.rays.position
     for face, after in enumerate(result.directions):
-        index = block.index(bodies[face // 2])
-        n1, n2 = (1.0, index) if face % 2 == 0 else (index, 1.0)
         through = None if everywhere else crossed(result, face, point)
-        yield FaceCrossing(before, after, n1, n2, through)
+        yield FaceCrossing(before, after, media[face], media[face + 1], through)
         before, point = after, result.hits[face]
 
 
@@ -189,11 +187,6 @@ def bend(block: RayBlock, slopes: Floats, rows: Bools) -> None:
     block.result.direction[chosen[forwards]] = out[forwards]
 
 
-def around(indices: Sequence[float]) -> list[float]:
-    """Refractive index before the first face and behind each, from those of the bodies."""
-    return [1.0, *(n for index in indices for n in (index, 1.0))]
-
-
 def traced_of(block: RayBlock) -> Traced:
     """Record for compiled passes of a block whose trace kept hits and directions."""
     from clacad.effects.engine.compiled_passes import Traced
@@ -202,7 +195,7 @@ def traced_of(block: RayBlock) -> Traced:
     assert result.hits is not None
     assert result.directions is not None
     kept = result.hits, result.directions, result.fate, result.surface
-    return Traced(rays.position, rays.direction, *kept, block.indices)
+    return Traced(rays.position, rays.direction, *kept, block.media)
 
 
 def uniform(rays: Rays, count: int, seed: int, salt: int) -> Floats:

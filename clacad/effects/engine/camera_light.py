@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Rung
-from clacad.effects.engine.block import RayBlock, around, unit_rows
+from clacad.effects.engine.block import RayBlock, unit_rows
 from clacad.effects.engine.effect import Declaration, Effect, Setting, Situation
 from clacad.effects.engine.homogeneous_light import LightRays, join_light, law_light
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
@@ -52,7 +52,7 @@ def rules_for(window: Window, setting: Setting, wavelength: float | None, order:
         order=order,
         faces=setting.faces,
         attenuation=attenuation,
-        indices=tuple(body.index_at(wavelength) for body in window.bodies),
+        media=window.media(wavelength),
         coating=setting.coating,
         ratio=ratio,
     )
@@ -142,7 +142,7 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
         rows = np.flatnonzero(result.fate <= Fate.GHOST)
         done[every[chosen][rows]] = True
         rules = rules_for(window, setting, wavelength, setting.order)
-        index = np.array(around(rules.indices))
+        index = np.array(rules.media)
         rates = np.array(rules.attenuation or (0.0,) * len(window.bodies))
         shape = len(rows), len(sheet.faces) * (len(sheet.faces) + 1) // 2
         paths = SplitPaths(np.empty((*shape, 3)), np.empty((*shape, 3)), np.zeros(shape))

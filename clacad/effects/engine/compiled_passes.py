@@ -28,7 +28,7 @@ class Traced(NamedTuple):
         Point at which each face was hit and the direction behind it.
     fate : (n,) bytes, last : (n,) ints
         Fate of the ray, and the last face that it hit.
-    indices : (f + 1,)
+    media : (f + 1,)
         Refractive index before the first face and behind each.
     """
 
@@ -38,7 +38,7 @@ class Traced(NamedTuple):
     turns: Floats
     fate: Bytes
     last: Cells
-    indices: Floats
+    media: Floats
 
 
 @exact
@@ -82,7 +82,7 @@ def reflected(turn: float, n1: float, n2: float) -> float:
 @exact
 def fresnel_share(traced: Traced, row: int) -> float:
     """Share of unpolarised light that all bare faces crossed by one ray transmit; see `fresnel_pass`."""
-    ray, turns, index = traced.ray, traced.turns, traced.indices
+    ray, turns, index = traced.ray, traced.turns, traced.media
     x, y, z = ray[row, 0], ray[row, 1], ray[row, 2]
     length = 1.0 / sqrt(x * x + y * y + z * z)
     x, y, z = x * length, y * length, z * length
@@ -172,7 +172,7 @@ def polarisation_pass(traced: Traced, analyser: Floats, polariser: Floats, flux:
     analyser, polariser : (2,)
         Directions (cos, sin) of the sheet's x and y; NaN where there is none.
     """
-    ray, turns, index = traced.ray, traced.turns, traced.indices
+    ray, turns, index = traced.ray, traced.turns, traced.media
     single = analyser[0] == analyser[0]
     filtered = polariser[0] == polariser[0]
     for row in range(len(flux)):

@@ -30,7 +30,7 @@ class Passing(NamedTuple):
 
     Attributes
     ----------
-    indices : (f + 1,)
+    media : (f + 1,)
         Refractive index before the first face and behind each.
     rates : (b,), inverse lengths
         Attenuation of each body.
@@ -38,7 +38,7 @@ class Passing(NamedTuple):
         0 for bare faces, else design wavelength over wavelength of a quarter-wave layer.
     """
 
-    indices: Floats
+    media: Floats
     rates: Floats
     layer: float
 
@@ -189,7 +189,7 @@ def through(
 def forward(sheet: Packed, k: int, ray: Ray, flux: float, passing: Passing) -> tuple[float, Ray]:
     """Follow light from behind face k − 1 through faces k, k + 1, …: its share and ray behind the last."""
     for face in range(k, len(sheet.faces)):
-        n1, n2 = passing.indices[face], passing.indices[face + 1]
+        n1, n2 = passing.media[face], passing.media[face + 1]
         t, ray, lost, _ = through(sheet, face, ray, n1, n2, passing.layer)
         if not (t >= 0.0 and ray.N > 0.0):
             return 0.0, ray
@@ -208,7 +208,7 @@ def _way_back(
     for face in range(k - 1, -1, -1):
         paths.flux[i, pair] = 0.0
         if part > 0.0 and ray.N < 0.0:
-            n1, n2 = passing.indices[face + 1], passing.indices[face]
+            n1, n2 = passing.media[face + 1], passing.media[face]
             t, beyond, again, turned = through(sheet, face, ray, n1, n2, passing.layer)
             if t >= 0.0:
                 if face % 2 == 0:  # it came through the material behind a front face
@@ -259,7 +259,7 @@ def bounce_pass(
     hits, turns : (f, n, 3)
         Point at which each face was hit, and the direction behind it.
     """
-    index = passing.indices
+    index = passing.media
     for i in range(len(rows)):
         row = rows[i]
         share, u, v, w = 1.0, start[row, 0], start[row, 1], start[row, 2]

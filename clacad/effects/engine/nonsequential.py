@@ -36,12 +36,15 @@ def mirrored(window: Window) -> Window:
     still describe the original window.
     """
     low, high = window.z_range
-    bodies = tuple(_mirrored_body(body) for body in reversed(window.bodies))
+    joined = (False, *(body.joined for body in window.bodies[:0:-1]))
+    bodies = tuple(
+        _mirrored_body(body, joint) for body, joint in zip(reversed(window.bodies), joined, strict=True)
+    )
     return replace(window, bodies=bodies, z_range=(-high, -low))
 
 
-def _mirrored_body(body: Body) -> Body:
-    return replace(body, front=_mirrored_face(body.back), back=_mirrored_face(body.front))
+def _mirrored_body(body: Body, joined: bool) -> Body:
+    return replace(body, front=_mirrored_face(body.back), back=_mirrored_face(body.front), joined=joined)
 
 
 def _mirrored_face(face: Face) -> Face:
@@ -82,7 +85,7 @@ class Rules:
     faces : int
         Largest number of faces after the first wall or total reflection.
     attenuation : one a body, 1/length
-    indices : one a body
+    media : refractive index before the first face and behind each
     coating, ratio : see `clacad.optics.surface.fresnel_coefficients.reflected`
     """
 
@@ -92,7 +95,7 @@ class Rules:
     order: int = 0
     faces: int = 8
     attenuation: tuple[float, ...] = ()
-    indices: tuple[float, ...] = ()
+    media: tuple[float, ...] = ()
     coating: str = "none"
     ratio: float = 1.0
 
@@ -360,7 +363,7 @@ class _Packets:
             return
         body = layout.bodies[number]
         normal = normals_met(layout, body, packet, event)
-        packet = arrived(layout, body, packet, event, up, self.index(up, number) if inside else 1.0)
+        packet = arrived(layout, body, packet, event, up, self.index(state))
         was = packet.astray
         packet = replace(packet, faces=packet.faces + 1, astray=np.where((was > 0) | astray, was + 1, 0))
         bad = ~np.isfinite(normal[:, 2])
@@ -368,19 +371,29 @@ class _Packets:
             self.end("wall", packet.take(bad))
             packet, normal, astray, event = packet.take(~bad), normal[~bad], astray[~bad], event.take(~bad)
         nudge = np.where((event.kind == WALL)[:, None], NUDGE * layout.halves.max() * normal[:, :2], 0.0)
-        self.divide(state, packet, normal, astray, nudge)
+        bodies = layout.bodies
+        joined = inside and number + 1 < len(bodies) and bodies[number + 1].joined
+        at_joint = np.isin(event.kind, (BACK, BACK_LAND)) & joined
+        for rows, beyond in ((at_joint, (up, number + 1, True)), (~at_joint, (up, number, not inside))):
+            if rows.any():
+                hit = packet.take(rows)
+                self.divide((state, beyond), hit, normal[rows], astray[rows], nudge[rows])
 
-    def index(self, up: bool, number: int) -> float:
-        """Refractive index of a body, numbered in the order in which the packet reaches it."""
-        return self.rules.indices[number if up else len(self.layouts[True].bodies) - 1 - number]
+    def index(self, state: State) -> float:
+        """Refractive index where packets of a state travel."""
+        up, number, inside = state
+        number = number if up else len(self.layouts[True].bodies) - 1 - number
+        return self.rules.media[2 * number + 1] if inside else 1.0
 
-    def divide(self, state: State, packet: Packet, normal: Floats, astray: Bools, nudge: Floats) -> None:
+    def divide(
+        self, sides: tuple[State, State], packet: Packet, normal: Floats, astray: Bools, nudge: Floats
+    ) -> None:
         """Send transmitted and reflected light on from interface normals (m, 3).
 
-        `nudge` (m, 2) over a wall.
+        sides : states before the interface and beyond it; nudge : (m, 2), over a wall
         """
-        up, number, inside = state
-        n1, n2 = (self.index(up, number), 1.0) if inside else (1.0, self.index(up, number))
+        state, beyond = sides
+        n1, n2 = self.index(state), self.index(beyond)
         ray = packet.beam.direction
         cos = np.maximum((ray * normal).sum(axis=1), 0.0)
         through, _ = refract(ray, normal, cos, n1, n2)
@@ -393,7 +406,11 @@ class _Packets:
         passing = ~total
         sent = packet.take(passing)
         sent = replace(sent, flux=sent.flux * (1.0 - lost[passing]))
-        self.send((up, number, not inside), sent, through[passing], nudge[passing])
+        if beyond[1] != state[1]:  # through a joint
+            bodies = self.layouts[state[0]].bodies
+            rise = bodies[beyond[1]].level - bodies[state[1]].level
+            sent = replace(sent, beam=replace(sent.beam, z=sent.beam.z - rise))
+        self.send(beyond, sent, through[passing], nudge[passing])
         goes = total & (astray | self.rules.total)
         self.end("total", packet.take(total & ~goes))
         turned = packet.take(goes)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Rung
 from clacad.effects import registry
-from clacad.effects.engine.block import RayBlock, around, crossings
+from clacad.effects.engine.block import RayBlock, crossings
 from clacad.effects.engine.effect import Effect, Setting, When
 from clacad.effects.registry import declared, declared_all
 from clacad.optics.rays import Rays, TraceResult
@@ -60,8 +60,8 @@ class OrderedResult:
         """Trace a block by the compiled kernels straight into its slice; its hits may be kept for it
         alone.
         """
-        indices = tuple(body.index_at(wavelength) for body in self.window.bodies)
-        return self.traced(rows, rays, indices, 2 * len(self.window.bodies) if keep else 0)
+        media = self.window.media(wavelength)
+        return self.traced(rows, rays, media, 2 * len(self.window.bodies) if keep else 0)
 
     def traced_with_losses(
         self, rows: slice, rays: Rays, wavelength: float | None, lossy: Sequence[Effect]
@@ -70,30 +70,36 @@ class OrderedResult:
         from clacad.effects.engine.compiled_passes import Traced, losses_pass
 
         bodies = self.window.bodies
-        indices = tuple(body.index_at(wavelength) for body in bodies)
+        media = self.window.media(wavelength)
         asked = [effect.losses(wavelength) for effect in lossy if effect.losses is not None]
         rates = np.zeros(len(bodies))
         for _, own in asked:
             rates[: len(own)] += own
         reflects = any(own for own, _ in asked)
-        result = self.traced(rows, rays, (*indices, float(reflects), *rates), 2 * len(bodies), 1)
+        result = self.traced(rows, rays, media, 2 * len(bodies), 1, (float(reflects), *rates))
         hits, turns = result.hits, result.directions
         assert hits is not None
         assert turns is not None
         flux = result.flux
         flux[:] = turns[-1].reshape(-1)[: len(rays)]
         traced = Traced(
-            rays.position, rays.direction, hits, turns, result.fate, result.surface, np.array(around(indices))
+            rays.position, rays.direction, hits, turns, result.fate, result.surface, np.array(media)
         )
         losses_pass(traced, rates, reflects, flux)
         return replace(result, hits=None, directions=None)
 
     def traced(
-        self, rows: slice, rays: Rays, indices: tuple[float, ...], faces: int, more: int = 0
+        self,
+        rows: slice,
+        rays: Rays,
+        media: tuple[float, ...],
+        faces: int,
+        more: int = 0,
+        losses: tuple[float, ...] = (),
     ) -> TraceResult:
         """Trace a block into its slice, with the hits at the first `faces` faces kept.
 
-        See `trace_chunk` for the indices.
+        See `Packed` for the media and losses.
         """
         from clacad.tracing.compiled.surfaces import trace_compiled
         from clacad.tracing.layout import lay_out
@@ -107,7 +113,7 @@ class OrderedResult:
             layers = faces + (more if name == "directions" else 0)
             own[name] = self.lent(name, layers, len(rays)) if whole is None else whole[:, rows]
         ledger = Ledger(**own)
-        trace_compiled(lay_out(self.window), rays, ledger, np.arange(len(rays)), indices, 1)
+        trace_compiled(lay_out(self.window), rays, ledger, np.arange(len(rays)), media, 1, losses=losses)
         return ledger.closed()
 
     def lent(self, name: str, faces: int, count: int) -> Floats:

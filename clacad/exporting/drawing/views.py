@@ -452,7 +452,7 @@ def _pair(values: tuple[float, float], mm: float) -> str:
 
 def _second(window: Window) -> float:
     """Height of the middle of lens 2."""
-    if window.thin.field:
+    if window.field_array:
         return float(np.mean([f.vertex[2] for f in window.faces if f.array == 1]))
     if window.form != "biconvex":
         return float(next(f for f in window.faces if f.array == 1).vertex[2])
@@ -467,8 +467,7 @@ def _spans(window: Window, at: Callable[..., Floats], canvas: Canvas) -> dict[st
     """
     found = {}
     for body in window.bodies:
-        arrays = [face.array for face in (body.front, body.back) if face.array is not None]
-        paired = len(set(arrays)) == 1
+        arrays, paired = body.arrays, len(body.arrays) == 1
         x, y = across_cell(window, arrays[0])
         if not paired:
             other, other_y = across_cell(window, arrays[1])

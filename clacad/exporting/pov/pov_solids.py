@@ -34,7 +34,6 @@ from clacad.optics.surface import Biconic, Quadric, as_quadric
 from clacad.prescription.cell_heights import faces_that_differ
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
-from clacad.sheet.volume_and_extent import array_of
 from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
 
 SAMPLES = 33
@@ -94,7 +93,7 @@ def sheet_lines(window: Window, units: float) -> Iterator[str]:
 
 def _columns(window: Window, body: Body, k: int, units: float) -> Iterator[str]:
     """A bundle of lenslets: lens, and its share of the web, cell by cell."""
-    array = next(face.array for face in (body.front, body.back) if face.array is not None)
+    array = body.arrays[0]
     depth = _depth(window, body)
     lens = [_half_space(window, face, units) for face in (body.front, body.back)]
     parts = [_meeting([*lens, prism(window, array, units, depth, zone=True)])]
@@ -226,8 +225,7 @@ def _meeting(parts: list[str]) -> str:
 def _outline(window: Window, body: Body, units: float, span: HeightRange) -> str:
     """The whole footprint of a body between two heights."""
     low, high = number(units * span.low), number(units * span.high)
-    arrays = {face.array for face in (body.front, body.back) if face.array is not None}
-    x, y = window.shifts[arrays.pop()] if len(arrays) == 1 else (0.0, 0.0)
+    x, y = window.outline_centre(body)
     if isinstance(window.outline, Plate):
         return _plate(window.outline, units, low, high)
     if isinstance(window.outline, Circle):
@@ -300,10 +298,10 @@ def _honeycomb(window: Window, units: float, first: Body, second: Body) -> Itera
     assert window.baffle is not None
     span = HeightRange(_heights(window, first.back).high, _heights(window, second.front).low)
     rise = span.high - span.low
-    run = np.subtract(window.shifts[array_of(second)], window.shifts[array_of(first)]) / rise
+    run = np.subtract(window.shifts[second.arrays[0]], window.shifts[first.arrays[0]]) / rise
     room = 0.01 * rise
     channel = HeightRange(-room, rise + room)
-    array = array_of(first)
+    array = first.arrays[0]
     wall = prism(window, array, units, HeightRange(0.0, rise), spare=0.0)
     free = prism(window, array, units, channel, spare=0.5 * window.baffle.wall)
     shear = (

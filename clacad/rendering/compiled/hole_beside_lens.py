@@ -42,7 +42,7 @@ def pass_quick(sheet: Packed, launched: Launched, position: Floats, direction: F
     """Trace one launched ray; write where it leaves to row 0 of (1, 3), or return UNDECIDED and write
     nothing.
     """
-    faces, bodies, lat, rows, indices, _, _, _ = sheet
+    faces, bodies, lat, rows, media = sheet.faces, sheet.bodies, sheet.lattice, sheet.rows, sheet.media
     i, j, x, y, z, L, M, N, _ = launched
     half_x, half_y = lat[slot.HALF], lat[slot.HALF + 1]
     hair = HAIR * half_x
@@ -67,13 +67,15 @@ def pass_quick(sheet: Packed, launched: Launched, position: Floats, direction: F
         if not (by_front and 0.0 < enter < leave - hair and enter < rise):
             return UNDECIDED
         strayed = strayed or i != first_i or j != first_j
-        t, (x, y, z, L, M, N) = _crossed(faces, 2 * b, Ray(x, y, z, L, M, N), 1.0, indices[b])
+        t, (x, y, z, L, M, N) = _crossed(faces, 2 * b, Ray(x, y, z, L, M, N), media[2 * b], media[2 * b + 1])
         if not (abs(t - enter) <= hair and abs(x) < half_x and abs(y) < half_y and N > 0.0):
             return UNDECIDED
         _, _, leave, by_back = _between(faces, 2 * b, Ray(x, y, z, L, M, N), hair)
         if not (by_back and hair < leave < inf):
             return UNDECIDED
-        t, (x, y, z, L, M, N) = _crossed(faces, 2 * b + 1, Ray(x, y, z, L, M, N), indices[b], 1.0)
+        t, (x, y, z, L, M, N) = _crossed(
+            faces, 2 * b + 1, Ray(x, y, z, L, M, N), media[2 * b + 1], media[2 * b + 2]
+        )
         if not (abs(t - leave) <= hair and N > 0.0):
             return UNDECIDED
         rise = max(0.0, (bodies[b, slot.BODY_HIGH] - z) / N)

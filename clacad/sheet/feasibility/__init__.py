@@ -124,7 +124,10 @@ def cell_feasibility(
     return Feasibility(
         lenses=(*(_lens_facts(whole, cell, array) for array in (0, 1)), *field_facts(window, width)),
         bodies=bodies,
-        clearance=min((b.low - a.high for a, b in pairwise(bodies)), default=np.inf),
+        clearance=min(
+            (b.low - a.high for (a, b), body in zip(pairwise(bodies), window.bodies[1:]) if not body.joined),
+            default=np.inf,
+        ),
         separation=window.thin.separation,
         aperture=aperture_slope(window),
         undeviated=(offset[0] / offset[2], offset[1] / offset[2]),

@@ -81,7 +81,7 @@ def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
 
 def field_facts(window: Window, width: list[float]) -> tuple[LensFacts, ...]:
     """Numbers of the field lens, body by body; empty without one. `width` as for `lens_facts`."""
-    if not window.thin.field:
+    if not window.field_array:
         return ()
     focal = two(min(lens.focal_length[axis] for lens in window.thin.field) for axis in (0, 1))
     found = [
@@ -233,7 +233,7 @@ def least_thickness(window: Window, array: int) -> float:
     corner. Infinite where the radii are too small for any thickness; 0 for a slab.
     """
     body, face = body_of(window, array)
-    if window.form == "slab":
+    if window.one_outline:
         return 0.0
     thickness = _centre_thickness(body, face)
     zone, change = optical_tile(window), 0.0
@@ -366,9 +366,7 @@ def _edge(window: Window, body: Body) -> float:
             return back - front
         rim = np.concatenate([border(tile, k) for k in range(len(tile))])
         # where the lens ends before the border, the column is missing: use the negative thickness, not NaN
-        lens = thickness_over_cell(
-            window, next(a for a in (body.front.array, body.back.array) if a is not None)
-        )
+        lens = thickness_over_cell(window, body.arrays[0], body)
         thickness = backs(*rim.T) - fronts(*rim.T)
         thickness = np.where(np.isnan(thickness), np.fmin(lens(*rim.T), 0.0), thickness)
         return float(np.nan_to_num(thickness, nan=-np.inf).min())

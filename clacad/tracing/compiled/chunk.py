@@ -280,12 +280,12 @@ def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
     """Write the share of light that the straight path transmits, where counted, to the last layer of
     `turns`.
     """
-    indices, bodies, share = sheet.indices, len(sheet.bodies), len(sheet.faces)
-    if len(indices) == bodies:
+    losses, share = sheet.losses, len(sheet.faces)
+    if len(losses) == 0:
         return
     absorbs = False
-    for b in range(bodies):
-        absorbs |= indices[bodies + 1 + b] != 0.0
+    for rate in losses[1:]:
+        absorbs |= rate != 0.0
     for k in range(len(block)):
         s[SHARE, k] /= s[OVER, k]
     for k in range(len(block) if absorbs else 0):
@@ -317,7 +317,7 @@ def _walk(
     scratch: Scratch,
 ) -> None:
     """Walk rays one by one, many in a row, so that the code and tables of the walk stay in the cache."""
-    counted, share = len(sheet.indices) > len(sheet.bodies), len(sheet.faces)
+    counted, share = len(sheet.losses) > 0, len(sheet.faces)
     for row in waiting:
         sound = blank_row(row, start, ray, out)
         if counted:

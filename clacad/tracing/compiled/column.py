@@ -138,12 +138,10 @@ def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
             land = FRONT_LAND if side == 0 else BACK_LAND
             work[count], causes[count] = (faces[row, slot.LAND] - z) / N, land
             count += 1
-    last = -1
-    for side in range(2):
-        at = int(faces[2 * b + side, slot.ARRAY])
-        if lat[slot.MARGIN] == 0.0 or at < 0 or at == last:
+    for k in range(2):
+        at = int(sheet.bodies[b, slot.CELLS + k])
+        if lat[slot.MARGIN] == 0.0 or at < 0:
             continue
-        last = at
         for n in range(int(lat[slot.BORDERS])):
             ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
             here, speed = ux * work[START + 2 * at] + uy * work[START + 2 * at + 1], ux * L + uy * M
@@ -205,8 +203,8 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
     for t in (now, high):
         if not well_inside(bodies, b, sx + t * L, sy + t * M):
             return now
-    for side in range(2):
-        at = int(sheet.faces[2 * b + side, slot.ARRAY])
+    for k in range(2):
+        at = int(bodies[b, slot.CELLS + k])
         if at < 0:
             continue
         p, q, _, _ = into_array(sheet, array, at, i, j, x + high * L, y + high * M)
@@ -220,8 +218,8 @@ def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
     array, i, j, x, y, _, _, _, _ = ray
     for k in range(2 * slot.MOST_ARRAYS):
         work[STEP + k] = 0.0
-    for side in range(2):
-        at = int(sheet.faces[2 * b + side, slot.ARRAY])
+    for k in range(2):
+        at = int(sheet.bodies[b, slot.CELLS + k])
         if at < 0:
             continue
         u, v, p, q = i, j, x, y
@@ -248,11 +246,10 @@ def _next_border(sheet: Packed, b: int, ray: Ray, work: Floats) -> tuple[float, 
     """Enter the present cells; return the distance to their first border, which border, of which array, and
     the sense.
     """
-    faces = sheet.faces
     border, across, across_array, sense = inf, 0, 0, 1.0
-    for side in range(2):
-        at = int(faces[2 * b + side, slot.ARRAY])
-        if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
+    for k in range(2):
+        at = int(sheet.bodies[b, slot.CELLS + k])
+        if at < 0:
             continue
         u, v = enter_cell(sheet.lattices[row_of(sheet.own, at)], at, work)
         t, n, towards = border_ahead(sheet.lattices[row_of(sheet.own, at)], ray, u, v, border)

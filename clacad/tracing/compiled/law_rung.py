@@ -150,7 +150,7 @@ def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) ->
 def _sheet_plane(layout: Layout) -> Packed:
     """The sheet plane z = 0 as a body of no thickness with one face."""
     return pack_array_1(layout)._replace(
-        faces=np.zeros((1, slot.FACE_NUMBERS)), bodies=np.zeros((1, slot.BODY_NUMBERS)), indices=np.ones(1)
+        faces=np.zeros((1, slot.FACE_NUMBERS)), bodies=np.zeros((1, slot.BODY_NUMBERS)), media=np.ones(3)
     )
 
 

@@ -25,10 +25,23 @@ POLYNOMIAL = 2.0
 
 # Columns of a body's row.
 LEVEL, BODY_LOW, BODY_HIGH, COLUMNAR, COVERED, BOX = range(6)
-MID_X, MID_Y, INNER_X, INNER_Y, INNER_R, OUTLINE, OUT_X, OUT_Y, ENTRY, JUMP_FROM, JUMP_TO, QUICK = range(
-    10, 22
-)
-BODY_NUMBERS = 22
+(
+    MID_X,
+    MID_Y,
+    INNER_X,
+    INNER_Y,
+    INNER_R,
+    OUTLINE,
+    OUT_X,
+    OUT_Y,
+    ENTRY,
+    JUMP_FROM,
+    JUMP_TO,
+    QUICK,
+    JOINED,
+    CELLS,
+) = range(10, 24)
+BODY_NUMBERS = 25
 
 # Values of OUTLINE.
 NO_OUTLINE, CIRCLE, RECTANGLE, PLATE = range(4)
@@ -81,9 +94,10 @@ class Packed(NamedTuple):
         First kept cell of each row of the lattice and one past its last. In a convex outline a row is one
         run; a plate may cut it into k, the longest first. Empty for a plain lattice (PLAIN), whose rows are
         all alike.
-    indices : (b,) or (2 b + 1,)
-        Refractive index of each body. Where lost light is counted two more parts follow: whether faces
-        reflect (0 or 1), and the attenuation of each body.
+    media : (2 b + 1,)
+        Refractive index before the first face and behind each.
+    losses : (0,) or (b + 1,)
+        Where lost light is counted: whether faces reflect (0 or 1), and the attenuation of each body.
     edges : (e, EDGE_NUMBERS)
         Of the plate that bounds the bodies, columns as in `clacad.sheet.plate`; empty where the outline is no
         plate.
@@ -99,14 +113,15 @@ class Packed(NamedTuple):
     bodies: Floats
     lattice: Floats
     rows: Ints
-    indices: Floats
+    media: Floats
+    losses: Floats
     edges: Floats
     lattices: Floats
     own: OwnCells | None = None
 
 
 def pack(layout: Layout) -> Packed:
-    """Pack the layout of a uniform sheet, with the indices of the design's wavelength; kept with the layout.
+    """Pack the layout of a uniform sheet, with the media of the design's wavelength; kept with the layout.
 
     Raises
     ------
@@ -134,7 +149,8 @@ def pack_array_1(layout: Layout) -> Packed:
         bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
         lattice=lattice,
         rows=_rows(layout),
-        indices=np.array([body.index for body in layout.window.bodies]),
+        media=np.array(layout.window.media()),
+        losses=np.zeros(0),
         edges=np.zeros((0, EDGE_NUMBERS)) if (plate := layout.bodies[0].plate) is None else plate.edges,
         lattices=lattice[None, :],
     )
@@ -145,7 +161,7 @@ def in_single(sheet: Packed) -> Packed:
     """The same numbers in single precision."""
     rounded: dict[str, Any] = {
         name: getattr(sheet, name).astype(np.float32)
-        for name in ("faces", "bodies", "lattice", "indices", "edges", "lattices")
+        for name in ("faces", "bodies", "lattice", "media", "losses", "edges", "lattices")
     }
     return sheet._replace(**rounded)
 
@@ -188,6 +204,8 @@ def _body(body: BodyPlan, margin: float) -> list[float]:
     row[QUICK] = float(
         body.columnar and body.covered and bare and margin == 0.0
     )  # see `solid_body_short_cut`
+    row[JOINED] = float(body.joined)
+    row[CELLS : CELLS + 2] = (*body.arrays, -1.0)[:2]  # arrays whose cells cut it into columns
     return row
 
 

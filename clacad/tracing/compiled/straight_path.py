@@ -534,8 +534,7 @@ def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
 @exact
 def _lose(sheet: Packed, f: int, s: Floats, m: int, media: Media) -> None:
     """Apply the losses at the face just crossed, and in the glass behind or before it."""
-    face, bodies, b = sheet.faces[f], len(sheet.bodies), f // 2
-    reflects, rate = sheet.indices[bodies] != 0.0, sheet.indices[bodies + 1 + b]
+    face, reflects, rate = sheet.faces[f], sheet.losses[0] != 0.0, sheet.losses[1 + f // 2]
     n1, n2 = media
     if reflects and n1 != n2:
         if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
@@ -635,17 +634,17 @@ def straight(
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
     Positions are relative to the vertex of the last face, whichever face was last crossed. Where lost light
-    is counted (see `Packed.indices`) no hit is stored. The rows SHARE and DEPTH then gather the transmission
+    is counted (see `Packed.losses`) no hit is stored. The rows SHARE and DEPTH then gather the transmission
     of bare faces for unpolarised light and the absorption of the bodies.
     """
-    faces, bodies, lat, indices, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.indices, sheet.own
+    faces, bodies, lat, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.own
     m = len(chosen)
-    array, met, counted = 0, 0, len(indices) > len(bodies)
+    array, met, counted = 0, 0, len(sheet.losses) > 0
     for i in range(m if counted else 0):
         s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
-        body, index, columnar = bodies[b], indices[b], bodies[b, slot.COLUMNAR] != 0.0
+        body, columnar = bodies[b], bodies[b, slot.COLUMNAR] != 0.0
         if not columnar and body[slot.COVERED] == 0.0:
             for i in range(m):
                 s[GOOD, i] = 0.0
@@ -658,8 +657,14 @@ def straight(
         for side in range(2):
             f = 2 * b + side
             face, other = faces[f], faces[2 * b + 1 - side]
-            media = (1.0, index) if side == 0 else (index, 1.0)
+            media = (1.0 * sheet.media[f], 1.0 * sheet.media[f + 1])  # in double precision
             structured = face[slot.ARRAY] >= 0.0
+            if side == 0 and body[slot.JOINED] != 0.0:  # the rays stand on the joint already
+                if counted and sheet.losses[1 + b] != 0.0:
+                    _absorbed(s, m, sheet.losses[1 + b], oz, 0)
+                if len(hits) and not counted:
+                    _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
+                continue
             if structured and (side == 0 or not columnar):
                 _enter_array(sheet, f, s, m, media[0], array, (ox, oy, oz))
                 if f > 0:

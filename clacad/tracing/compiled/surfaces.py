@@ -38,20 +38,21 @@ def trace_compiled(
     rays: Rays,
     ledger: Ledger,
     rows: Rows | range,
-    indices: Sequence[float],
+    media: Sequence[float],
     threads: int,
     facets: Tiles | Triangles | None = None,
     single: bool = False,
+    losses: Sequence[float] = (),
 ) -> None:
     """Trace the rays `rows` of any kind and write their rows; the results of
     `reference.surfaces.trace_surfaces`.
 
     rows : a range costs less than the equivalent array; of a ledger without hits
-    indices : refractive index of each body; see `Packed.indices`
+    media, losses : see `Packed`
     facets : a mesh's own tiles, or triangles from any source, in place of the smooth faces
     single : the straight path in single precision; rays for which it does not hold are traced in double
     """
-    sheet = packed(layout)._replace(indices=np.asarray(indices, dtype=np.float64))
+    sheet = packed(layout)._replace(media=np.asarray(media), losses=np.asarray(losses, dtype=np.float64))
     whole = in_arrays(rays, ledger)
     rounded = in_single(sheet) if single else sheet
 

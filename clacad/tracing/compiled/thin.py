@@ -93,7 +93,7 @@ def thin_pair(layout: Layout) -> tuple[Packed, Floats]:
         even = patch.high - patch.low < 0.1 * CLEAR * STEEPEST * layout.lattice.circumradius
         lens[FLAT] = float(even and layout.window.outline is None)
         body[slot.LEVEL], body[slot.BODY_LOW] = patch.level, patch.low
-    sheet = pack(thin)._replace(faces=np.zeros((2, slot.FACE_NUMBERS)), bodies=bodies, indices=np.ones(2))
+    sheet = pack(thin)._replace(faces=np.zeros((2, slot.FACE_NUMBERS)), bodies=bodies, media=np.ones(5))
     prepared(layout)["thin pair"] = sheet, lenses
     return sheet, lenses
 

@@ -82,7 +82,9 @@ def walk_ray(
     end = GOES_ON
     for b in range(len(sheet.bodies)):
         gap = launched.carried
-        if b:
+        if sheet.bodies[b, slot.JOINED] != 0.0:
+            _past_joint(sheet, b, w, row, out)
+        elif b:
             for c in range(WALKER_NUMBERS):
                 left[c] = w[c]
             gap, end = _cross_gap(sheet, b, w)
@@ -170,13 +172,59 @@ def _through_body(
     scratch: Scratch,
 ) -> int:
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
-    lat, index = sheet.lattice, sheet.indices[b]
-    w, left, event, hits, turns = scratch.walker, scratch.left, scratch.event, out.hits, out.turns
+    index, w, event, hits, turns = sheet.media[2 * b + 1], scratch.walker, scratch.event, out.hits, out.turns
     event[DISTANCE] = -1.0  # nothing of this body has been met
+    if sheet.bodies[b, slot.JOINED] == 0.0:
+        end, inside = _approach(tiles, trees, sheet, b, gap, row, out, scratch)
+        if not inside:
+            return end
+    _next_change(tiles, trees, sheet, b, INSIDE, scratch)
+    kind = int(event[KIND])
+    if kind != BACK and kind != BACK_LAND:
+        return _end_at(sheet, b, w, event, index, row, hits, turns)
+    end = _refract(tiles, trees, sheet, b, 1, w, event)
+    _record(w, 2 * b + 1, row, hits, turns)
+    if end != GOES_ON:
+        return end
+    if not w[DZ] > 0.0:
+        return BACKWARD
+    if b + 1 < len(sheet.bodies) and sheet.bodies[b + 1, slot.JOINED] != 0.0:
+        return GOES_ON
+    _next_change(tiles, trees, sheet, b, LEAVING, scratch)
+    kind = int(event[KIND])
+    if kind != ABOVE and kind != ASIDE:
+        return _end_at(sheet, b, w, event, 1.0, row, hits, turns)
+    return GOES_ON
+
+
+@exact
+def _past_joint(sheet: Packed, b: int, w: Floats, row: int, out: Outcome) -> None:
+    """Put a ray on the joint before body b into the body."""
+    bodies, entry, of = sheet.bodies, int(sheet.bodies[b, slot.ENTRY]), int(w[AT_ARRAY])
+    w[Z] -= bodies[b, slot.LEVEL] - bodies[b - 1, slot.LEVEL]
+    w[CI], w[CJ], w[X], w[Y] = into_array(sheet, of, entry, w[CI], w[CJ], w[X], w[Y])
+    w[AT_ARRAY] = entry
+    _record(w, 2 * b, row, out.hits, out.turns)
+
+
+@inlined
+def _approach(
+    tiles: Tiles | None,
+    trees: Hierarchy | None,
+    sheet: Packed,
+    b: int,
+    gap: float,
+    row: int,
+    out: Outcome,
+    scratch: Scratch,
+) -> tuple[int, bool]:
+    """Enter a body from air; the fate of a ray that ends, or GOES_ON, and whether it is inside."""
+    lat, w, left = sheet.lattice, scratch.walker, scratch.left
+    event, hits, turns = scratch.event, out.hits, out.turns
     _next_change(tiles, trees, sheet, b, ARRIVING, scratch)
     kind, distance = int(event[KIND]), event[DISTANCE]
     if b == 0 and gap + distance < -BEHIND * (abs(gap) + abs(distance)):
-        return MISSED
+        return MISSED, False
     hole = kind == ABOVE and _over(sheet, b, w, distance)
     missed = kind == ASIDE or (kind == ABOVE and not hole)
     if b and lat[slot.BAFFLE] != slot.NO_BAFFLE:
@@ -184,34 +232,18 @@ def _through_body(
             _record_end(left, row, hits, turns)
             for c in range(WALKER_NUMBERS):
                 w[c] = left[c]
-            return VIGNETTED
+            return VIGNETTED, False
     if missed:
-        return MISSED
+        return MISSED, False
     w[PATH] += gap
     if hole:
         _pass_hole(sheet, b, w, distance)
-        return GOES_ON
+        return GOES_ON, False
     if kind != FRONT and kind != FRONT_LAND:
-        return _end_at(sheet, b, w, event, 1.0, row, hits, turns)
-    end = _refract(tiles, trees, sheet, b, 0, w, event, (1.0, index))
+        return _end_at(sheet, b, w, event, 1.0, row, hits, turns), False
+    end = _refract(tiles, trees, sheet, b, 0, w, event)
     _record(w, 2 * b, row, hits, turns)
-    if end != GOES_ON:
-        return end
-    _next_change(tiles, trees, sheet, b, INSIDE, scratch)
-    kind = int(event[KIND])
-    if kind != BACK and kind != BACK_LAND:
-        return _end_at(sheet, b, w, event, index, row, hits, turns)
-    end = _refract(tiles, trees, sheet, b, 1, w, event, (index, 1.0))
-    _record(w, 2 * b + 1, row, hits, turns)
-    if end != GOES_ON:
-        return end
-    if not w[DZ] > 0.0:
-        return BACKWARD
-    _next_change(tiles, trees, sheet, b, LEAVING, scratch)
-    kind = int(event[KIND])
-    if kind != ABOVE and kind != ASIDE:
-        return _end_at(sheet, b, w, event, 1.0, row, hits, turns)
-    return GOES_ON
+    return end, end == GOES_ON
 
 
 @exact
@@ -236,11 +268,10 @@ def _refract(
     side: int,
     w: Floats,
     event: Floats,
-    media: tuple[float, float],
 ) -> int:
     """Refract at the front or back that was met; the fate of a ray that ends there, or GOES_ON."""
-    faces, bodies, lat, (n1, n2) = sheet.faces, sheet.bodies, sheet.lattice, media
-    f = 2 * b + side
+    faces, bodies, lat, f = sheet.faces, sheet.bodies, sheet.lattice, 2 * b + side
+    n1, n2 = sheet.media[f], sheet.media[f + 1]
     kind, distance = int(event[KIND]), event[DISTANCE]
     on_lens = kind == FRONT or kind == BACK
     main = int(bodies[b, slot.ENTRY])

@@ -95,12 +95,11 @@ def through_squares(grid: Squares, sheet: Packed, s: Floats, m: int) -> None:
     _in_sheet(sheet, s, m)
     met = 0
     for b in range(len(bodies)):
-        row, index = grid.table[b], sheet.indices[b]
+        row = grid.table[b]
         _begin(s, m, bodies[b, slot.LEVEL] + bodies[b, slot.BODY_LOW], row[SHEAR])
         for side in range(2):
             f = 2 * b + side
             low, high = (row[DOWN_LOW], row[DOWN_HIGH]) if side == 0 else (row[UP_LOW], row[UP_HIGH])
-            media = (1.0, index) if side == 0 else (index, 1.0)
             landed = faces[f, slot.ARRAY] >= 0.0 and faces[f, slot.LAND] == faces[f, slot.LAND]
             squares = _squares_of(row, side)
             to_level(squares, row[SHEAR], s, m, 0.5 * (low + high))
@@ -108,7 +107,7 @@ def through_squares(grid: Squares, sheet: Packed, s: Floats, m: int) -> None:
                 _planes_of_bins(grid, side, s, m)
                 _to_planes(squares, row[SHEAR], s, m, max(2.0 * HAIR, ROUNDED * row[OFF]))
             level = LEVEL * LEVEL if landed else -1.0
-            _refract(s, m, media[0], media[1], row[CLIMB + side], level, row[SHEAR])
+            _refract(s, m, sheet.media[f], sheet.media[f + 1], row[CLIMB + side], level, row[SHEAR])
             if faces[f, slot.ARRAY] >= 0.0:
                 _note_cells(sheet, s, m, int(faces[f, slot.ARRAY]), met == 0)
                 met += 1

@@ -181,12 +181,12 @@ def _next_edge(
     Returns the distance; the crossed border of the cell, or the facet's edge, −1 for neither; its array; and
     the sense in which the border is crossed.
     """
-    faces, lat = sheet.faces, sheet.lattice
+    lat = sheet.lattice
     entered, end = span
     across, edge, of, sense = -1, -1, -1, 1.0
-    for side in range(2):
-        at = int(faces[2 * b + side, slot.ARRAY])
-        if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
+    for k in range(2):
+        at = int(sheet.bodies[b, slot.CELLS + k])
+        if at < 0:
             continue
         u, v = enter_cell(lat, at, work)
         if causes[FACET + at] == NOT_LOOKED_UP:
@@ -194,7 +194,12 @@ def _next_edge(
             if kept(lat, sheet.rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
                 # slightly into the piece, so that a ray along an edge is in the facet it goes to
                 t = entered + 2.0 * lat[slot.TINY]
-                causes[FACET + at] = locate_facet(tiles, tiles.of[b, side], u + t * ray.L, v + t * ray.M)
+                causes[FACET + at] = locate_facet(
+                    tiles,
+                    tiles.of[b, k if at == int(sheet.faces[2 * b + k, slot.ARRAY]) else 1 - k],
+                    u + t * ray.L,
+                    v + t * ray.M,
+                )
         t, n, towards = border_ahead(lat, ray, u, v, end)
         if n >= 0:
             end, across, edge, of, sense = t, n, -1, at, towards

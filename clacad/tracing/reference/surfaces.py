@@ -33,12 +33,12 @@ BEHIND = 8 * ULP
 """Share of a ray's travel by which the first face may seem to lie behind its start: rounding."""
 
 
-def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, indices: Sequence[float]) -> None:
+def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, media: Sequence[float]) -> None:
     """Trace the launched rays `rows` (k,) and write their rows of the ledger.
 
     Parameters
     ----------
-    indices : one refractive index a body
+    media : refractive index before the first face and behind each
     """
     for first in range(0, len(rows), BLOCK):
         chosen = rows[first : first + BLOCK]
@@ -48,11 +48,11 @@ def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, indices: Sequence
             continue
         beam = to_array(layout, beam, first_body.arrays[0])
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-            straight = in_cell(layout, indices, beam, carried)
+            straight = in_cell(layout, media, beam, carried)
         straight.enter(layout, ledger)
         rest = np.flatnonzero(~straight.good)
         if len(rest):
-            walk(layout, ledger, indices, beam.take(rest), carried[rest])
+            walk(layout, ledger, media, beam.take(rest), carried[rest])
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class StraightTrace:
         ledger.order[rows] = order
 
 
-def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Floats) -> StraightTrace:
+def in_cell(layout: Layout, media: Sequence[float], beam: Beam, carried: Floats) -> StraightTrace:
     """Trace m rays straight through the faces of the cells they are over, and mark where this is valid.
 
     `carried` (m,): distance of the beam from the start.
@@ -109,14 +109,19 @@ def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Float
     cells: list[Ints] = []
     hits: list[Beam] = []
     left = np.empty((0, 2))
+    gap = carried
     for b, body in enumerate(layout.bodies):
-        if b:
+        around = (media[2 * b], media[2 * b + 1], media[2 * b + 2])
+        if body.joined:  # the rays stand on the joint already
+            beam, gap = (
+                replace(beam, z=beam.z - (body.level - layout.bodies[b - 1].level)),
+                np.zeros(len(beam)),
+            )
+        elif b:
             left = beam.local
             beam, gap = on_to(layout, beam, layout.bodies[b - 1], body)
-        else:
-            gap = carried
         through = _columns if body.columnar else _sheets
-        beam, lengths, ok, crossed, seen = through(layout, body, indices[b], beam)
+        beam, lengths, ok, crossed, seen = through(layout, body, around, beam)
         good &= ok
         before = gap + lengths[0]
         if b == 0:
@@ -124,26 +129,31 @@ def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Float
         elif layout.window.baffle is not None:
             order = crossed[0] - cells[-1]
             good &= np.isinf(honeycomb.reach(layout, left, seen[0].local, order))
-        path = path + before + indices[b] * lengths[1]
+        path = path + before + around[1] * lengths[1]
         cells += crossed
         hits += seen
     return StraightTrace(good, beam, cells, path, hits)
 
 
+Media = tuple[float, float, float]
+"""Refractive indices before a body, inside and behind it."""
+
 Through = tuple[Beam, tuple[Floats, Floats], Bools, list[Ints], list[Beam]]
 
 
-def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through:
+def _columns(layout: Layout, body: BodyPlan, media: Media, beam: Beam) -> Through:
     """Through a body whose two faces share an array: one cell from the plane below to the plane above."""
     front, back = body.front, body.back
     good = layout.lattice.contains(beam.cell) & _steeper(beam.direction, front.slope)
-    beam, first, ok = _through(layout, front, beam, 1.0, index)
+    first, ok = np.zeros(len(beam)), np.True_
+    if not body.joined:
+        beam, first, ok = _through(layout, front, beam, *media[:2])
     good &= ok & _steeper(beam.direction, max(front.slope, back.slope))
     by_heights = not (body.covered or isinstance(front, TiledFace))  # a facet exists only where it is met
     if by_heights:
         good &= height(back, beam.local, lenses(layout, back, beam.cell)) >= beam.z
     seen = [beam]
-    beam, second, ok = _through(layout, back, beam, index, 1.0)
+    beam, second, ok = _through(layout, back, beam, *media[1:])
     good &= ok & _steeper(beam.direction, back.slope)
     if by_heights:
         good &= height(front, beam.local, lenses(layout, front, beam.cell)) <= beam.z
@@ -152,7 +162,7 @@ def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Throug
     return beam, (first, second), good, [beam.cell, beam.cell], seen
 
 
-def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through:
+def _sheets(layout: Layout, body: BodyPlan, media: Media, beam: Beam) -> Through:
     """Trace through a body whose faces are in different arrays: each structured face has its own cell and two
     planes.
 
@@ -162,7 +172,12 @@ def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through
         return beam, (beam.z, beam.z), np.zeros(len(beam), dtype=bool), [beam.cell], [beam, beam]
     good = np.ones(len(beam), dtype=bool)
     crossed, seen, lengths = [], [], []
-    for face, n1, n2 in ((body.front, 1.0, index), (body.back, index, 1.0)):
+    for face, (n1, n2) in ((body.front, media[:2]), (body.back, media[1:])):
+        if face is body.front and body.joined:
+            crossed += [beam.cell] * (face.array is not None)
+            lengths.append(np.zeros(len(beam)))
+            seen.append(beam)
+            continue
         z = beam.z
         structured = face.array is not None
         if structured:

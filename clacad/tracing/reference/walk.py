@@ -74,29 +74,34 @@ class Walkers:
 
 @dataclass(frozen=True, eq=False)
 class BodyWalk:
-    """Data of a walk at one body."""
+    """Data of a walk at one body; `media`: refractive indices before, inside and behind it."""
 
     layout: Layout
     ledger: Ledger
     number: int
-    index: float
+    media: tuple[float, float, float]
 
     @property
     def body(self) -> BodyPlan:
         """The body walked through."""
         return self.layout.bodies[self.number]
 
+    @property
+    def joined_behind(self) -> bool:
+        """Whether the next body is joined to this one."""
+        return self.number + 1 < len(self.layout.bodies) and self.layout.bodies[self.number + 1].joined
+
     def sheet(self, array: int, cell: Ints, local: Floats, z: Floats) -> Floats:
         """Sheet-frame points (m, 3)."""
         return sheet_position(self.layout, array, cell, local, z + self.body.level)
 
 
-def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, carried: Floats) -> None:
+def walk(layout: Layout, ledger: Ledger, media: Sequence[float], beam: Beam, carried: Floats) -> None:
     """Trace rays from the launch plane to their end and write their rows.
 
     Parameters
     ----------
-    indices : one refractive index a body
+    media : refractive index before the first face and behind each
     beam, carried
         From `launch`: m rays on the first body's reference plane, and their distances (m,) from the start.
     """
@@ -115,10 +120,10 @@ def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, c
         np.full(m, NO_CELL, dtype=np.int64),
     )
     with np.errstate(all="ignore"):
-        for b, index in enumerate(indices):
-            here = BodyWalk(layout, ledger, b, index)
+        for b, body in enumerate(layout.bodies):
+            here = BodyWalk(layout, ledger, b, (media[2 * b], media[2 * b + 1], media[2 * b + 2]))
             left = walkers
-            if b:
+            if b and not body.joined:
                 walkers, left, carried = _cross_gap(here, walkers)
             walkers = _through_body(here, walkers, left, carried)
             if not len(walkers):
@@ -131,15 +136,27 @@ def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, c
 
 def _through_body(here: BodyWalk, walkers: Walkers, left: Walkers, gap: Floats) -> Walkers:
     """Enter, cross and leave one body; rays that end are written, the others returned."""
-    entering, passing = _approach(here, walkers, left, gap)
+    entering, passing = (
+        _past_joint(here, walkers) if here.body.joined else _approach(here, walkers, left, gap)
+    )
     if len(entering):
         event = change(here.layout, here.body, entering.beam, inside=True)
         out = np.isin(event.kind, (BACK, BACK_LAND))
         stuck = np.flatnonzero(~out)
-        _end_at(here, entering.take(stuck), event.take(stuck), here.index)
-        leaving = _refract(here, entering, event, np.flatnonzero(out), 1, here.index, 1.0)
-        entering = _depart(here, leaving)
+        _end_at(here, entering.take(stuck), event.take(stuck), here.media[1])
+        entering = _forwards(here, _refract(here, entering, event, np.flatnonzero(out), 1))
+        if not here.joined_behind:
+            entering = _depart(here, entering)
     return _joined(entering, passing)
+
+
+def _past_joint(here: BodyWalk, walkers: Walkers) -> tuple[Walkers, Walkers]:
+    """Rays on the joint before a body, seen from the body: all of them are inside."""
+    beam = walkers.beam
+    beam = replace(beam, z=beam.z - (here.body.level - here.layout.bodies[here.number - 1].level))
+    here.ledger.record(2 * here.number, beam.rows, walkers.position, beam.direction)
+    walkers = replace(walkers, beam=to_array(here.layout, beam, here.body.arrays[0]))
+    return walkers, walkers.take(np.zeros(len(walkers), dtype=bool))
 
 
 def _approach(here: BodyWalk, walkers: Walkers, left: Walkers, gap: Floats) -> tuple[Walkers, Walkers]:
@@ -167,16 +184,14 @@ def _approach(here: BodyWalk, walkers: Walkers, left: Walkers, gap: Floats) -> t
     enters = going & np.isin(event.kind, (FRONT, FRONT_LAND))
     ends = np.flatnonzero(going & ~enters & ~hole)
     _end_at(here, walkers.take(ends), event.take(ends), 1.0)
-    entering = _refract(here, walkers, event, np.flatnonzero(enters), 0, 1.0, here.index)
+    entering = _refract(here, walkers, event, np.flatnonzero(enters), 0)
     return entering, _pass_hole(here, walkers, np.flatnonzero(going & hole), event)
 
 
-def _refract(
-    here: BodyWalk, walkers: Walkers, event: Event, rows: Rows, side: int, n1: float, n2: float
-) -> Walkers:
+def _refract(here: BodyWalk, walkers: Walkers, event: Event, rows: Rows, side: int) -> Walkers:
     """Refract the rays `rows` at the front (side 0) or back (1) they met; write those that end there."""
     body = here.body
-    face = (body.front, body.back)[side]
+    face, (n1, n2) = (body.front, body.back)[side], here.media[side : side + 2]
     walkers, event = walkers.take(rows), event.take(rows)
     if not len(rows):
         return walkers
@@ -243,11 +258,15 @@ def _where(chosen: Bools, one: Hit, other: Hit) -> Hit:
     )
 
 
-def _depart(here: BodyWalk, walkers: Walkers) -> Walkers:
-    """Follow rays that left the back face until they are clear of the body."""
+def _forwards(here: BodyWalk, walkers: Walkers) -> Walkers:
+    """End rays that a back face turned back; return the others."""
     backward = ~(walkers.beam.direction[:, 2] > 0.0)
     _end(here, walkers.take(backward), Fate.BACKWARD)
-    walkers = walkers.take(~backward)
+    return walkers.take(~backward)
+
+
+def _depart(here: BodyWalk, walkers: Walkers) -> Walkers:
+    """Follow rays that left the back face until they are clear of the body."""
     if not len(walkers):
         return walkers
     event = change(here.layout, here.body, walkers.beam, inside=False)

@@ -1,0 +1,225 @@
+"""Plates listed face by face, with the medium behind each: `form = "plates"`.
+
+Nothing is solved but the place of array 2: its vertex from delta, its cells from the aperture. Bodies are the
+media other than air; a face between two of them is a joint. Paraxial matrices act on (height, slope in air),
+per meridian of the lens axes:
+
+    M = (A B; C D),  law t' = (t − δ)/η  where C = 0 and D = 1/η;  vertex 2 at d = δ/(η C_2)
+
+with C_2 of the faces of array 2 alone. The equivalent pair of thin lenses has f1 = −1/C_1 and f2 = −η f1,
+s = f1 + f2, and where the list has field faces a lens at the focus with 1/f_F = (s − B)/(f1 f2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import reduce
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from clacad.base.types import Floats, Pair2
+from clacad.design.faces import AIR, FaceSpec, vertex_of
+from clacad.design.sections import PAIR
+from clacad.optics.material.catalogue import find
+from clacad.optics.material.material import Material
+from clacad.optics.surface import Surface
+from clacad.prescription.assemble import assemble_window
+from clacad.prescription.bodies import LensPose, displacement, given_surface
+from clacad.prescription.intent import Intent
+from clacad.prescription.radii import LensPair, NoSuchLens
+from clacad.sheet.volume_and_extent import FIELD
+from clacad.sheet.window import IDENTITY, PLANE, Body, Face, FieldLens, Window
+
+NUMBER: dict[Any, int] = {1: 0, 2: 1, "field": FIELD}
+"""Array of a face's word."""
+
+
+def plates(intent: Intent) -> Window:
+    """Window of the listed faces; lengths in design units.
+
+    Raises
+    ------
+    NoSuchLens
+        The faces have no power that array 2 could be placed by.
+    """
+    faces = intent.design.pair.face
+    height = vertex_of(faces, len(faces) - 1)
+    offset = _offset(intent)
+    second = _first_height(faces, 2)
+    lens_2 = intent.turn @ np.array([*offset, second])
+    still = _bodies(intent, {})
+    moved = displacement(intent.design.lattice.aperture, lens_2[:2], second, still)
+    places = {1: lens_2[:2] - np.asarray(moved)}
+    field = None
+    if any(face.array == "field" for face in faces):
+        share = _first_height(faces, "field") / second
+        line = displacement(intent.design.lattice.aperture, lens_2[:2], second)
+        field = (share * line[0], share * line[1])
+    bodies = _bodies(intent, places)
+    f1, f2 = (_focal_lengths(intent, array) for array in (1, 2))
+    lenses = LensPair((f1, f2), (faces[0].radius, faces[-1].radius), (height, height))
+    window = assemble_window(
+        intent, bodies, moved, lenses, offset, field, {} if _images_pupils(intent) else None
+    )
+    return replace(window, thin=replace(window.thin, field=_thin_field(intent)))
+
+
+def _bodies(intent: Intent, places: dict[int, Floats]) -> tuple[Body, ...]:
+    """Bodies between neighbouring faces; places : vertices (2,) of an array's lenses from their cells."""
+    faces, wavelength = intent.design.pair.face, intent.design.pair.wavelength
+    found: list[Body] = []
+    plate = 0
+    for number, (front, back) in enumerate(zip(faces, faces[1:])):
+        if front.behind == AIR:
+            continue
+        joined = number > 0 and faces[number - 1].behind != AIR
+        plate += not joined
+        material = find(str(front.behind))
+        z = vertex_of(faces, number), vertex_of(faces, number + 1)
+        found.append(
+            Body(
+                _face(front, z[0], +1, intent, places),
+                _face(back, z[1], -1, intent, places),
+                float(material.index(wavelength)),
+                _name(plate, len(found), material),
+                material,
+                joined,
+            )
+        )
+    return tuple(found)
+
+
+def _name(plate: int, number: int, material: Material) -> str:
+    """Name of a body: its plate, its place in the sheet and its material."""
+    word = "".join(letter if letter.isalnum() else "-" for letter in material.name).lower()
+    return f"plate{plate}-{number + 1}-{word}"
+
+
+def _face(spec: FaceSpec, z: float, side: int, intent: Intent, places: dict[int, Floats]) -> Face:
+    """Side `side` of a body: a plane, or the lenses of an array, in the lens axes."""
+    if spec.array is None:
+        return Face(replace(PLANE, side=side), (0.0, 0.0, z))
+    array = NUMBER[spec.array]
+    x, y = places.get(array, np.zeros(2))
+    turn = IDENTITY if np.array_equal(intent.turn, IDENTITY) else intent.turn
+    point = LensPose(np.array([x, y, z]), turn)
+    return Face(surface_of(spec, side), point.vertex(0.0), turn, array)
+
+
+def surface_of(spec: FaceSpec, side: int) -> Surface:
+    """Surface of a listed face, with the signs of the side that its material is on."""
+    sign = float(side)
+    outwards = replace(
+        spec,
+        radius=(sign * spec.radius[0], sign * spec.radius[1]),
+        a4=tuple(sign * a + 0.0 for a in spec.a4),
+        a6=tuple(sign * a + 0.0 for a in spec.a6),
+        a8=tuple(sign * a + 0.0 for a in spec.a8),
+    )
+    return given_surface(outwards, side)
+
+
+# -- paraxial -----------------------------------------------------------------------------------------
+
+
+def media(intent: Intent) -> list[float]:
+    """Refractive index before the first face and behind each, at the design wavelength."""
+    pair = intent.design.pair
+    return [1.0] + [
+        1.0 if face.behind == AIR else float(find(str(face.behind)).index(pair.wavelength))
+        for face in pair.face
+    ]
+
+
+def matrices(intent: Intent, array: object = None) -> tuple[Floats, Floats]:
+    """(A B; C D) from the first to the last vertex along x and y, or through the faces of one array alone."""
+    faces, index = intent.design.pair.face, media(intent)
+    chosen = [k for k, face in enumerate(faces) if array is None or face.array == array]
+    first, last = (chosen[0], chosen[-1]) if chosen else (0, -1)
+    found = []
+    for axis in (0, 1):
+        steps = []
+        for k in range(first, last + 1):
+            if k > first:
+                length = (vertex_of(faces, k) - vertex_of(faces, k - 1)) / index[k]
+                steps.append(np.array([[1.0, length], [0.0, 1.0]]))
+            power = (index[k + 1] - index[k]) * faces[k].curvature[axis]
+            steps.append(np.array([[1.0, 0.0], [-power, 1.0]]))
+        found.append(reduce(lambda whole, step: step @ whole, steps, np.eye(2)))
+    return found[0], found[1]
+
+
+def separation(intent: Intent) -> float:
+    """Distance s between the equivalent thin lenses (length): mean of the meridians with power."""
+    lengths = [
+        f * (1.0 - eta) for f, eta in zip(_focal_lengths(intent, 1), intent.eta, strict=True) if isfinite(f)
+    ]
+    return float(np.mean(lengths))
+
+
+def _focal_lengths(intent: Intent, array: int) -> Pair2:
+    """Focal lengths (x, y) of the equivalent thin lens of an array; infinite without power."""
+    found = []
+    for axis, eta in enumerate(intent.eta):
+        first = _inverse(-float(matrices(intent, 1)[axis][1, 0])) if eta != 1.0 else inf
+        if not _images_pupils(intent) and eta != 1.0:
+            first = float(matrices(intent)[axis][0, 1]) / (1.0 - eta)
+        found.append(first if array == 1 else -eta * first)
+    return found[0], found[1]
+
+
+IMAGING = 0.25
+"""Share of the separation by which B must be less than it where faces between the lenses image pupils."""
+
+
+def _images_pupils(intent: Intent) -> bool:
+    """Whether faces near the focus make B clearly less than the distance between the thin lenses."""
+    for axis, eta in enumerate(intent.eta):
+        length = _inverse(-float(matrices(intent, 1)[axis][1, 0])) * (1.0 - eta)
+        if isfinite(length) and abs(length - float(matrices(intent)[axis][0, 1])) > IMAGING * abs(length):
+            return True
+    return False
+
+
+def _thin_field(intent: Intent) -> tuple[FieldLens, ...]:
+    """Ideal lens at the focus that gives the B of the list; none where that of two thin lenses is."""
+    if not _images_pupils(intent):
+        return ()
+    s, (f1, f2) = separation(intent), (_focal_lengths(intent, array) for array in (1, 2))
+    focal = [
+        _inverse((s - float(matrix[0, 1])) / (f1[axis] * f2[axis]))
+        for axis, matrix in enumerate(matrices(intent))
+    ]
+    return (FieldLens((focal[0], focal[1]), float(np.mean([f for f in f1 if isfinite(f)]))),)
+
+
+def _inverse(power: float) -> float:
+    return 1.0 / power if power else inf
+
+
+def _offset(intent: Intent) -> Floats:
+    """Place (2,) of lens 2's vertex in the lens axes: as given, else d = δ/(η C_2); lengths."""
+    given = intent.design.pair.vertex
+    if given is not None:
+        return np.array(given)
+    found = np.zeros(2)
+    for axis, matrix in enumerate(matrices(intent, 2)):
+        delta, eta = intent.delta[axis], intent.eta[axis]
+        if delta == 0.0:
+            continue
+        if matrix[1, 0] == 0.0:
+            raise NoSuchLens(
+                "array 2 has no power in a meridian with an offset delta",
+                key=f"{PAIR.face}.{len(intent.design.pair.face) - 1}.radius",
+                hint="delta = 0 there, a curved face of array 2, or pair.vertex = [d_x, d_y]",
+            )
+        found[axis] = delta / (eta * matrix[1, 0])
+    return found
+
+
+def _first_height(faces: tuple[FaceSpec, ...], array: object) -> float:
+    """Vertex (length) of the last face of array 2, or of the middle face of another array."""
+    own = [k for k, face in enumerate(faces) if face.array == array]
+    return vertex_of(faces, own[-1] if array == 2 else own[len(own) // 2])
