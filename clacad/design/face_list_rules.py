@@ -95,7 +95,7 @@ def faces_make_plates(a: Asked) -> Iterator[Mistake]:
             allowed="two or more tables [[pair.face]], in the order of the light",
         )
         return
-    for number, face in enumerate(faces):
+    for number in range(len(faces)):
         for name, fault, allowed in _faults(faces, number):
             key = f"{PAIR.face}.{number}.{name}"
             yield Mistake("CL113", f"pair.face[{number}] {fault}", key, allowed=allowed)

@@ -105,8 +105,10 @@ class Unknowns:
         if self.ellipsoids:
             conic = [_ellipsoid(c, k) for c, k in zip(curvature, conic, strict=True)]
         made = tuple(
-            FaceSpec((_radius(c[0]), _radius(c[1])), (k[0], k[1]), *map(tuple, a))
-            for c, k, *a in zip(curvature, conic, *terms.values(), strict=True)
+            FaceSpec((_radius(c[0]), _radius(c[1])), (k[0], k[1]), a4, a6, a8)
+            for c, k, a4, a6, a8 in zip(
+                curvature, conic, *(map(tuple, rows) for rows in terms.values()), strict=True
+            )
         )
         return made, None if offset is None else (offset[0], offset[1])
 

@@ -15,11 +15,12 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import reduce
 from math import inf, isfinite
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
+from clacad.base.units import A4, A6, A8
 from clacad.design.faces import AIR, FaceSpec, vertex_of
 from clacad.design.sections import PAIR
 from clacad.optics.material.catalogue import find
@@ -110,15 +111,11 @@ def _face(spec: FaceSpec, z: float, side: int, intent: Intent, places: dict[int,
 
 def surface_of(spec: FaceSpec, side: int) -> Surface:
     """Surface of a listed face, with the signs of the side that its material is on."""
-    sign = float(side)
-    outwards = replace(
-        spec,
-        radius=(sign * spec.radius[0], sign * spec.radius[1]),
-        a4=tuple(sign * a + 0.0 for a in spec.a4),
-        a6=tuple(sign * a + 0.0 for a in spec.a6),
-        a8=tuple(sign * a + 0.0 for a in spec.a8),
-    )
-    return given_surface(outwards, side)
+    if side > 0:
+        return given_surface(spec, side)
+    a, b, c = (tuple(0.0 - term for term in terms) for terms in (spec.a4, spec.a6, spec.a8))
+    radius = -spec.radius[0], -spec.radius[1]
+    return given_surface(FaceSpec(radius, spec.conic, cast("A4", a), cast("A6", b), cast("A8", c)), side)
 
 
 # -- paraxial -----------------------------------------------------------------------------------------

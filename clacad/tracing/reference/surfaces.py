@@ -145,7 +145,7 @@ def _columns(layout: Layout, body: BodyPlan, media: Media, beam: Beam) -> Throug
     """Through a body whose two faces share an array: one cell from the plane below to the plane above."""
     front, back = body.front, body.back
     good = layout.lattice.contains(beam.cell) & _steeper(beam.direction, front.slope)
-    first, ok = np.zeros(len(beam)), np.True_
+    first, ok = np.zeros(len(beam)), np.ones(len(beam), dtype=bool)
     if not body.joined:
         beam, first, ok = _through(layout, front, beam, *media[:2])
     good &= ok & _steeper(beam.direction, max(front.slope, back.slope))
