@@ -170,5 +170,4 @@ class TolerancesSpec:
         """Tolerance (length) of the thickness of body 1, 2 …;
         for a plate between two, the larger of theirs.
         """
-        middle = bodies == 3 and number == 2
-        return max(self.thickness) if middle else self.thickness[min(number, 2) - 1]
+        return max(self.thickness) if 1 < number < bodies else self.thickness[min(number, 2) - 1]

@@ -121,21 +121,13 @@ def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None
     """
     moved = {1: slide, 2: aside}
     found = []
-    media = window.media()
-    for number, body in enumerate(window.bodies):
-        for side, (face, other) in enumerate(((body.front, body.back), (body.back, body.front))):
-            if side == 0 and body.joined:
-                continue
-            before, after = media[2 * number + side], media[2 * number + side + 1]
-            shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
-            vertex = np.asarray(face.vertex) + [*shift, 0.0]
-            owner = other.array if face.array is None else face.array
-            change = None if owner is None else moved.get(owner)
-            if change is not None:
-                vertex = vertex + change
-            found.append(
-                Interface(face.surface, vertex, before, after, None if face.untilted else face.rotation)
-            )
+    for body, face, before, after in window.refractions:
+        shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
+        vertex = np.asarray(face.vertex) + [*shift, 0.0]
+        change = moved.get(body.arrays[0] if face.array is None else face.array)
+        if change is not None:
+            vertex = vertex + change
+        found.append(Interface(face.surface, vertex, before, after, None if face.untilted else face.rotation))
     return found
 
 

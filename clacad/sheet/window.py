@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface.intersection import meet
 from clacad.optics.surface.roots import upright_sag
-from clacad.optics.surface.sag_and_normal import Biconic, EvenPolynomial, Quadric, resized
+from clacad.optics.surface.sag_and_normal import Biconic, EvenPolynomial, Quadric, other_side, resized
 from clacad.sheet.cell_places import CellLaws, CellPlacement, LensPlaces, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle, grown
 from clacad.sheet.pattern import turned
@@ -92,6 +92,11 @@ class Face:
             return 0
         flat = 0 if curvatures[0] == 0.0 else 1
         return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))
+
+    @property
+    def seen_from_behind(self) -> Face:
+        """The same points as a face of the body on the other side: a joint's second face."""
+        return replace(self, surface=other_side(self.surface))
 
     @property
     def side(self) -> int:
@@ -165,6 +170,17 @@ class Body:
         warm = self.material.heated(kelvin)
         change = warm.index_change - self.material.index_change
         return replace(self, index=self.index + change, material=warm)
+
+
+class Refraction(NamedTuple):
+    """A face where light goes from one medium to another: its body (of a joint the one before it), and the
+    refractive indices at the design wavelength.
+    """
+
+    body: Body
+    face: Face
+    before: float
+    after: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,6 +375,17 @@ class Window:
     def outline_centre(self, body: Body) -> tuple[float, float]:
         """Centre (x, y) of a body's outline, lengths: the sheet's, or that of the body's own array."""
         return self.shifts[body.arrays[0]] if len(body.arrays) == 1 and not self.one_outline else (0.0, 0.0)
+
+    @property
+    def refractions(self) -> tuple[Refraction, ...]:
+        """Faces in the order of the light, a joint once."""
+        media = self.media()
+        return tuple(
+            Refraction(body, face, media[2 * number + side], media[2 * number + side + 1])
+            for number, body in enumerate(self.bodies)
+            for side, face in enumerate((body.front, body.back))
+            if side or not body.joined
+        )
 
     def media(self, wavelength: float | None = None) -> tuple[float, ...]:
         """Refractive index before the first face and behind each face, (2 bodies + 1,).

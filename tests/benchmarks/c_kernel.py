@@ -60,7 +60,7 @@ def numbers(window: Window) -> tuple[np.ndarray, np.ndarray]:
     """The structs Face (4, 16) and Sheet (9,) of `ellipsoids.c`."""
     sheet = pack(lay_out(window))
     columns = (slot.CX, slot.CY, slot.KX, slot.SIDE, slot.VX, slot.VY, slot.VZ, slot.CLIMB)
-    lat, bodies, index = sheet.lattice, sheet.bodies, sheet.indices[0]
+    lat, bodies, index = sheet.lattice, sheet.bodies, sheet.media[1]
     media = np.array([[1.0, index], [index, 1.0]] * 2)
     inner = bodies[:, [slot.MID_X, slot.MID_Y, slot.INNER_X, slot.INNER_Y, slot.INNER_R]]
     inner[:, 4] *= inner[:, 4]

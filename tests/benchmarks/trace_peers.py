@@ -198,8 +198,8 @@ def trace_with(window: Window, rays: Rays, number: int) -> Job:
     from clacad.tracing.layout import lay_out
     from clacad.tracing.ledger import Ledger
 
-    ledger, layout, indices = Ledger.blank(len(rays), 0), lay_out(window), [b.index for b in window.bodies]
-    return lambda: trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, number)
+    ledger, layout, media = Ledger.blank(len(rays), 0), lay_out(window), window.media()
+    return lambda: trace_compiled(layout, rays, ledger, np.arange(len(rays)), media, number)
 
 
 def wall(run: Job) -> float:

@@ -589,7 +589,7 @@ def test_the_straight_path_followed_is_the_trace(name):
     sheet, rays = window(name), bundle(name)
     result = trace(sheet, rays)
     met = np.flatnonzero(result.fate < Fate.MISSED)
-    out = trace_nonsequential(sheet, rays, met, Rules(indices=tuple(b.index for b in sheet.bodies)))
+    out = trace_nonsequential(sheet, rays, met, Rules(media=sheet.media()))
     going = np.flatnonzero(result.fate <= Fate.LAND)
     assert np.array_equal(np.sort(out.parent), going)
     turn = np.argsort(out.parent)
@@ -616,7 +616,7 @@ def test_shares_of_all_paths_sum_to_one_without_noise(name, order):
     sheet, rays = window(name), bundle(name, 512)
     met = np.flatnonzero(trace(sheet, rays).fate < Fate.MISSED)
     rules = Rules(walls=True, total=True, losses=True, order=order,
-                  indices=tuple(b.index for b in sheet.bodies),
+                  media=sheet.media(),
                   attenuation=tuple(0.01 / max(sheet.lattice.pitch) for _ in sheet.bodies))  # fmt: skip
     out = trace_nonsequential(sheet, rays, met, rules)
     total = sum(out.share.values())[met]
@@ -636,7 +636,7 @@ def test_reflections_of_a_plane_plate_are_the_airy_series():
     plate = replace(sheet, bodies=(flat,), placements=(CellPlacement(), CellPlacement()))
     angle = 0.3
     rays = Rays([[0.01, 0.013, -1.0]], [[math.sin(angle), 0.0, math.cos(angle)]])
-    out = trace_nonsequential(plate, rays, np.array([0]), Rules(losses=True, order=2, indices=(body.index,)))
+    out = trace_nonsequential(plate, rays, np.array([0]), Rules(losses=True, order=2, media=(1.0, body.index, 1.0)))
     r = np.mean(textbook(angle, 1.0, body.index))
     expected = {0: (1 - r) ** 2, 1: r + (1 - r) ** 2 * r, 2: (1 - r) ** 2 * r * r}
     for bounces, share in expected.items():
@@ -685,7 +685,7 @@ def test_total_reflection_loses_no_light():
     bare = trace(sheet, rays)
     caught = np.flatnonzero(bare.fate == Fate.TIR)
     assert len(caught) > 50
-    rules = Rules(walls=True, total=True, indices=tuple(b.index for b in sheet.bodies))
+    rules = Rules(walls=True, total=True, media=sheet.media())
     out = trace_nonsequential(sheet, rays, caught, rules)
     total = sum(out.share.values())[caught]
     assert np.abs(total - 1.0).max() < 1e-12

@@ -268,8 +268,8 @@ def test_a_sheet_conserves_energy(data, seed, order, dark):
     window, rays = window_of(data), bundle(seed, count=30)
     met = np.flatnonzero(trace(window, rays).fate < Fate.MISSED)
     assume(len(met))
-    indices = tuple(body.index for body in window.bodies)
-    rules = Rules(walls=True, total=True, losses=True, order=order, indices=indices,
+    media = window.media()
+    rules = Rules(walls=True, total=True, losses=True, order=order, media=media,
                   attenuation=tuple(dark / 2.0**-8 for _ in window.bodies))  # fmt: skip
     shares = trace_nonsequential(window, rays, met, rules).share
     assert np.abs(sum(shares.values())[met] - 1.0).max() <= 1e-12

@@ -30,9 +30,9 @@ height is at most 6 ulp of the sum of the sizes of all terms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from math import inf, isfinite
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -219,6 +219,16 @@ def principal_radii(surface: Surface) -> tuple[float, float]:
     curvatures = (surface.curvature_x, surface.curvature_y)
     radius_x, radius_y = (1.0 / c if c else inf for c in curvatures)
     return radius_x, radius_y
+
+
+def other_side(surface: Surface) -> Surface:
+    """The same points with the signs of a face on the other side: of material before it, not behind it."""
+    changed: dict[str, Any] = {
+        name: tuple(0.0 - term for term in value) if isinstance(value, tuple) else 0.0 - value
+        for name, value in ((one.name, getattr(surface, one.name)) for one in fields(surface))
+        if name in ("curvature_x", "curvature_y", "kappa", "a4", "a6", "a8")
+    }
+    return replace(surface, side=-surface.side, **changed)
 
 
 def resized(surface: Surface, size: float) -> Surface:

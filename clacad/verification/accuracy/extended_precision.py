@@ -107,27 +107,23 @@ def _compared(
 
 def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
     """Faces of the telescopelet of cell (2,) and order (2,), in the order of the light."""
-    steps, before = [], Decimal(1)
-    for body in window.bodies:
-        inside = Decimal(body.index)
-        for face, after in ((body.front, inside), (body.back, Decimal(1))):
-            vertex = _vector(face.vertex)
-            if face.array is not None:
-                index = (
-                    cell + order if face.array == 1 else cell
-                )  # light that keeps to its pair passes its own field lens
-                i, j = int(index[0]), int(index[1])
-                vertex = _added(vertex, _centre(window, i, j, face.array))
-                if face.change is not None:
-                    vertex = _added(vertex, _moved(window, face.change, i, j))
-                    size = window.lenses(face, np.array([i, j])).size
-                    face = face if size is None else replace(face, surface=resized(face.surface, float(size)))
-            turn = None
-            if not face.untilted:
-                columns = face.rotation.T
-                turn = (_vector(columns[0]), _vector(columns[1]), _vector(columns[2]))
-            steps.append(_Step(face, vertex, turn, before, after))
-            before = after
+    steps = []
+    for _, face, before, after in window.refractions:
+        vertex = _vector(face.vertex)
+        if face.array is not None:
+            # light that keeps to its pair passes its own field lens
+            index = cell + order if face.array == 1 else cell
+            i, j = int(index[0]), int(index[1])
+            vertex = _added(vertex, _centre(window, i, j, face.array))
+            if face.change is not None:
+                vertex = _added(vertex, _moved(window, face.change, i, j))
+                size = window.lenses(face, np.array([i, j])).size
+                face = face if size is None else replace(face, surface=resized(face.surface, float(size)))
+        turn = None
+        if not face.untilted:
+            columns = face.rotation.T
+            turn = (_vector(columns[0]), _vector(columns[1]), _vector(columns[2]))
+        steps.append(_Step(face, vertex, turn, Decimal(before), Decimal(after)))
     return steps
 
 

@@ -116,29 +116,25 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
     made = as_made(window, errors)
     motions = (_first(errors), _second(made, errors), _field(errors))
     seq, faces = [], []
-    for number, body in enumerate(made.bodies):
-        for face, other, before, after in (
-            (body.front, body.back, 1.0, body.index),
-            (body.back, body.front, body.index, 1.0),
-        ):
-            array = face.array if face.array is not None else other.array
-            assert array is not None  # a body has at least one lens face
-            shift = made.shifts[array]
-            vertex = np.asarray(face.vertex) + [*shift, 0.0]
-            motion = motions[array if len(made.bodies) == 1 else _moves_with(number, len(made.bodies))]
-            moved = vertex + motion.moves(vertex + [*at, 0.0])
-            turn = motion.turn @ face.rotation
-            plain = np.array_equal(turn, np.eye(3))
-            seq.append(Interface(face.surface, moved, before, after, None if plain else turn))
-            faces.append((face, array, motion))
+    plate_of = [number for number, plate in enumerate(made.plates) for _ in plate]
+    for body, face, before, after in made.refractions:
+        array = body.arrays[0] if face.array is None else face.array
+        vertex = np.asarray(face.vertex) + [*made.shifts[array], 0.0]
+        number, plates = plate_of[made.bodies.index(body)], len(made.plates)
+        motion = motions[array if plates == 1 else _moves_with(number, plates)]
+        moved = vertex + motion.moves(vertex + [*at, 0.0])
+        turn = motion.turn @ face.rotation
+        plain = np.array_equal(turn, np.eye(3))
+        seq.append(Interface(face.surface, moved, before, after, None if plain else turn))
+        faces.append((face, array, motion))
     return Telescopelet(_baffled(made), seq, faces, at)
 
 
-def _moves_with(number: int, bodies: int) -> int:
-    """Number (0, 1 or 2) of the array that moves a body: array 1, array 2, or that of the plate between."""
+def _moves_with(number: int, plates: int) -> int:
+    """Number (0, 1 or 2) of the array that moves a plate: array 1, array 2, or that of the plates between."""
     if number == 0:
         return 0
-    return 1 if number == bodies - 1 else 2
+    return 1 if number == plates - 1 else 2
 
 
 def _baffled(window: Window) -> Window:
@@ -150,15 +146,24 @@ def _baffled(window: Window) -> Window:
 
 def as_made(window: Window, errors: Errors) -> Window:
     """The window with its radii, indices and thicknesses as made."""
-    bodies = []
+    bodies: list[Body] = []
+    parts = {id(face): part for _, part, face in _curved(window)}
+    risen = 0.0  # of listed plates: all that lies behind a thicker body moves away
     for number, body in enumerate(window.bodies, 1):
         front, back = (
-            replace(face, surface=grown(face.surface, _radius(errors, body, face, part)))
-            for part, face in (("front", body.front), ("back", body.back))
+            replace(face, surface=grown(face.surface, errors.get(f"radius.{parts.get(id(face), '')}", 0.0)))
+            for face in (body.front, body.back)
         )
+        if body.joined:
+            front = bodies[-1].back.seen_from_behind
         made = replace(body, front=front, back=back, index=body.index + errors.get(f"index.{number}", 0.0))
         change = errors.get(f"thickness.{number}", 0.0)
-        if window.form == "slab" and len(window.bodies) == 2:
+        if window.form == "plates":
+            if not body.joined:
+                made = replace(made, front=_risen(front, risen))
+            risen += change
+            made = replace(made, back=_risen(back, risen))
+        elif window.form == "slab" and len(window.bodies) == 2:
             made = _thicker_outside(made, change, number)
         elif window.form != "slab":
             made = thicker(made, change) if change else made
@@ -177,11 +182,10 @@ def _thicker_outside(body: Body, change: float, number: int) -> Body:
     return replace(body, back=replace(body.back, vertex=(x, y, z + change)))
 
 
-def _radius(errors: Errors, body: Body, face: Face, part: str) -> float:
-    if face.array is None:
-        return 0.0
-    own = body.columnar or face.array == 2
-    return errors.get(f"radius.{face.array + 1}" + (f".{part}" if own else ""), 0.0)
+def _risen(face: Face, rise: float) -> Face:
+    """The face, `rise` (length) higher."""
+    x, y, z = face.vertex
+    return replace(face, vertex=(x, y, z + rise))
 
 
 def grown(surface: Surface, part: float) -> Surface:
@@ -284,14 +288,14 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     for array, half in enumerate(spec.decentre, 1):
         found += [Parameter(f"decentre.{array}.{axis}", "decentre", half, unit) for axis in "xy"]
     found.append(Parameter("rotation", "rotation", spec.rotation, "rad"))
-    if len(window.bodies) > 1:
+    if len(window.plates) > 1:
         found.append(Parameter("separation", "separation", spec.separation, unit))
-    if len(window.bodies) == 3:
+    if len(window.plates) > 2:
         aside = spec.of_array(spec.decentre, 2)
         found += [Parameter(f"decentre.3.{axis}", "decentre", aside, unit) for axis in "xy"]
-    for array, part in curved_faces(window):
+    for array, part, _ in _curved(window):
         half = spec.of_array(spec.radius, array - 1)
-        found.append(Parameter(f"radius.{array}{part}", "radius", half, ""))
+        found.append(Parameter(f"radius.{part}", "radius", half, ""))
     bodies = range(1, len(window.bodies) + 1)
     found += [Parameter(f"index.{body}", "index", spec.index, "") for body in bodies]
     found += [
@@ -327,16 +331,22 @@ def _play(design: Design) -> list[Parameter]:
     ]
 
 
-def curved_faces(window: Window) -> list[tuple[int, str]]:
-    """Lens faces in the order of the light: array (1, 2; 3: field lens), and ".front" or ".back" where it
-    has two.
+def _curved(window: Window) -> list[tuple[int, str, Face]]:
+    """Lens faces in the order of the light, a joint once: array (1, 2; 3: field lens), name of the radius.
+
+    The name is the array, then ".front" or ".back" where a lens has two, or its number in a list of faces.
     """
-    return [
-        (face.array + 1, part if body.columnar or face.array == 2 else "")
-        for body in window.bodies
-        for part, face in ((".front", body.front), (".back", body.back))
-        if face.array is not None
-    ]
+    found = []
+    for number, (body, face, _, _) in enumerate(window.refractions, start=1):
+        if face.array is None:
+            continue
+        part = ".front" if face is body.front else ".back"
+        if window.form == "plates":
+            part = f".face{number}"
+        elif not body.columnar and face.array != 2:
+            part = ""
+        found.append((face.array + 1, f"{face.array + 1}{part}", face))
+    return found
 
 
 def draw(
