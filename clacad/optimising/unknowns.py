@@ -23,7 +23,7 @@ from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import shown
 from clacad.design import Design
 from clacad.design.faces import FaceSpec, SearchRecord, face_table
-from clacad.design.sections import OF_RECIPES
+from clacad.design.sections import OF_RECIPES, PAIR
 from clacad.optics.surface import EvenPolynomial, Quadric, Surface
 from clacad.prescription.bodies import given_conics, given_surface
 from clacad.sheet.window import Window
@@ -150,6 +150,7 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
     DesignError
         A word is unknown, may never be free, or does not apply to this form.
     """
+    refuse_listed(window)
     _refuse(window, words)
     faces = tuple(_spec(face.surface) for face in window.faces)
     lenses = [k for k, face in enumerate(window.faces) if face.array in (0, 1)]
@@ -196,6 +197,26 @@ def _of_field(window: Window, faces: tuple[FaceSpec, ...], words: tuple[str, ...
         for kind in ("c", "K"):
             found += [Unknown(kind, (k,), i) for i in (0, 1) if faces[k].curvature[i] != 0.0]
     return found
+
+
+def refuse_listed(window: Window) -> None:
+    """Refuse a search over listed plates, which are used as they are.
+
+    Raises
+    ------
+    DesignError
+    """
+    if window.form == "plates":
+        raise DesignError(
+            [
+                Mistake(
+                    "CL114",
+                    "listed faces are used as they are: a search over plates is not built",
+                    PAIR.form,
+                    allowed='pair.form = "biconvex", "plano" or "slab"',
+                )
+            ]
+        )
 
 
 def _refuse(window: Window, words: tuple[str, ...]) -> None:

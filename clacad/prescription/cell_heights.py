@@ -245,12 +245,14 @@ def refuse_no_faces(window: Window) -> None:
     NoSuchLens
         A face has no real height somewhere over its cell, or front and back of a body without land intersect.
     """
-    number = 0
+    number = -1
     for body in window.bodies:
         for face in (body.front, body.back):
+            if face is body.front and body.joined:
+                continue
+            number += 1
             if face.array is not None:
                 _refuse_no_height(window, face, number)
-            number += 1
         _refuse_crossing(window, body, number)
 
 
@@ -283,7 +285,7 @@ def _conic_that_fits(face: Face, points: Floats) -> str:
     return f"conic below [{fits[0]:.4g}, {fits[1]:.4g}], longer radii, or a smaller pitch"
 
 
-def _refuse_crossing(window: Window, body: Body, after: int) -> None:
+def _refuse_crossing(window: Window, body: Body, back: int) -> None:
     """Refuse a body without land whose front and back intersect over the cell."""
     faces = (body.front, body.back)
     if all(face.land is not None for face in faces if face.array is not None):
@@ -294,8 +296,10 @@ def _refuse_crossing(window: Window, body: Body, after: int) -> None:
         left = face_range(window, body.back)[0] - face_range(window, body.front)[1]
     if left <= 0.0:
         raise NoSuchLens(
-            f"faces {after - 1} and {after} cross over their cell: {left:.4g} is left between them where they"
+            f"faces {back} and {back + 1} cross over their cell: {left:.4g} is left between them where they"
             " are nearest",
-            key=PAIR.thickness if window.form != "slab" else PAIR.separation,
+            key={"slab": PAIR.separation, "plates": f"{PAIR.face}.{back}.after"}.get(
+                window.form, PAIR.thickness
+            ),
             hint=f"more than {-left:.4g} more thickness, or longer radii",
         )

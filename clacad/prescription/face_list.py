@@ -30,8 +30,9 @@ from clacad.prescription.assemble import assemble_window
 from clacad.prescription.bodies import LensPose, displacement, given_surface
 from clacad.prescription.intent import Intent
 from clacad.prescription.radii import LensPair, NoSuchLens
+from clacad.sheet.lattice import Lattice
 from clacad.sheet.volume_and_extent import FIELD
-from clacad.sheet.window import IDENTITY, PLANE, Body, Face, FieldLens, Window
+from clacad.sheet.window import IDENTITY, PLANE, Body, Face, FieldLens, Window, lens_height
 
 NUMBER: dict[Any, int] = {1: 0, 2: 1, "field": FIELD}
 """Array of a face's word."""
@@ -59,6 +60,7 @@ def plates(intent: Intent) -> Window:
         line = displacement(intent.design.lattice.aperture, lens_2[:2], second)
         field = (share * line[0], share * line[1])
     bodies = _bodies(intent, places)
+    _refuse_steps(intent, bodies)
     f1, f2 = (_focal_lengths(intent, array) for array in (1, 2))
     lenses = LensPair((f1, f2), (faces[0].radius, faces[-1].radius), (height, height))
     window = assemble_window(
@@ -116,6 +118,53 @@ def surface_of(spec: FaceSpec, side: int) -> Surface:
     a, b, c = (tuple(0.0 - term for term in terms) for terms in (spec.a4, spec.a6, spec.a8))
     radius = -spec.radius[0], -spec.radius[1]
     return given_surface(FaceSpec(radius, spec.conic, cast("A4", a), cast("A6", b), cast("A8", c)), side)
+
+
+STEP = 1e-9
+"""Largest step of a joint at a border of cells, as a part of the pitch: rounding is far below it."""
+
+
+def _refuse_steps(intent: Intent, bodies: tuple[Body, ...]) -> None:
+    """Refuse curved joints that have steps at the borders of cells, or would have land.
+
+    Raises
+    ------
+    NoSuchLens
+    """
+    lattice, design = intent.lattice, intent.design
+    cut = design.lattice.seam or design.body.border or lattice.outline is not None or design.body.outline
+    number = -1
+    for body, beyond in zip(bodies, (*bodies[1:], None), strict=True):
+        number += 1 if body.joined else 2
+        if body.back.array is None or beyond is None or not beyond.joined:
+            continue
+        key = f"{PAIR.face}.{number}.array"
+        if cut:
+            raise NoSuchLens(
+                f"face {number + 1} is a curved joint, which has no land for a seam, border or outline",
+                key=key,
+                hint='a flat joint (radius = "inf" without array), or cells up to the edge without seams',
+                code="CL114",
+            )
+        step = _step(lattice, body.back)
+        if step > STEP * min(lattice.pitch):
+            raise NoSuchLens(
+                f"face {number + 1} is a joint with steps of {step:.3g} at the borders of its cells",
+                key=key,
+                hint='delta = 0 and aperture = "centred", lenses along the cells, or a flat joint',
+                code="CL114",
+            )
+
+
+def _step(lattice: Lattice, face: Face) -> float:
+    """Largest step (length) of a face between two neighbouring cells, at samples of their border."""
+    tile, part = lattice.tile(), np.linspace(0.0, 1.0, 33)[:, None]
+    found = 0.0
+    for number, step in enumerate(lattice.steps):
+        here = (1.0 - part) * tile[number] + part * tile[(number + 1) % len(tile)]
+        there = here - np.asarray(lattice.offset(*step))
+        found = max(found, float(np.abs(lens_height(face, *here.T) - lens_height(face, *there.T)).max()))
+    return found
 
 
 # -- paraxial -----------------------------------------------------------------------------------------

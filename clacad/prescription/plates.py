@@ -87,7 +87,7 @@ def _bordered(window: Window, body: BodySpec) -> Outline | None:
     edge = window.outline
     if not body.shaped or edge is None or isinstance(edge, Plate):
         return None
-    dx, dy = (0.0, 0.0) if window.form == "slab" else window.shifts[1]
+    dx, dy = (0.0, 0.0) if window.one_outline else window.shifts[1]
     if isinstance(edge, Circle):
         across = edge.diameter + 2.0 * float(np.hypot(dx, dy))
         return Outline("circle", (across, across))
@@ -265,7 +265,7 @@ def inside_both(window: Window) -> Window:
         No cell is left.
     """
     second, cut = window.placements[1], window.lattice.outline
-    moved = second.shift if window.form == "slab" else (0.0, 0.0)
+    moved = second.shift if window.one_outline else (0.0, 0.0)
     wider = max(second.scale(window.lattice))
     if second.turn and isinstance(cut, Rectangle):
         wider = max(wider, 1.0) / held_when_turned((cut.width, cut.height), second.turn)

@@ -168,7 +168,7 @@ def _patch(
     """
     pair, place = layout.window.thin, layout.window.placements[array]
     box = place.extent(layout.lattice)
-    centre = (0.0, 0.0) if layout.window.form == "slab" else place.shift
+    centre = (0.0, 0.0) if layout.window.one_outline else place.shift
     outline = layout.window.outline
     if isinstance(outline, Plate):
         x0, x1, y0, y1 = outline.box
