@@ -120,7 +120,7 @@ def _landing(window: Window) -> Landing:
     faces = [face for face in window.faces if face.array == 1]
     if window.form == "biconvex":
         return _straight(0.5 * (faces[0].vertex[2] + faces[1].vertex[2]))
-    height = faces[0].vertex[2]
+    height = faces[-1].vertex[2]
     return lambda slope: displacement(slope, np.zeros(2), height, window.bodies)
 
 

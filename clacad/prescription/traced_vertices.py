@@ -262,7 +262,7 @@ def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
 
 
 def _bias(
-    seq: list[Interface], owners: list[int | None], points: Floats, light: CellLight, move: Floats
+    seq: list[Interface], owners: list[int], points: Floats, light: CellLight, move: Floats
 ) -> Floats:
     """Mean exit direction minus the expected one, x and y, (m, 2);
     lens 2 of each of m cells moved by `move`.
@@ -291,7 +291,7 @@ def _bias(
     return np.asarray((mean - asked)[:, :2])
 
 
-def _size_at(interface: Interface, owner: int | None, light: CellLight, n: int) -> Floats:
+def _size_at(interface: Interface, owner: int, light: CellLight, n: int) -> Floats:
     """Scale factors (m n, 1) of the lenses hit by n rays of each of m cells;
     (1, 1) of 1 where these are alike.
     """
@@ -310,12 +310,10 @@ def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
     return points if own is None else own.fill[:, None, None] * points
 
 
-def _owners(window: Window) -> list[int | None]:
+def _owners(window: Window) -> list[int]:
     """Array with which each face of `interfaces` moves."""
     return [
-        other.array if face.array is None else face.array
-        for body in window.bodies
-        for face, other in ((body.front, body.back), (body.back, body.front))
+        body.arrays[0] if face.array is None else face.array for body, face, _, _ in window.refractions
     ]
 
 

@@ -30,7 +30,7 @@ class OwnStep:
 def highest_step(window: Window, body: Body) -> OwnStep:
     """Find the highest step between neighbouring lenses of a body; 0 where land lies between them."""
     found = [_of_face(window, face) for face in (body.front, body.back) if face.array is not None]
-    return max(found, key=lambda step: step.height)
+    return max(found, key=lambda step: step.height, default=OwnStep(0.0, (0, 0)))
 
 
 def _of_face(window: Window, face: Face) -> OwnStep:
