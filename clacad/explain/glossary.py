@@ -510,6 +510,11 @@ WORDS: dict[str, tuple[str, str]] = {
         PAIR.form,
     ),
     "plano": ("Form with two plates, each flat on one side and with lenses on the other.", PAIR.form),
+    "plates": (
+        "Form whose faces are listed in the order of the light, each with its place, its array and the medium"
+        " behind it; a face between two materials is a joint.",
+        PAIR.face,
+    ),
     "biconvex": ("Form with two arrays of lenses that are curved on both sides, joined by a web.", PAIR.form),
     "tilt of lenses": (
         (

@@ -60,7 +60,7 @@ def plates(intent: Intent) -> Window:
         line = displacement(intent.design.lattice.aperture, lens_2[:2], second)
         field = (share * line[0], share * line[1])
     bodies = _bodies(intent, places)
-    _refuse_steps(intent, bodies)
+    _refuse_steps(intent, bodies, moved)
     f1, f2 = (_focal_lengths(intent, array) for array in (1, 2))
     lenses = LensPair((f1, f2), (faces[0].radius, faces[-1].radius), (height, height))
     window = assemble_window(
@@ -124,15 +124,18 @@ STEP = 1e-9
 """Largest step of a joint at a border of cells, as a part of the pitch: rounding is far below it."""
 
 
-def _refuse_steps(intent: Intent, bodies: tuple[Body, ...]) -> None:
+def _refuse_steps(intent: Intent, bodies: tuple[Body, ...], moved: Pair2) -> None:
     """Refuse curved joints that have steps at the borders of cells, or would have land.
+
+    moved : displacement of the cells of array 2, which makes an outline around both arrays
 
     Raises
     ------
     NoSuchLens
     """
     lattice, design = intent.lattice, intent.design
-    cut = design.lattice.seam or design.body.border or lattice.outline is not None or design.body.outline
+    outlined = lattice.outline is not None or design.body.outline is not None or moved != (0.0, 0.0)
+    cut = outlined or design.lattice.seam or design.body.border
     number = -1
     for body, beyond in zip(bodies, (*bodies[1:], None), strict=True):
         number += 1 if body.joined else 2
@@ -143,7 +146,7 @@ def _refuse_steps(intent: Intent, bodies: tuple[Body, ...]) -> None:
             raise NoSuchLens(
                 f"face {number + 1} is a curved joint, which has no land for a seam, border or outline",
                 key=key,
-                hint='a flat joint (radius = "inf" without array), or cells up to the edge without seams',
+                hint='a flat joint (radius = "inf" without array), or undisplaced cells up to the edge, without seams',
                 code="CL114",
             )
         step = _step(lattice, body.back)

@@ -261,9 +261,7 @@ def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
     return np.where(moved[:, None, None], inverse + add, inverse)
 
 
-def _bias(
-    seq: list[Interface], owners: list[int], points: Floats, light: CellLight, move: Floats
-) -> Floats:
+def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLight, move: Floats) -> Floats:
     """Mean exit direction minus the expected one, x and y, (m, 2);
     lens 2 of each of m cells moved by `move`.
     """
@@ -312,9 +310,7 @@ def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
 
 def _owners(window: Window) -> list[int]:
     """Array with which each face of `interfaces` moves."""
-    return [
-        body.arrays[0] if face.array is None else face.array for body, face, _, _ in window.refractions
-    ]
+    return [body.arrays[0] if face.array is None else face.array for body, face, _, _ in window.refractions]
 
 
 def _unit(rows: Floats) -> Floats:

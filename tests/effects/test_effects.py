@@ -636,7 +636,9 @@ def test_reflections_of_a_plane_plate_are_the_airy_series():
     plate = replace(sheet, bodies=(flat,), placements=(CellPlacement(), CellPlacement()))
     angle = 0.3
     rays = Rays([[0.01, 0.013, -1.0]], [[math.sin(angle), 0.0, math.cos(angle)]])
-    out = trace_nonsequential(plate, rays, np.array([0]), Rules(losses=True, order=2, media=(1.0, body.index, 1.0)))
+    out = trace_nonsequential(
+        plate, rays, np.array([0]), Rules(losses=True, order=2, media=(1.0, body.index, 1.0))
+    )
     r = np.mean(textbook(angle, 1.0, body.index))
     expected = {0: (1 - r) ** 2, 1: r + (1 - r) ** 2 * r, 2: (1 - r) ** 2 * r * r}
     for bounces, share in expected.items():

@@ -115,7 +115,8 @@ def reflected_paths(
 def known_to_compiled(window: Window, setting: Setting) -> bool:
     """Whether the compiled paths support everything in the window."""
     plain = window.uniform and all(isinstance(face.surface, Quadric) for face in window.faces)
-    return plain and window.baffle is None and setting.order <= 2
+    apart = window.baffle is None and not any(body.joined for body in window.bodies)
+    return plain and apart and setting.order <= 2
 
 
 def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[LightRays, Bools]:
