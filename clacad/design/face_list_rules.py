@@ -1,4 +1,4 @@
-"""Rules of `form = "plates"`: faces listed with the medium behind each; what belongs to a list and what not."""
+"""Rules of `form = "plates"`: faces listed with the medium behind each, and keys that do not go with them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def face_list_stands_alone(a: Asked) -> Iterator[Mistake]:
     if euler is not None and euler[1] != 0.0:
         yield Mistake(
             "CL114",
-            f"theta = {euler[1]:g} deg: faces of a list stand level in the sheet",
+            f"theta = {euler[1]:g} deg: faces of a list are level with the sheet",
             f"{LAW.euler}.1",
             allowed="theta = 0",
             hint='pair.form = "slab" or "biconvex"',

@@ -1,20 +1,13 @@
 """Plates listed face by face, with the medium behind each: `form = "plates"`.
 
 Nothing is solved but the place of array 2: its vertex from delta, its cells from the aperture. Bodies are the
-media other than air; a face between two of them is a joint. Paraxial matrices act on (height, slope in air),
-per meridian of the lens axes:
-
-    M = (A B; C D),  law t' = (t − δ)/η  where C = 0 and D = 1/η;  vertex 2 at d = δ/(η C_2)
-
-with C_2 of the faces of array 2 alone. The equivalent pair of thin lenses has f1 = −1/C_1 and f2 = −η f1,
-s = f1 + f2, and where the list has field faces a lens at the focus with 1/f_F = (s − B)/(f1 f2).
+media other than air; a face between two of them is a joint.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import reduce
-from math import inf, isfinite
+from math import isfinite
 from typing import Any, cast
 
 import numpy as np
@@ -28,6 +21,7 @@ from clacad.optics.material.material import Material
 from clacad.optics.surface import Surface
 from clacad.prescription.assemble import assemble_window
 from clacad.prescription.bodies import LensPose, displacement, given_surface
+from clacad.prescription.face_matrices import focal_lengths, images_pupils, inverse, matrices, separation
 from clacad.prescription.intent import Intent
 from clacad.prescription.radii import LensPair, NoSuchLens
 from clacad.sheet.lattice import Lattice
@@ -46,7 +40,8 @@ def plates(intent: Intent) -> Window:
     NoSuchLens
         The faces have no power that array 2 could be placed by.
     """
-    faces = intent.design.pair.face
+    pair = intent.design.pair
+    faces = pair.face
     height = vertex_of(faces, len(faces) - 1)
     offset = _offset(intent)
     second = _first_height(faces, 2)
@@ -61,10 +56,10 @@ def plates(intent: Intent) -> Window:
         field = (share * line[0], share * line[1])
     bodies = _bodies(intent, places)
     _refuse_steps(intent, bodies, moved)
-    f1, f2 = (_focal_lengths(intent, array) for array in (1, 2))
+    f1, f2 = (focal_lengths(pair, intent.eta, array) for array in (1, 2))
     lenses = LensPair((f1, f2), (faces[0].radius, faces[-1].radius), (height, height))
     window = assemble_window(
-        intent, bodies, moved, lenses, offset, field, {} if _images_pupils(intent) else None
+        intent, bodies, moved, lenses, offset, field, {} if images_pupils(pair, intent.eta) else None
     )
     return replace(window, thin=replace(window.thin, field=_thin_field(intent)))
 
@@ -146,7 +141,7 @@ def _refuse_steps(intent: Intent, bodies: tuple[Body, ...], moved: Pair2) -> Non
             raise NoSuchLens(
                 f"face {number + 1} is a curved joint, which has no land for a seam, border or outline",
                 key=key,
-                hint='a flat joint (radius = "inf" without array), or undisplaced cells up to the edge, without seams',
+                hint='a flat joint (radius = "inf", no array), or cells that lie over one another, up to the edge',
                 code="CL114",
             )
         step = _step(lattice, body.back)
@@ -170,82 +165,17 @@ def _step(lattice: Lattice, face: Face) -> float:
     return found
 
 
-# -- paraxial -----------------------------------------------------------------------------------------
-
-
-def media(intent: Intent) -> list[float]:
-    """Refractive index before the first face and behind each, at the design wavelength."""
-    pair = intent.design.pair
-    return [1.0] + [
-        1.0 if face.behind == AIR else float(find(str(face.behind)).index(pair.wavelength))
-        for face in pair.face
-    ]
-
-
-def matrices(intent: Intent, array: object = None) -> tuple[Floats, Floats]:
-    """(A B; C D) from the first to the last vertex along x and y, or through the faces of one array alone."""
-    faces, index = intent.design.pair.face, media(intent)
-    chosen = [k for k, face in enumerate(faces) if array is None or face.array == array]
-    first, last = (chosen[0], chosen[-1]) if chosen else (0, -1)
-    found = []
-    for axis in (0, 1):
-        steps = []
-        for k in range(first, last + 1):
-            if k > first:
-                length = (vertex_of(faces, k) - vertex_of(faces, k - 1)) / index[k]
-                steps.append(np.array([[1.0, length], [0.0, 1.0]]))
-            power = (index[k + 1] - index[k]) * faces[k].curvature[axis]
-            steps.append(np.array([[1.0, 0.0], [-power, 1.0]]))
-        found.append(reduce(lambda whole, step: step @ whole, steps, np.eye(2)))
-    return found[0], found[1]
-
-
-def separation(intent: Intent) -> float:
-    """Distance s between the equivalent thin lenses (length): mean of the meridians with power."""
-    lengths = [
-        f * (1.0 - eta) for f, eta in zip(_focal_lengths(intent, 1), intent.eta, strict=True) if isfinite(f)
-    ]
-    return float(np.mean(lengths))
-
-
-def _focal_lengths(intent: Intent, array: int) -> Pair2:
-    """Focal lengths (x, y) of the equivalent thin lens of an array; infinite without power."""
-    found = []
-    for axis, eta in enumerate(intent.eta):
-        first = _inverse(-float(matrices(intent, 1)[axis][1, 0])) if eta != 1.0 else inf
-        if not _images_pupils(intent) and eta != 1.0:
-            first = float(matrices(intent)[axis][0, 1]) / (1.0 - eta)
-        found.append(first if array == 1 else -eta * first)
-    return found[0], found[1]
-
-
-IMAGING = 0.25
-"""Share of the separation by which B must be less than it where faces between the lenses image pupils."""
-
-
-def _images_pupils(intent: Intent) -> bool:
-    """Whether faces near the focus make B clearly less than the distance between the thin lenses."""
-    for axis, eta in enumerate(intent.eta):
-        length = _inverse(-float(matrices(intent, 1)[axis][1, 0])) * (1.0 - eta)
-        if isfinite(length) and abs(length - float(matrices(intent)[axis][0, 1])) > IMAGING * abs(length):
-            return True
-    return False
-
-
 def _thin_field(intent: Intent) -> tuple[FieldLens, ...]:
     """Ideal lens at the focus that gives the B of the list; none where that of two thin lenses is."""
-    if not _images_pupils(intent):
+    pair, eta = intent.design.pair, intent.eta
+    if not images_pupils(pair, eta):
         return ()
-    s, (f1, f2) = separation(intent), (_focal_lengths(intent, array) for array in (1, 2))
+    s, (f1, f2) = separation(pair, eta), (focal_lengths(pair, eta, array) for array in (1, 2))
     focal = [
-        _inverse((s - float(matrix[0, 1])) / (f1[axis] * f2[axis]))
-        for axis, matrix in enumerate(matrices(intent))
+        inverse((s - float(matrix[0, 1])) / (f1[axis] * f2[axis]))
+        for axis, matrix in enumerate(matrices(pair))
     ]
     return (FieldLens((focal[0], focal[1]), float(np.mean([f for f in f1 if isfinite(f)]))),)
-
-
-def _inverse(power: float) -> float:
-    return 1.0 / power if power else inf
 
 
 def _offset(intent: Intent) -> Floats:
@@ -254,7 +184,7 @@ def _offset(intent: Intent) -> Floats:
     if given is not None:
         return np.array(given)
     found = np.zeros(2)
-    for axis, matrix in enumerate(matrices(intent, 2)):
+    for axis, matrix in enumerate(matrices(intent.design.pair, 2)):
         delta, eta = intent.delta[axis], intent.eta[axis]
         if delta == 0.0:
             continue

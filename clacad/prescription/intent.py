@@ -183,9 +183,9 @@ def separation_of(intent: Intent) -> float:
     """Distance f1 + f2 (length) between the thin lenses equivalent to the pair."""
     pair = intent.design.pair
     if pair.form == "plates":
-        from clacad.prescription.face_list import separation
+        from clacad.prescription.face_matrices import separation
 
-        return separation(intent)
+        return separation(pair, intent.eta)
     if pair.separation is not None:
         return pair.separation
     thickness = pair.thicknesses

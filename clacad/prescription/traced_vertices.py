@@ -23,6 +23,7 @@ from clacad.design.sections import LATTICE
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
 from clacad.prescription.radii import NoSuchLens
+from clacad.sheet.face_order import refractions
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import Window
 
@@ -310,7 +311,7 @@ def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
 
 def _owners(window: Window) -> list[int]:
     """Array with which each face of `interfaces` moves."""
-    return [body.arrays[0] if face.array is None else face.array for body, face, _, _ in window.refractions]
+    return [body.arrays[0] if face.array is None else face.array for body, face, _, _ in refractions(window)]
 
 
 def _unit(rows: Floats) -> Floats:

@@ -20,6 +20,7 @@ from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_s
 from clacad.rendering.scene_hits import background, look
 from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
 from clacad.scene import Camera, Scene
+from clacad.sheet.face_order import media_of
 from clacad.sheet.plate import Plate
 from clacad.sheet.stack import BadStack
 from clacad.sheet.window import Window
@@ -68,7 +69,7 @@ def pane_of(
     numbers[kernel.SCALE], numbers[kernel.FRONT] = scale, front
     shining = np.zeros(256, dtype=np.uint8)
     shining[list(passage.shining)] = 1
-    sheet = pack(lay_out(window))._replace(media=np.array(window.media(lines[0].wavelength)))
+    sheet = pack(lay_out(window))._replace(media=np.array(media_of(window, lines[0].wavelength)))
     return kernel.Pane(kind, numbers, opaque, before, sheet, shining, suits(sheet))
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.sequence import Interface
 from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.face_order import refractions
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.plate import Plate
 
@@ -121,7 +122,7 @@ def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None
     """
     moved = {1: slide, 2: aside}
     found = []
-    for body, face, before, after in window.refractions:
+    for body, face, before, after in refractions(window):
         shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
         vertex = np.asarray(face.vertex) + [*shift, 0.0]
         change = moved.get(body.arrays[0] if face.array is None else face.array)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -133,8 +133,9 @@ class Body:
 
     @property
     def arrays(self) -> tuple[int, ...]:
-        """Arrays on whose cells the faces repeat, each once, in the order of the light; array 0 for a layer of
-        two planes, which is cut along its cells.
+        """Arrays on whose cells the faces repeat, each once, in the order of the light.
+
+        Array 0 for a layer of two planes, which is cut along its cells.
         """
         seen = [face.array for face in (self.front, self.back) if face.array is not None]
         return tuple(dict.fromkeys(seen)) or (0,)
@@ -170,17 +171,6 @@ class Body:
         warm = self.material.heated(kelvin)
         change = warm.index_change - self.material.index_change
         return replace(self, index=self.index + change, material=warm)
-
-
-class Refraction(NamedTuple):
-    """A face where light goes from one medium to another: its body (of a joint the one before it), and the
-    refractive indices at the design wavelength.
-    """
-
-    body: Body
-    face: Face
-    before: float
-    after: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,17 +342,6 @@ class Window:
         return tuple(face for body in self.bodies for face in (body.front, body.back))
 
     @property
-    def plates(self) -> tuple[tuple[Body, ...], ...]:
-        """Bodies without air between them, in the order light reaches them."""
-        found: list[list[Body]] = []
-        for body in self.bodies:
-            if body.joined:
-                found[-1].append(body)
-            else:
-                found.append([body])
-        return tuple(map(tuple, found))
-
-    @property
     def field_array(self) -> bool:
         """Whether a field lens has cells of its own."""
         return len(self.placements) > 2
@@ -371,39 +350,6 @@ class Window:
     def one_outline(self) -> bool:
         """Whether all bodies have the outline of the sheet; else each follows its own array."""
         return self.form in ("slab", "plates")
-
-    def outline_centre(self, body: Body) -> tuple[float, float]:
-        """Centre (x, y) of a body's outline, lengths: the sheet's, or that of the body's own array."""
-        return self.shifts[body.arrays[0]] if len(body.arrays) == 1 and not self.one_outline else (0.0, 0.0)
-
-    @property
-    def refractions(self) -> tuple[Refraction, ...]:
-        """Faces in the order of the light, a joint once."""
-        media = self.media()
-        return tuple(
-            Refraction(body, face, media[2 * number + side], media[2 * number + side + 1])
-            for number, body in enumerate(self.bodies)
-            for side, face in enumerate((body.front, body.back))
-            if side or not body.joined
-        )
-
-    def media(self, wavelength: float | None = None) -> tuple[float, ...]:
-        """Refractive index before the first face and behind each face, (2 bodies + 1,).
-
-        Of the two faces of a joint, the second has the same medium on both sides.
-
-        wavelength : metres; None: the design wavelength
-
-        Raises
-        ------
-        ValueError
-            The wavelength lies outside a material's data.
-        """
-        inside = [body.index_at(wavelength) for body in self.bodies]
-        found = [1.0]
-        for number, body in enumerate(self.bodies[1:], start=1):
-            found += [inside[number - 1], inside[number] if body.joined else 1.0]
-        return (*found, inside[-1], 1.0)
 
     @property
     def shifts(self) -> tuple[tuple[float, float], ...]:

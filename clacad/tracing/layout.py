@@ -15,6 +15,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import sharpest_bend
 from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, LensPlaces, VertexChange
+from clacad.sheet.face_order import outline_centre
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.pattern import relocate, turned
 from clacad.sheet.plate import Plate
@@ -448,7 +449,7 @@ def _footprint(window: Window, body: Body) -> Footprint:
         x0, x1, y0, y1 = window.outline.box
         middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
         return (x0, x1, y0, y1), (*window.outline.free_box, np.inf), ("plate", 0.0, 0.0), middle
-    cx, cy = window.outline_centre(body)
+    cx, cy = outline_centre(window, body)
     if isinstance(window.outline, Circle):
         half = 0.5 * window.outline.diameter
         return (

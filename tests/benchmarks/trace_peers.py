@@ -39,6 +39,7 @@ from trace_speed import beam, cpu, floor_loop, kernel
 
 from clacad.mesh import tessellate
 from clacad.optics.rays import Rays, TraceResult
+from clacad.sheet.face_order import media_of
 from clacad.sheet.window import Window
 
 ROUNDS = 5
@@ -198,7 +199,7 @@ def trace_with(window: Window, rays: Rays, number: int) -> Job:
     from clacad.tracing.layout import lay_out
     from clacad.tracing.ledger import Ledger
 
-    ledger, layout, media = Ledger.blank(len(rays), 0), lay_out(window), window.media()
+    ledger, layout, media = Ledger.blank(len(rays), 0), lay_out(window), media_of(window)
     return lambda: trace_compiled(layout, rays, ledger, np.arange(len(rays)), media, number)
 
 

@@ -36,6 +36,7 @@ from clacad.optics.surface.fresnel_coefficients import (
     transmission,
 )
 from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.face_order import media_of
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")
@@ -589,7 +590,7 @@ def test_the_straight_path_followed_is_the_trace(name):
     sheet, rays = window(name), bundle(name)
     result = trace(sheet, rays)
     met = np.flatnonzero(result.fate < Fate.MISSED)
-    out = trace_nonsequential(sheet, rays, met, Rules(media=sheet.media()))
+    out = trace_nonsequential(sheet, rays, met, Rules(media=media_of(sheet)))
     going = np.flatnonzero(result.fate <= Fate.LAND)
     assert np.array_equal(np.sort(out.parent), going)
     turn = np.argsort(out.parent)
@@ -616,7 +617,7 @@ def test_shares_of_all_paths_sum_to_one_without_noise(name, order):
     sheet, rays = window(name), bundle(name, 512)
     met = np.flatnonzero(trace(sheet, rays).fate < Fate.MISSED)
     rules = Rules(walls=True, total=True, losses=True, order=order,
-                  media=sheet.media(),
+                  media=media_of(sheet),
                   attenuation=tuple(0.01 / max(sheet.lattice.pitch) for _ in sheet.bodies))  # fmt: skip
     out = trace_nonsequential(sheet, rays, met, rules)
     total = sum(out.share.values())[met]
@@ -687,7 +688,7 @@ def test_total_reflection_loses_no_light():
     bare = trace(sheet, rays)
     caught = np.flatnonzero(bare.fate == Fate.TIR)
     assert len(caught) > 50
-    rules = Rules(walls=True, total=True, media=sheet.media())
+    rules = Rules(walls=True, total=True, media=media_of(sheet))
     out = trace_nonsequential(sheet, rays, caught, rules)
     total = sum(out.share.values())[caught]
     assert np.abs(total - 1.0).max() < 1e-12

@@ -19,6 +19,7 @@ from clacad.optics.rays import Fate
 from clacad.optics.sequence import trace_sequence
 from clacad.prescription.face_list import surface_of
 from clacad.sheet.bundle import bundle
+from clacad.sheet.face_order import media_of
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import PLANE, Body, Face
 
@@ -180,7 +181,7 @@ def test_what_joints_reflect_is_fresnels_share():
         assert seen.flux[0] == pytest.approx(passed[0] ** 2 * passed[1] ** 2, rel=1e-12)
     rays = rays_over(sheet, 0.02, 300)
     met = np.flatnonzero(clacad.trace(sheet, rays).fate < Fate.MISSED)
-    rules = Rules(walls=True, total=True, losses=True, order=2, media=sheet.media())
+    rules = Rules(walls=True, total=True, losses=True, order=2, media=media_of(sheet))
     out = trace_nonsequential(sheet, rays, met, rules)
     assert np.abs(sum(out.share.values())[met] - 1.0).max() < 1e-12
     once = 1 - passed[0] * passed[0] * passed[1] * passed[1]

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from clacad import Design, DesignError, Law, Rays, prescribe, trace
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.optics.rays import Fate
+from clacad.sheet.face_order import media_of
 
 FINITE = settings(
     max_examples=12, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow]
@@ -268,7 +269,7 @@ def test_a_sheet_conserves_energy(data, seed, order, dark):
     window, rays = window_of(data), bundle(seed, count=30)
     met = np.flatnonzero(trace(window, rays).fate < Fate.MISSED)
     assume(len(met))
-    media = window.media()
+    media = media_of(window)
     rules = Rules(walls=True, total=True, losses=True, order=order, media=media,
                   attenuation=tuple(dark / 2.0**-8 for _ in window.bodies))  # fmt: skip
     shares = trace_nonsequential(window, rays, met, rules).share

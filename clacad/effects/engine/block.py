@@ -14,6 +14,7 @@ import numpy as np
 from clacad.base.hashing import GOLDEN, mixed
 from clacad.base.types import Bools, Floats, Rung
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.face_order import media_of
 from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class RayBlock:
     @property
     def media(self) -> Floats:
         """Refractive index before the first face and behind each, (faces + 1,)."""
-        return np.array(self.window.media(self.wavelength))
+        return np.array(media_of(self.window, self.wavelength))
 
     @property
     def air_wavelength(self) -> float:
@@ -105,7 +106,7 @@ def crossings(block: RayBlock) -> Iterator[FaceCrossing]:
     if block.rung in ("law", "thin"):
         yield from plate_crossings(block)
         return
-    result, media = block.result, block.window.media(block.wavelength)
+    result, media = block.result, media_of(block.window, block.wavelength)
     assert result.hits is not None
     assert result.directions is not None
     everywhere = bool((result.fate <= Fate.GHOST).all())

@@ -29,6 +29,7 @@ from clacad.effects.registry import declared_all
 from clacad.light.compare import angles
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.surface import Quadric
+from clacad.sheet.face_order import media_of
 from clacad.sheet.need_window import need_one_eta
 from clacad.sheet.window import Window
 from clacad.tracing.layout import lay_out
@@ -52,7 +53,7 @@ def rules_for(window: Window, setting: Setting, wavelength: float | None, order:
         order=order,
         faces=setting.faces,
         attenuation=attenuation,
-        media=window.media(wavelength),
+        media=media_of(window, wavelength),
         coating=setting.coating,
         ratio=ratio,
     )

@@ -23,6 +23,7 @@ from clacad.effects.engine.block import RayBlock, crossings
 from clacad.effects.engine.effect import Effect, Setting, When
 from clacad.effects.registry import declared, declared_all
 from clacad.optics.rays import Rays, TraceResult
+from clacad.sheet.face_order import media_of
 from clacad.sheet.window import Window
 
 Chosen = slice | NDArray[np.intp]
@@ -60,7 +61,7 @@ class OrderedResult:
         """Trace a block by the compiled kernels straight into its slice; its hits may be kept for it
         alone.
         """
-        media = self.window.media(wavelength)
+        media = media_of(self.window, wavelength)
         return self.traced(rows, rays, media, 2 * len(self.window.bodies) if keep else 0)
 
     def traced_with_losses(
@@ -70,7 +71,7 @@ class OrderedResult:
         from clacad.effects.engine.compiled_passes import Traced, losses_pass
 
         bodies = self.window.bodies
-        media = self.window.media(wavelength)
+        media = media_of(self.window, wavelength)
         asked = [effect.losses(wavelength) for effect in lossy if effect.losses is not None]
         rates = np.zeros(len(bodies))
         for _, own in asked:

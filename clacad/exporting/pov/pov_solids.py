@@ -32,6 +32,7 @@ from clacad.exporting.pov.pov_cells import (
 )
 from clacad.optics.surface import Biconic, Quadric, as_quadric
 from clacad.prescription.cell_heights import faces_that_differ
+from clacad.sheet.face_order import outline_centre
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
@@ -225,7 +226,7 @@ def _meeting(parts: list[str]) -> str:
 def _outline(window: Window, body: Body, units: float, span: HeightRange) -> str:
     """The whole footprint of a body between two heights."""
     low, high = number(units * span.low), number(units * span.high)
-    x, y = window.outline_centre(body)
+    x, y = outline_centre(window, body)
     if isinstance(window.outline, Plate):
         return _plate(window.outline, units, low, high)
     if isinstance(window.outline, Circle):

@@ -10,6 +10,7 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface import EvenPolynomial, Quadric
 from clacad.sheet.edge_columns import EDGE_NUMBERS
+from clacad.sheet.face_order import media_of
 from clacad.sheet.lattice import runs
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def pack_array_1(layout: Layout) -> Packed:
         bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
         lattice=lattice,
         rows=_rows(layout),
-        media=np.array(layout.window.media()),
+        media=np.array(media_of(layout.window)),
         losses=np.zeros(0),
         edges=np.zeros((0, EDGE_NUMBERS)) if (plate := layout.bodies[0].plate) is None else plate.edges,
         lattices=lattice[None, :],

@@ -628,14 +628,25 @@ def _before_other(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int
 
 
 @exact
+def _past_joint(
+    sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, oz: float, hits: Floats, turns: Floats
+) -> None:
+    """Record rays on a joint as hits of its second face, and begin what the body behind it absorbs."""
+    if len(sheet.losses):
+        if sheet.losses[1 + f // 2] != 0.0:
+            _absorbed(s, len(chosen), sheet.losses[1 + f // 2], oz, 0)
+    elif len(hits):
+        _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
+
+
+@exact
 def straight(
     tiles: Tiles | None, sheet: Packed, s: Floats, chosen: Rows, hits: Floats, turns: Floats, carried: Floats
 ) -> int:
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
-    Positions are relative to the vertex of the last face, whichever face was last crossed. Where lost light
-    is counted (see `Packed.losses`) no hit is stored. The rows SHARE and DEPTH then gather the transmission
-    of bare faces for unpolarised light and the absorption of the bodies.
+    Positions are relative to the vertex of the last face. Where lost light is counted (`Packed.losses`) no hit
+    is stored; SHARE and DEPTH gather the transmission of bare faces and the absorption of the bodies.
     """
     faces, bodies, lat, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.own
     m = len(chosen)
@@ -659,11 +670,8 @@ def straight(
             face, other = faces[f], faces[2 * b + 1 - side]
             media = (1.0 * sheet.media[f], 1.0 * sheet.media[f + 1])  # in double precision
             structured = face[slot.ARRAY] >= 0.0
-            if side == 0 and body[slot.JOINED] != 0.0:  # the rays stand on the joint already
-                if counted and sheet.losses[1 + b] != 0.0:
-                    _absorbed(s, m, sheet.losses[1 + b], oz, 0)
-                if len(hits) and not counted:
-                    _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
+            if side == 0 and body[slot.JOINED] != 0.0:
+                _past_joint(sheet, f, s, array, chosen, oz, hits, turns)
                 continue
             if structured and (side == 0 or not columnar):
                 _enter_array(sheet, f, s, m, media[0], array, (ox, oy, oz))

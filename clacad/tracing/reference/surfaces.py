@@ -112,7 +112,7 @@ def in_cell(layout: Layout, media: Sequence[float], beam: Beam, carried: Floats)
     gap = carried
     for b, body in enumerate(layout.bodies):
         around = (media[2 * b], media[2 * b + 1], media[2 * b + 2])
-        if body.joined:  # the rays stand on the joint already
+        if body.joined:  # the rays are on the joint already
             beam, gap = (
                 replace(beam, z=beam.z - (body.level - layout.bodies[b - 1].level)),
                 np.zeros(len(beam)),

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, resized
 from clacad.sheet.cell_places import VertexChange
+from clacad.sheet.face_order import refractions
 from clacad.sheet.pattern import cosine_and_sine
 from clacad.sheet.window import Face, Window
 
@@ -108,7 +109,7 @@ def _compared(
 def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
     """Faces of the telescopelet of cell (2,) and order (2,), in the order of the light."""
     steps = []
-    for _, face, before, after in window.refractions:
+    for _, face, before, after in refractions(window):
         vertex = _vector(face.vertex)
         if face.array is not None:
             # light that keeps to its pair passes its own field lens

@@ -1,0 +1,65 @@
+"""Faces of a window in the order of the light: media around them, plates, joints, and where outlines lie."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from clacad.sheet.window import Body, Face, Window
+
+
+class Refraction(NamedTuple):
+    """A face where light goes from one medium to another: its body (of a joint the one before it), and the
+    refractive indices at the design wavelength.
+    """
+
+    body: Body
+    face: Face
+    before: float
+    after: float
+
+
+def plates_of(window: Window) -> tuple[tuple[Body, ...], ...]:
+    """Bodies without air between them, in the order light reaches them."""
+    found: list[list[Body]] = []
+    for body in window.bodies:
+        if body.joined:
+            found[-1].append(body)
+        else:
+            found.append([body])
+    return tuple(map(tuple, found))
+
+
+def media_of(window: Window, wavelength: float | None = None) -> tuple[float, ...]:
+    """Refractive index before the first face and behind each face, (2 bodies + 1,).
+
+    Of the two faces of a joint, the second has the same medium on both sides.
+
+    wavelength : metres; None: the design wavelength
+
+    Raises
+    ------
+    ValueError
+        The wavelength lies outside a material's data.
+    """
+    inside = [body.index_at(wavelength) for body in window.bodies]
+    found = [1.0]
+    for number, body in enumerate(window.bodies[1:], start=1):
+        found += [inside[number - 1], inside[number] if body.joined else 1.0]
+    return (*found, inside[-1], 1.0)
+
+
+def refractions(window: Window) -> tuple[Refraction, ...]:
+    """Faces in the order of the light, a joint once."""
+    around = media_of(window)
+    return tuple(
+        Refraction(body, face, around[2 * number + side], around[2 * number + side + 1])
+        for number, body in enumerate(window.bodies)
+        for side, face in enumerate((body.front, body.back))
+        if side or not body.joined
+    )
+
+
+def outline_centre(window: Window, body: Body) -> tuple[float, float]:
+    """Centre (x, y) of a body's outline, lengths: the sheet's, or that of the body's own array."""
+    own = len(body.arrays) == 1 and not window.one_outline
+    return window.shifts[body.arrays[0]] if own else (0.0, 0.0)
