@@ -387,8 +387,10 @@ def bodies_apart(window: Window, what: str) -> tuple[Body, ...]:
     Raises
     ------
     NoFixture
-        The window is one slab.
+        The window is one slab, or a list of plates.
     """
+    if window.form == "plates":
+        raise NoFixture(f"a {what} between listed plates is not made")
     if len(window.bodies) < 2:
         raise NoFixture(f"a {what} lies between two arrays; {window.name} is one slab")
     return window.bodies

@@ -63,12 +63,14 @@ def refuse(window: Window) -> None:
     Raises
     ------
     NotForPov
-        A face that is no quadric, as most biconic ones; opaque land of a web, which lies inside the glass; an
-        array that is rotated, or lenses at individual heights or of many sizes.
+        A face that is no quadric, as most biconic ones; joints; opaque land of a web, which lies inside the
+        glass; an array that is rotated, or lenses at individual heights or of many sizes.
     """
     why = ""
     if any(quadric_of(face) is None for face in window.faces):
         why = "biconic or polynomial faces, which are no quadrics"
+    elif any(body.joined for body in window.bodies):
+        why = "joints, at which one surface would bound two solids"
     elif window.land.opaque and any(body.columnar for body in window.bodies):
         why = "opaque land on a web"
     elif not window.level_and_straight:
