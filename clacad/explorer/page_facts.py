@@ -294,7 +294,7 @@ def not_shown(design: Design, window: Window) -> tuple[str, ...]:
         " ideal"
     ]
     if window.form != "biconvex":
-        glass = "slab" if window.form == "slab" else "plano lenses"
+        glass = "slab" if window.form == "slab" else "plates" if window.form == "plates" else "plano lenses"
         found.append(f"the glass of the {glass} between the lenses: light crosses the equivalent pair in air")
     if design.pair.prescription == "given":
         found.append(
