@@ -29,6 +29,7 @@ from clacad.judging.file_light import light_checks
 from clacad.judging.mesh_shape import volume_of
 from clacad.judging.step_light import FACE_RAYS, FaceTracer, light_of_cells
 from clacad.optics.surface import Quadric
+from clacad.sheet.face_order import plates_of, refractions
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
@@ -110,13 +111,12 @@ def gain(window: Window) -> float:
     laws = window.cell_laws
     if laws is not None and laws.ratios is not None:
         smallest = float(np.abs(laws.ratios_of(window.lattice, window.lattice.cells())).min())
-    for body in window.bodies:
-        for face in (body.front, body.back):
-            if face.array in (
-                0,
-                1,
-            ):  # at a field lens light is at a focus: a deflection there does not change its exit direction
-                total += ((body.index - 1.0) * (1.0 / smallest if face.array == 0 else 1.0)) ** 2
+    for _, face, before, after in refractions(window):
+        if face.array in (
+            0,
+            1,
+        ):  # at a field lens light is at a focus: a deflection there changes no direction
+            total += ((after - before) * (1.0 / smallest if face.array == 0 else 1.0)) ** 2
     return float(total**0.5)
 
 
@@ -179,7 +179,7 @@ def _checks_of_shape(asked: Inspection, window: Window, found: Mapping[str, Any]
     return [
         READABLE.check("pass", found["holds_words"] + _unit_words(found), **common),
         _closed(found, common),
-        _solids(found, stated, common),
+        _solids(window, found, stated, common),
         _placement(found, room, common),
         _shape(found, stated, room, common),
         _file_rms(window, found, room, common),
@@ -291,24 +291,49 @@ def _closed(found: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
     return CLOSED.check("fail" if loose or bad else "pass", sentence, float(loose), 0.0, **common)
 
 
-def _solids(found: Mapping[str, Any], stated: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
+def _solids(
+    window: Window, found: Mapping[str, Any], stated: Mapping[str, Any], common: Mapping[str, Any]
+) -> Check:
     count = found.get("kernel_solids", found["solids"])
     want = stated.get("solids")
-    if want is None:
+    wrong = [*_lacking(window, found), *_misnamed(window, found)]
+    if want is None and not wrong:
         return SOLIDS.not_run(
             f"{count} solids; nothing says how many there should be",
             value=float(count),
             required=False,
             **common,
         )
-    same = int(count) == int(want)
+    same = want is None or int(count) == int(want)
+    numbers = f"{count} solids" if want is None else f"{count} solids, {want} stated"
     return SOLIDS.check(
-        "pass" if same else "fail",
-        f"{count} solids, {want} stated",
+        "pass" if same and not wrong else "fail",
+        "; ".join([numbers, *wrong]),
         float(count),
-        float(want),
+        float(count if want is None else want),
         **common,
     )
+
+
+def _lacking(window: Window, found: Mapping[str, Any]) -> list[str]:
+    """Layers that a plate lacks of which others are there."""
+    lacking = []
+    for plate in plates_of(window):
+        there = [body.name in found.get("volumes", ()) for body in plate]
+        if any(there) and not all(there):
+            names = [body.name for body, held in zip(plate, there, strict=True) if not held]
+            lacking.append(f"layer {' and '.join(names)} of a plate is missing")
+    return lacking
+
+
+def _misnamed(window: Window, found: Mapping[str, Any]) -> list[str]:
+    """Solids with the name of a body of another medium than the one whose lenses they have."""
+    index, wrong = {body.name: body.index for body in window.bodies}, []
+    for name, body in found.get("named", ()):
+        said = max((one for one in index if name.startswith(one)), key=len, default=body)
+        if index[said] != index[body]:
+            wrong.append(f"the solid named {name} lies where the design has {body}")
+    return wrong
 
 
 def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
@@ -426,7 +451,7 @@ def _volume(
         # steps closed on purpose move vertices by less than the merge height of about a nanometre, which is a
         # noticeable part of the volume of thin bodies
         allowed += max(1e-8 * want, MERGED * area)
-    detail = {"volume": got, "exact": want}
+    detail: dict[str, Any] = {"volume": got, "exact": want}
     whose = "the design" if len(bodies) == len(window.bodies) else " and ".join(body.name for body in bodies)
     sentence = f"the kernel finds {got:.12g} mm³, quadrature of {whose} {want:.12g} mm³"
     if engraved := float(found.get("engraved", 0.0)):
@@ -434,8 +459,15 @@ def _volume(
         detail["engraved"] = engraved
     if drilled := hole_words(window, found.get("holes", ())):
         sentence += f"; {drilled}"
+    off = abs(got + engraved - want)
+    if "volumes" in found and not engraved:
+        exact = {body.name: p.value * cube for body, p in zip(bodies, parts, strict=True) if p is not None}
+        name, layer = _worst_layer(found["volumes"], exact)
+        off = max(off, layer)
+        if layer > allowed:
+            sentence += f"; {name} has {found['volumes'].get(name, 0.0):.12g} mm³, not {exact[name]:.12g}"
     return VOLUME.judge(
-        abs(got + engraved - want),
+        off,
         allowed,
         sentence,
         unit="mm³",
@@ -445,16 +477,29 @@ def _volume(
     )
 
 
+def _worst_layer(volumes: Mapping[str, float], exact: Mapping[str, float]) -> tuple[str, float]:
+    """The body whose volume is farthest from that of the design, and the difference, mm³."""
+    off = {name: abs(volumes.get(name, 0.0) - value) for name, value in exact.items()}
+    name = max(off, key=lambda one: off[one])
+    return name, off[name]
+
+
 def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
     """Bodies whose lenses the file holds, or whose heights it spans; all where it spans none (it lies
     elsewhere).
     """
     at = found.get("placement")
     if at is not None and at["standing_held"] >= 0.5:
-        return tuple(body for body in window.bodies if body.name in at["bodies"])
+        held = {*at["bodies"], *found.get("volumes", () if found["kernel"] else _plain(window))}
+        return tuple(body for body in window.bodies if body.name in held)
     if "box" not in found:
         return window.bodies
     low, high = (corner[2] / millimetres(window.unit) for corner in found["box"])
     middles = [0.5 * sum(body_range(window, body)) for body in window.bodies]
-    held = tuple(body for body, z in zip(window.bodies, middles, strict=True) if low < z < high)
-    return held or window.bodies
+    spanned = tuple(body for body, z in zip(window.bodies, middles, strict=True) if low < z < high)
+    return spanned or window.bodies
+
+
+def _plain(window: Window) -> list[str]:
+    """Names of the layers between two planes; the text of a file does not show where they lie."""
+    return [body.name for body in window.bodies if body.front.array is body.back.array is None]

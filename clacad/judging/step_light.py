@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.formats.step.rays_through_faces import crossings
 from clacad.judging.file_light import FileLight, measure_light
 from clacad.light.measure import Light, Send
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
+from clacad.sheet.face_order import plates_of
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Face, Window, optical_tile
 from clacad.tracing.facets.telescopelet import ExactFace, FacetBody, trace_facets
@@ -129,12 +131,17 @@ class FaceTracer:
         hit.
         """
         state = _State(lit.rays)
-        for inside, bodies in groupby(self.window.bodies, lambda body: body.name in self.held):
+        for inside, plates in groupby(plates_of(self.window), self._holds):
+            bodies = tuple(body for plate in plates for body in plate)
             if inside:
-                self._through_file(state, lit, tuple(bodies))
+                self._through_file(state, lit, bodies)
             else:
-                _through_design(state, self.window, lit, tuple(bodies))
+                _through_design(state, self.window, lit, bodies)
         return state.closed()
+
+    def _holds(self, plate: tuple[Body, ...]) -> bool:
+        """Whether the file has every layer of a plate."""
+        return all(body.name in self.held for body in plate)
 
     def _through_file(self, state: _State, lit: Bundle, bodies: tuple[Body, ...]) -> None:
         """Trace the bodies of the file through its own faces; the state continues behind them."""
@@ -142,7 +149,9 @@ class FaceTracer:
         scale = millimetres(self.window.unit)
         low, high = column(self.window, lit.cell, bodies)
         numbers = [
-            2 * k + side for k, body in enumerate(self.window.bodies) if body in bodies for side in (0, 1)
+            number
+            for number in range(2 * len(self.window.bodies))
+            if (body := self.window.bodies[number // 2]) in bodies and (number % 2 or not body.joined)
         ]
         up = np.array([0.0, 0.0, self.z])
         function, more = (
@@ -153,7 +162,7 @@ class FaceTracer:
             self.path,
             state.position[live] * scale + up,
             state.direction[live],
-            [body.index for body in bodies],
+            crossings(self.window, bodies, self.z),
             (low * scale).tolist(),
             (high * scale).tolist(),
             *more,
@@ -166,8 +175,8 @@ class FaceTracer:
         state.direction[live] = np.array(found["direction"]).reshape(-1, 3)
         state.surface[live] += many.astype(np.int32)
         state.fate[live] = np.choose(end, [Fate.ALIVE, Fate.WALL, Fate.WALL, Fate.TIR]).astype(np.uint8)
-        faces = [face for body in bodies for face in (body.front, body.back)]
-        for step, face in enumerate(faces):
+        for step, number in enumerate(numbers):
+            face = self.window.faces[number]
             if face.array is None:
                 continue
             met = many > step

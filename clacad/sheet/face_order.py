@@ -22,7 +22,7 @@ def plates_of(window: Window) -> tuple[tuple[Body, ...], ...]:
     """Bodies without air between them, in the order light reaches them."""
     found: list[list[Body]] = []
     for body in window.bodies:
-        if body.joined:
+        if body.joined and found:
             found[-1].append(body)
         else:
             found.append([body])

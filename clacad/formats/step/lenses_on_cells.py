@@ -58,7 +58,7 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
         worst within a row, which no copy exceeds except by rounding), lattice_cell, lattice_body (where),
         moved (instances farther than 1e-7 of the pitch), missing and doubled ((cell, body) without a lens,
         and with several), missing_cell, doubled_cell, `standing` (share of the requested lenses that are
-        within 1e-5 of the pitch).
+        within 1e-5 of the pitch); owners: by the number of a part, the body whose lenses it has.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
         There are too many copies to check one by one, and they do not fill the lattice.
     """
     board = _Board(window)
-    patches, error, slope = 0, 0.0, 0.0
+    patches, error, slope, owners = 0, 0.0, 0.0, dict[int, str]()
     for number, placements in enumerate(parts):
         mine = lenses.of_part(number)
         if not len(mine.part) or not len(placements):
@@ -80,9 +80,16 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
         error = max(error, float(seen.error[:, real].max()))
         slope = max(slope, float(seen.slope[:, real].max()))
         board.take(seen, placements, chosen, real)
+        owners[number] = window.bodies[int(np.bincount(seen.face[:, real].max(axis=0) // 2).argmax())].name
     if not patches:
-        return {"patches": 0, "patch_error": None, "patch_slope_error": None, "placement": None}
-    return {"patches": patches, "patch_error": error, "patch_slope_error": slope, "placement": board.facts()}
+        return {"patches": 0, "patch_error": None, "patch_slope_error": None, "placement": None, "owners": {}}
+    return {
+        "patches": patches,
+        "patch_error": error,
+        "patch_slope_error": slope,
+        "placement": board.facts(),
+        "owners": owners,
+    }
 
 
 def _sampled(placements: Placements, patches: int) -> Ints:

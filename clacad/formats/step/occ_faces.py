@@ -4,15 +4,16 @@ mm.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.formats.placements import applied
+from clacad.formats.placements import applied, turns
 from clacad.formats.step.lens_placements import LensPoints, on_lenses
-from clacad.formats.step.shape_parts import ShapePart, boxes_of, moved
+from clacad.formats.step.shape_parts import ShapePart, box, boxes_of, moved
 from clacad.sheet.window import WALL, Window
 
 _GOLDEN = 0.6180339887498949
@@ -63,6 +64,28 @@ def sampled_lenses(several: list[ShapePart], window: Window, lens_faces: int, po
         "lens_points": len(error),
         "lens_faces": int(ends[-1]),
     }
+
+
+def layer_volumes(several: list[ShapePart], window: Window) -> dict[str, float]:
+    """Volume (mm³) of each body of a window of which solids are there: those whose middle lies between its
+    neighbours.
+    """
+    from clacad.sheet.feasibility.lenses import whole_body_range
+    from clacad.solid.occ_writer import volume
+
+    ranges = [whole_body_range(window, body) for body in window.bodies]
+    levels = [0.5 * (below[1] + above[0]) * millimetres(window.unit) for below, above in pairwise(ranges)]
+    found: dict[str, float] = {}
+    for piece in several:
+        if not piece.solid:
+            continue
+        each = volume(piece.shape)
+        for turn, moves in turns(piece.placements.all()):
+            middle = np.array(box(moved(piece.shape, turn)))[:, 2].mean() + moves[:, 2]
+            for number, many in zip(*np.unique(np.searchsorted(levels, middle), return_counts=True)):
+                name = window.bodies[number].name
+                found[name] = found.get(name, 0.0) + each * int(many)
+    return found
 
 
 def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:

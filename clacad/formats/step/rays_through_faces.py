@@ -13,7 +13,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,8 @@ from clacad.base.units import millimetres
 from clacad.formats.placements import applied
 from clacad.formats.step.text_health import Scan, casteljau, patches_of
 from clacad.optics.surface import refract
-from clacad.sheet.window import Face, Window
+from clacad.sheet.face_order import refractions
+from clacad.sheet.window import Body, Face, Window
 
 ENDS = ("through", "nothing met", "wall", "total reflection")
 """Endings of a ray."""
@@ -70,11 +72,40 @@ class RayPaths:
         }
 
 
-def media_of(indices: Sequence[float]) -> list[float]:
-    """Refractive indices along the light, air first and last, from those of the bodies it meets."""
-    return [1.0, *(one for index in indices for one in (index, 1.0))]
+class Crossing(NamedTuple):
+    """A face that light goes through: refractive indices before and behind it; of a joint between two solids
+    the heights (low, high), mm, between which both have it.
+    """
+
+    before: float
+    after: float
+    joint: tuple[float, float] | None
 
 
+def crossings(window: Window, bodies: Sequence[Body], up: float = 0.0) -> list[Crossing]:
+    """Faces of some plates of a window in the order in which light meets them, a joint once.
+
+    up : float, mm
+        Height of the sheet's own z = 0.
+    """
+    from clacad.sheet.feasibility import body_range
+
+    scale, found = millimetres(window.unit), []
+    ahead = {first: second for first, second in pairwise(window.bodies) if second.joined}
+    for body, face, before, after in refractions(window):
+        if body not in bodies:
+            continue
+        joint = None
+        if face is body.back and body in ahead:  # the front of the next body reaches lowest, the back highest
+            room = JOINT_ROOM * min(window.lattice.pitch)
+            low, high = body_range(window, ahead[body])[0] - room, body_range(window, body)[1] + room
+            joint = (low * scale + up, high * scale + up)
+        found.append(Crossing(before, after, joint))
+    return found
+
+
+JOINT_ROOM = 0.02
+"""Pitches by which a joint may lie off its height in a file, to be taken for it."""
 NEAREST = 1e-6
 """Hits nearer than this (mm) are on the face just left."""
 TOUCH = 2e-6
@@ -87,7 +118,7 @@ def cast_rays(
     path: str | os.PathLike[str],
     position: Sequence[Sequence[float]],
     direction: Sequence[Sequence[float]],
-    indices: Sequence[float],
+    faces: Sequence[Crossing],
 ) -> list[list[float] | None]:
     """Trace rays through the solids of a STEP file.
 
@@ -96,8 +127,8 @@ def cast_rays(
     path : path
     position : (n, 3) mm
     direction : (n, 3)
-    indices : sequence of float
-        Refractive index of the bodies in the order light meets them.
+    faces : sequence of Crossing
+        In the order light meets them.
 
     Returns
     -------
@@ -109,7 +140,7 @@ def cast_rays(
     UnreadableFile
         OCC finds no shape in the file.
     """
-    found = follow_rays(path, position, direction, indices, (-np.inf, -np.inf), (np.inf, np.inf))
+    found = follow_rays(path, position, direction, faces, (-np.inf, -np.inf), (np.inf, np.inf))
     return [way if end == 0 else None for way, end in zip(found["direction"], found["end"], strict=True)]
 
 
@@ -117,7 +148,7 @@ def follow_rays(
     path: str | os.PathLike[str],
     position: Any,
     direction: Any,
-    indices: Sequence[float],
+    faces: Sequence[Crossing],
     low: Sequence[float],
     high: Sequence[float],
 ) -> dict[str, Any]:
@@ -125,7 +156,7 @@ def follow_rays(
 
     Parameters
     ----------
-    path, position, direction, indices
+    path, position, direction, faces
         As for `cast_rays`.
     low, high : (2,) mm
         Column of x and y; faces that do not reach into it are left out.
@@ -134,7 +165,7 @@ def follow_rays(
     -------
     dict of lists
         position, direction : (n, 3) of the last crossing; end : (n,) index into `ENDS`; crossings : (n,);
-        hits : (n, 2 bodies, 3) where each ray crossed, zero beyond its last crossing; curved : (n, 2 bodies)
+        hits : (n, faces, 3) where each ray crossed, zero beyond its last crossing; curved : (n, faces)
             whether the face crossed there is curved both ways.
 
     Raises
@@ -143,15 +174,15 @@ def follow_rays(
         OCC cannot read the file.
     """
     intersector = _column(path, tuple(low), tuple(high))
-    media, many = media_of(indices), len(position)
-    paths = RayPaths.begun(position, direction, len(media) - 1)
-    curved = np.zeros((many, len(media) - 1), dtype=bool)
+    many = len(position)
+    paths = RayPaths.begun(position, direction, len(faces))
+    curved = np.zeros((many, len(faces)), dtype=bool)
     if intersector is None:
         paths.end[:] = 1
         return paths.to_lists(curved)
     for k in range(many):
         ray = _Ray(intersector, paths.position[k], paths.direction[k])
-        paths.end[k] = ray.follow(media)
+        paths.end[k] = ray.follow(faces)
         found = len(ray.hits)
         paths.crossings[k] = found
         paths.hits[k, :found], curved[k, :found] = np.array(ray.hits).reshape(-1, 3), ray.curved
@@ -200,10 +231,10 @@ class _Ray:
         self.curved: list[bool] = []
         self._inside = 0
 
-    def follow(self, media: Sequence[float]) -> int:
-        """Trace through all media; return the ending, an index into `ENDS`."""
-        for before, after in zip(media[:-1], media[1:], strict=True):
-            met = self._next_border()
+    def follow(self, faces: Sequence[Crossing]) -> int:
+        """Trace through all faces; return the ending, an index into `ENDS`."""
+        for before, after, joint in faces:
+            met = self._next_border() if joint is None else self._next_joint(*joint)
             if met is None:
                 return 1
             place, normal, curved = met
@@ -235,6 +266,21 @@ class _Ray:
                         distance, normal, curved, way = one
                         break
                 return self.position + distance * self.direction, normal, curved
+        return None
+
+    def _next_joint(self, low: float, high: float) -> tuple[Floats, Floats, bool] | None:
+        """Next point between two heights where light leaves one solid and enters another, as of
+        `_next_border`; walls between the cells of a body are passed.
+        """
+        for together in self._groups():
+            across = [one for one in together if abs(one[1][2]) >= GRAZING]
+            self._inside += sum(one[3] for one in together)
+            place = self.position + together[0][0] * self.direction
+            if {one[3] for one in across} == {-1, 1} and low <= place[2] <= high:
+                _, normal, curved, _ = next(one for one in across if one[3] < 0)
+                return place, normal, curved
+            if self._inside <= 0:
+                return None
         return None
 
     def _groups(self) -> Iterator[list[tuple[float, Floats, bool, int]]]:
@@ -349,7 +395,7 @@ def first_hits(
         away, outward = _meet(patch, position, direction)
         facing = np.einsum("ij,ij->i", outward, direction)
         with np.errstate(invalid="ignore"):
-            closer = (away < best) & (facing < 0.0 if entering else facing > 0.0) & (away > 0.0)
+            closer = (away < best) & (facing < 0.0 if entering else facing > 0.0) & (away > NEAREST)
         rows = np.flatnonzero(closer)
         place = position[rows, :2] + away[rows, None] * direction[rows, :2]
         rows = rows[(cells.of(place) == cells.of(patch.middle[None])).all(axis=1)]
@@ -410,43 +456,43 @@ def follow_patches(
     path: str | os.PathLike[str],
     position: Any,
     direction: Any,
-    indices: Sequence[float],
+    faces: Sequence[Crossing],
     low: Sequence[float],
     high: Sequence[float],
     window: Window,
-    faces: Sequence[int],
+    numbers: Sequence[int],
 ) -> dict[str, Any]:
     """Trace rays through the lens patches of a file's text.
 
     Parameters
     ----------
-    path, position, direction, indices, low, high
+    path, position, direction, faces, low, high
         As in `clacad.formats.step.rays_through_faces.follow_rays`.
-    window, faces
-        Faces (numbers) of a window in the order in which light meets them.
+    window, numbers
+        The same faces as numbers of a window in the order in which light meets them.
 
     Returns
     -------
     dict of lists : as of `clacad.formats.step.rays_through_faces.follow_rays`; `curved` is true everywhere
     """
     patches = _kept(path, tuple(low), tuple(high))
-    paths, media = RayPaths.begun(position, direction, len(faces)), media_of(indices)
+    paths = RayPaths.begun(position, direction, len(faces))
     place, way = paths.position, paths.direction
     live = np.arange(len(place))
-    for step, number in enumerate(faces):
+    for step, (number, (before, after, _)) in enumerate(zip(numbers, faces, strict=True)):
         face = window.faces[number]
         if face.array is None:
             distance, normal = plane_hits(face, millimetres(window.unit), place[live], way[live])
         else:
             cells = Cells(window, face.array)
-            distance, normal = first_hits(patches, cells, place[live], way[live], step % 2 == 0)
+            distance, normal = first_hits(patches, cells, place[live], way[live], face.side > 0)
         met = np.isfinite(distance)
         paths.end[live[~met]] = 1
         live, distance, normal = live[met], distance[met], normal[met]
         place[live] += distance[:, None] * way[live]
         paths.hits[live, step], paths.crossings[live] = place[live], step + 1
         root = np.einsum("ij,ij->i", normal, way[live])
-        bent, _ = refract(way[live], normal, root, media[step], media[step + 1])
+        bent, _ = refract(way[live], normal, root, before, after)
         out = np.isfinite(bent).all(axis=1)
         paths.end[live[~out]] = 3
         live = live[out]

@@ -16,7 +16,7 @@ from typing import Any
 from clacad.base.untrusted_files import BUDGETS
 from clacad.formats.step.lens_placements import SheetPlace
 from clacad.formats.step.lenses_on_cells import lens_facts
-from clacad.formats.step.occ_faces import engraved_in, holes_in, occ_lenses, sampled_lenses
+from clacad.formats.step.occ_faces import engraved_in, holes_in, layer_volumes, occ_lenses, sampled_lenses
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
 from clacad.formats.step.text_health import Scan, patch_points, scan_step
 from clacad.sheet.window import Window
@@ -55,10 +55,11 @@ def read_step(
     -------
     dict
         Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling, open_edges,
-        entities. With a window: patch_error, patches (every lens patch, from the text). By OCC: kernel =
-        True, valid, kernel_solids, kernel_faces, volume, area, box (low, high), tolerance (largest distance
+        entities. With a window: patch_error, patches (every lens patch, from the text), named (name of a
+        solid, and the body whose lenses it has). By OCC: kernel = True, valid, kernel_solids, kernel_faces, volume, area, box (low, high), tolerance (largest distance
         within which it accepted a vertex or edge as on its face, mm), and with a window lens_error,
-        lens_points, engraved (volume of letters, mm³).
+        lens_points, engraved (volume of letters, mm³); of plates of several layers: volumes (mm³ of each body
+        that is there).
 
     Raises
     ------
@@ -152,7 +153,8 @@ def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = No
         return facts
     lenses, parts = patch_points(scan), [part.placements for part in scan.parts]
     found = lens_facts(window, lenses, parts if place is None else place.of_parts(lenses, parts))
-    return facts | found | {"uneven": scan.uneven}
+    named = [(scan.parts[number].name, body) for number, body in found.pop("owners").items()]
+    return facts | found | {"uneven": scan.uneven, "named": named}
 
 
 def _held(
@@ -214,6 +216,8 @@ def _occ_facts(
     facts["holes"] = holes_in(several)
     if window is not None:
         facts |= sampled_lenses(several, window, lens_faces, points) | {"engraved": engraved}
+        if any(body.joined for body in window.bodies):
+            facts["volumes"] = layer_volumes(several, window)
     return facts
 
 

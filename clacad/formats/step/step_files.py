@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain, cycle
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -21,6 +22,7 @@ from clacad.formats.step.part21 import Part21, StepColour
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
 from clacad.formats.step.step_mode import Mode, chosen_mode
+from clacad.sheet.face_order import plates_of
 from clacad.sheet.window import Body, Window
 from clacad.solid.shells import MERGE, ShellCounts, Shells
 from clacad.solid.solids import describe_body, describe_layers, layers, middle_plane, single
@@ -34,6 +36,7 @@ Part = tuple[int, int]
 PROGRAM = "clacad"
 
 BODY_COLOURS = (StepColour(0.62, 0.78, 0.90), StepColour(0.90, 0.80, 0.62))
+_BREP = "ADVANCED_BREP_SHAPE_REPRESENTATION"
 LAND_COLOUR = StepColour(0.25, 0.25, 0.28)
 """Colour of land, separate so that it can be found and painted black."""
 
@@ -236,15 +239,27 @@ def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) 
 
 # -- fused ------------------------------------------------------------------------------------------
 def _write_fused(window: Window, part: Part21, pcurves: bool, merge: float) -> _Sheet:
-    facts, items, styles = [], [part.origin], []
-    for n, body in enumerate(window.bodies):
+    facts, styles, made = [], [], dict[str, list[int]]()
+    for body, colour in zip(window.bodies, cycle(BODY_COLOURS), strict=False):
         writer = TextWriter(part, pcurves)
         shells = describe_body(window, body, writer, merge)
-        numbers = _solids(writer, shells, body.name)
-        items += numbers
-        styles += _coloured(part, writer, shells, numbers, BODY_COLOURS[n % 2])
-        facts.append(_facts(body.name, len(numbers), shells.counts, layers(window, body)))
-    return _Sheet(part.product(window.name, items, "ADVANCED_BREP_SHAPE_REPRESENTATION"), facts, styles)
+        made[body.name] = _solids(writer, shells, body.name)
+        styles += _coloured(part, writer, shells, made[body.name], colour)
+        facts.append(_facts(body.name, len(made[body.name]), shells.counts, layers(window, body)))
+    if window.form != "plates":
+        items = [part.origin, *chain.from_iterable(made.values())]
+        return _Sheet(part.product(window.name, items, _BREP), facts, styles)
+    bodies = {name: part.product(name, [part.origin, *numbers], _BREP) for name, numbers in made.items()}
+    return _Sheet(_of_plates(window, part, bodies), facts, styles)
+
+
+def _of_plates(window: Window, part: Part21, bodies: Mapping[str, Part]) -> Part:
+    """An assembly of plates, each an assembly of its bodies."""
+    plates = [
+        (_assembled(part, f"plate{n}", [(bodies[one.name], np.zeros(2), one.name) for one in plate]), n)
+        for n, plate in enumerate(plates_of(window), 1)
+    ]
+    return _assembled(part, window.name, [(plate, np.zeros(2), f"plate{n}") for plate, n in plates])
 
 
 def _solids(writer: TextWriter, shells: Shells, name: str) -> list[int]:
@@ -274,14 +289,15 @@ def _coloured(
 
 # -- instanced --------------------------------------------------------------------------------------
 def _write_instanced(window: Window, part: Part21, pcurves: bool, merge: float) -> _Sheet:
-    facts, styles, children = [], [], []
-    for n, body in enumerate(window.bodies):
-        fact, child, style = _instanced_body(window, body, part, pcurves, merge, BODY_COLOURS[n % 2])
+    facts, styles, made = [], [], dict[str, Part]()
+    for body, colour in zip(window.bodies, cycle(BODY_COLOURS), strict=False):
+        fact, made[body.name], style = _instanced_body(window, body, part, pcurves, merge, colour)
         facts.append(fact)
         styles += style
-        children.append((child, body.name))
+    if window.form == "plates":
+        return _Sheet(_of_plates(window, part, made), facts, styles)
     sheet = part.product(window.name, [part.origin], "SHAPE_REPRESENTATION")
-    for child, name in children:
+    for name, child in made.items():
         part.component(sheet, child, name, part.origin)
     return _Sheet(sheet, facts, styles)
 
@@ -311,7 +327,7 @@ def _instanced_body(
         shells = describe_layers((bare,), single(window), None, scale, writer, merge)
         numbers = _solids(writer, shells, f"{name} cell")
         styles += _coloured(part, writer, shells, numbers, colour)
-        cell = part.product(f"{name} cell", [part.origin, *numbers], "ADVANCED_BREP_SHAPE_REPRESENTATION")
+        cell = part.product(f"{name} cell", [part.origin, *numbers], _BREP)
         many = window.lattice.cell_count
         _add_counts(counts, shells.counts, many)
         solids += len(numbers) * many
@@ -323,9 +339,7 @@ def _instanced_body(
             )
             rims = _solids(rim_writer, rim, f"{name} border")
             styles += _coloured(part, rim_writer, rim, rims, colour)
-            product = part.product(
-                f"{name} border", [part.origin, *rims], "ADVANCED_BREP_SHAPE_REPRESENTATION"
-            )
+            product = part.product(f"{name} border", [part.origin, *rims], _BREP)
             _add_counts(counts, rim.counts, 1)
             solids += len(rims)
             placed.append((product, np.zeros(2), f"{name} border"))

@@ -26,6 +26,7 @@ from clacad.verification.accuracy.accuracy_row import AccuracyRow
 from clacad.verification.accuracy.extended_precision import direction_errors
 
 if TYPE_CHECKING:
+    from clacad.formats.step.rays_through_faces import Crossing
     from clacad.mesh import Mesh
     from clacad.storage.worker import Worker
     from clacad.tracing.facets.tiles import Normals
@@ -385,6 +386,8 @@ class Spot:
 
 def _compared(ladder: TracedRays, more: More | None, cast: Callable[..., Any], small: Window) -> Spot:
     """Trace ALIVE rays through the file until LEAST were transmitted, or none are left."""
+    from clacad.formats.step.rays_through_faces import crossings
+
     found, truth, asked = [np.empty((0, 3))], [np.empty((0, 3))], [np.empty((0, 3))]
     sent, want, reading, seconds = 0, SPOT_RAYS, 0.0, 0.0
     for _ in range(SENDINGS):
@@ -399,7 +402,7 @@ def _compared(ladder: TracedRays, more: More | None, cast: Callable[..., Any], s
         rows, loading, took = cast(
             position.tolist(),
             ladder.rays.direction[alive].tolist(),
-            [body.index for body in ladder.window.bodies],
+            crossings(ladder.window, ladder.window.bodies),
         )
         reading, seconds, sent = reading or loading, seconds + took, sent + len(alive)
         found.append(np.array([row if row is not None else [np.nan] * 3 for row in rows]))
@@ -422,7 +425,7 @@ def _living(ladder: TracedRays, count: int, more: More | None) -> tuple[TracedRa
 
 
 def _cast(
-    worker: Worker, path: str, position: list[Any], direction: list[Any], indices: list[float]
+    worker: Worker, path: str, position: list[Any], direction: list[Any], faces: list[Crossing]
 ) -> tuple[list[Any], float, float]:
     """Directions, seconds of loading OCC and the file, and seconds of the rays alone.
 
@@ -438,7 +441,7 @@ def _cast(
             path,
             position[:count],
             direction[:count],
-            indices,
+            faces,
             timeout=120.0,
         )
         taken.append(seconds_of(worker.pid, time.monotonic()) - began)
