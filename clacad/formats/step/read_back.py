@@ -56,8 +56,9 @@ def read_step(
     dict
         Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling, open_edges,
         entities. With a window: patch_error, patches (every lens patch, from the text), named (name of a
-        solid, and the body whose lenses it has). By OCC: kernel = True, valid, kernel_solids, kernel_faces, volume, area, box (low, high), tolerance (largest distance
-        within which it accepted a vertex or edge as on its face, mm), and with a window lens_error,
+        solid, and the body whose lenses it has). By OCC: kernel = True, valid, kernel_solids, kernel_faces,
+        volume, area, box (low, high), tolerance (largest distance within which it accepted a vertex or edge
+        as on its face, mm), and with a window lens_error,
         lens_points, engraved (volume of letters, mm³); of plates of several layers: volumes (mm³ of each body
         that is there).
 
