@@ -25,7 +25,7 @@ from clacad.sheet.feasibility.as_rows import cells_text
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_volume, grams, whole_extent
-from clacad.sheet.window import Window, optical_tile
+from clacad.sheet.window import Body, Window, optical_tile
 
 if TYPE_CHECKING:
     from clacad.sheet.feasibility import BodyFacts, LensFacts
@@ -397,7 +397,7 @@ def _calipers(window: Window, mm: float) -> list[FabricationLine]:
     lines = []
     x0, x1, y0, y1 = whole_extent(window)
     plates = plates_of(window)
-    named = [(body.name, (body,)) for body in window.bodies]
+    named: list[tuple[str, tuple[Body, ...]]] = [(body.name, (body,)) for body in window.bodies]
     if len(plates) > 1:  # of one plate the assembly is its size
         named += [(f"plate{n}", plate) for n, plate in enumerate(plates, 1) if len(plate) > 1]
     for name, bodies in named:

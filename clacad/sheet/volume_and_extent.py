@@ -137,7 +137,7 @@ def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts
 
 
 def grams(body: Body, cubic: float) -> float | None:
-    """Mass (g) of a body of so many mm³; None where the density of its material is not known."""
+    """Mass (g) of a body of a volume in mm³; None where the density of its material is not known."""
     density = None if body.material is None else body.material.density_kg_m3
     return None if density is None else cubic * density * 1e-6
 

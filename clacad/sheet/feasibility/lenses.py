@@ -387,6 +387,5 @@ def outer_size(window: Window, bodies: Sequence[Body]) -> tuple[float, float, fl
     """Width, height and thickness (lengths) of some bodies together, as a caliper finds them."""
     boxes = np.array([body_extent(window, body) for body in bodies])
     ranges = np.array([whole_body_range(window, body) for body in bodies])
-    x, _, y, low = *boxes.min(axis=0)[:3], ranges[:, 0].min()
-    _, x_end, _, y_end = boxes.max(axis=0)
-    return float(x_end - x), float(y_end - y), float(ranges[:, 1].max() - low)
+    low, high = boxes.min(axis=0), boxes.max(axis=0)
+    return float(high[1] - low[0]), float(high[3] - low[2]), float(ranges[:, 1].max() - ranges[:, 0].min())
