@@ -19,12 +19,13 @@ from clacad.checks.design_kinds import RADIUS
 from clacad.checks.light_kinds import IMAGE_POINT, SPOT, VIEWED
 from clacad.effects.registry import declared
 from clacad.exporting.drawing.notes import orientation
+from clacad.sheet.face_order import plates_of
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.feasibility.as_rows import cells_text
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
-from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
-from clacad.sheet.window import Window, optical_tile
+from clacad.sheet.volume_and_extent import body_volume, grams, whole_extent
+from clacad.sheet.window import Body, Window, optical_tile
 
 if TYPE_CHECKING:
     from clacad.sheet.feasibility import BodyFacts, LensFacts
@@ -358,11 +359,11 @@ def _body(window: Window, body: BodyFacts, mm: float) -> list[FabricationLine]:
     if volume is not None:
         cubic = volume.value * mm**3
         lines.append(FabricationLine(body.name, "volume", (cubic,), "mm³"))
-        density = None if material is None else material.density_kg_m3
+        mass = grams(built, cubic)
         lines.append(
             FabricationLine(body.name, "mass, no density given", "not known", "")
-            if density is None
-            else FabricationLine(body.name, "mass", (cubic * density * 1e-6,), "g")
+            if mass is None
+            else FabricationLine(body.name, "mass", (mass,), "g")
         )
     return lines
 
@@ -391,15 +392,17 @@ def _smallest(report: Report, mm: float) -> list[FabricationLine]:
 
 def _calipers(window: Window, mm: float) -> list[FabricationLine]:
     """Outer sizes that a caliper can check, as built."""
-    from clacad.sheet.feasibility.lenses import whole_body_range
+    from clacad.sheet.feasibility.lenses import outer_size
 
     lines = []
     x0, x1, y0, y1 = whole_extent(window)
-    for body in window.bodies:
-        a0, a1, b0, b1 = body_extent(window, body)
-        low, high = whole_body_range(window, body)
-        size = ((a1 - a0) * mm, (b1 - b0) * mm, (high - low) * mm)
-        lines.append(FabricationLine("caliper", f"{body.name}: width, height, thickness", size))
+    plates = plates_of(window)
+    named: list[tuple[str, tuple[Body, ...]]] = [(body.name, (body,)) for body in window.bodies]
+    if len(plates) > 1:  # of one plate the assembly is its size
+        named += [(f"plate{n}", plate) for n, plate in enumerate(plates, 1) if len(plate) > 1]
+    for name, bodies in named:
+        size = tuple(length * mm for length in outer_size(window, bodies))
+        lines.append(FabricationLine("caliper", f"{name}: width, height, thickness", size))
     if len(window.bodies) > 1:
         low, high = window.z_range
         size = ((x1 - x0) * mm, (y1 - y0) * mm, (high - low) * mm)

@@ -136,6 +136,12 @@ def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts
     return np.array([over_zone(places) for places in window.lenses(face, cells).each()])
 
 
+def grams(body: Body, cubic: float) -> float | None:
+    """Mass (g) of a body of a volume in mm³; None where the density of its material is not known."""
+    density = None if body.material is None else body.material.density_kg_m3
+    return None if density is None else cubic * density * 1e-6
+
+
 def volume_sum(integrals: Mapping[str, Integral | None], names: Sequence[str]) -> Integral | None:
     """Total volume of several bodies; None if one of the volumes is not known."""
     value = error = 0.0

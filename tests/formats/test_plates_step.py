@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from math import hypot, sqrt
 
 import numpy as np
@@ -246,3 +247,21 @@ def test_exchanged_materials_are_found(made, tmp_path, name):
     check = shape_of(made[name], other)[SOLIDS]
     assert check.state == "fail"
     assert two in check.sentence
+
+
+def test_the_drawing_lists_volume_and_mass_of_every_layer_and_the_outer_sizes_of_every_plate(made):
+    from clacad.exporting.drawing.canvas import Words
+    from clacad.exporting.drawing.drawing_tables import layers_table
+
+    words = [mark.words for mark in layers_table(made["flat"][1]).marks if isinstance(mark, Words)]
+    rows = [words[k : k + 6] for k in range(1, len(words), 6)]
+    assert [row[0] for row in rows[1:]] == [*(body.name for body in made["flat"][1].bodies), "plate1"]
+    heights = [height_under(face) for face in FACES["flat"]]
+    volumes = [(b - a) * 1.5 for a, b in pairwise(heights)]
+    density = {"Fused silica": 2.2, "N-SF6": 3.36}  # g/cm^3, of the makers' data sheets
+    for row, volume in zip(rows[1:], [*volumes, sum(volumes)], strict=True):
+        assert float(row[4]) == pytest.approx(volume, rel=1e-5)
+        if row[1] in density:
+            assert float(row[5]) == pytest.approx(1e-3 * density[row[1]] * volume, rel=0.01)
+    assert [float(one) for one in rows[-1][3].split(", ")] == pytest.approx([1.5, 1.0, 17.3284028], abs=1e-3)
+    assert float(rows[1][2]) == pytest.approx(1.65260254, abs=1e-3)

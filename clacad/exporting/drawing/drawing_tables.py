@@ -18,9 +18,11 @@ from clacad.formats.maps.sag import structured_faces
 from clacad.optics.surface import EvenPolynomial, conic_constants, principal_radii, sag
 from clacad.sheet.cell_places import extreme_cells
 from clacad.sheet.edge_columns import RADIUS, SENSE, X0, Y0
+from clacad.sheet.face_order import plates_of
 from clacad.sheet.lattice import Circle
 from clacad.sheet.plate import Plate
-from clacad.sheet.window import Face, Window
+from clacad.sheet.volume_and_extent import body_volume, grams
+from clacad.sheet.window import Body, Face, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -109,6 +111,38 @@ def _terms(face: Face, order: str, mm: float) -> str:
     if not isinstance(face.surface, EvenPolynomial):
         return "-"
     return ", ".join(f"{face.side * a / mm ** POWER[order] + 0.0:.6g}" for a in getattr(face.surface, order))
+
+
+def layers_table(window: Window) -> Canvas:
+    """Every layer and plate: medium, thickness at the vertices, sizes for a caliper, volume and mass."""
+    rows = []
+    for number, plate in enumerate(plates_of(window), 1):
+        rows += [_layer(window, body.name, (body,)) for body in plate]
+        if len(plate) > 1:
+            rows.append(_layer(window, f"plate{number}", plate))
+    head = ["layer", "medium", "at the vertices", "width, height, thickness", "volume / mm^3", "mass / g"]
+    return table("layers and plates (mm; over all, for a caliper)", head, rows)
+
+
+def _layer(window: Window, name: str, bodies: Sequence[Body]) -> list[str]:
+    """Row of one layer, or of the layers of a plate together."""
+    from clacad.sheet.feasibility.lenses import outer_size
+
+    mm, first = millimetres(window.unit), bodies[0]
+    thick = bodies[-1].back.vertex[2] - first.front.vertex[2]
+    sizes = ", ".join(mm_text(length * mm) for length in outer_size(window, bodies))
+    found = [body_volume(window, body) for body in bodies]
+    cubic = [one.value * mm**3 for one in found if one is not None]
+    mass = [one for one in map(grams, bodies, cubic) if one is not None]
+    named = "all its layers" if len(bodies) > 1 else "" if first.material is None else first.material.name
+    return [
+        name,
+        named or f"n = {first.index:.6g}",
+        mm_text(thick * mm),
+        sizes,
+        f"{sum(cubic):.6g}" if len(cubic) == len(bodies) else "-",
+        f"{sum(mass):.5g}" if len(cubic) == len(mass) == len(bodies) else "-",
+    ]
 
 
 def sag_table(window: Window) -> Canvas:

@@ -143,9 +143,14 @@ def _both_sides_alike(window: Window, faces: list[Face], reach: float) -> bool:
     """Whether light from either side meets the same lenses at the same distances."""
     heights = [face.vertex[2] for face in window.faces]
     thick = np.diff(heights)
-    return _same(thick, thick[::-1]) and all(
-        _same(_heights(one, reach), _heights(other, reach))
-        for one, other in zip(faces, faces[::-1], strict=True)
+    media = [body.index for body in window.bodies]
+    return (
+        media == media[::-1]
+        and _same(thick, thick[::-1])
+        and all(
+            _same(_heights(one, reach), _heights(other, reach))
+            for one, other in zip(faces, faces[::-1], strict=True)
+        )
     )
 
 

@@ -346,6 +346,7 @@ def _tables(design: Design, window: Window, study: Mapping[str, Any] | None) -> 
     more = differing_notes(design, window)
     return [
         drawing_tables.faces_table(window, allowed),
+        *([drawing_tables.layers_table(window)] if window.form == "plates" else []),
         drawing_tables.sag_table(window),
         *([] if window.uniform else [cells_table(window)]),
         *drawing_tables.plate_tables(design, window),

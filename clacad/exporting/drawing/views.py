@@ -452,6 +452,8 @@ def _pair(values: tuple[float, float], mm: float) -> str:
 
 def _second(window: Window) -> float:
     """Height of the middle of lens 2."""
+    if window.form == "plates":
+        return window.bodies[-1].back.vertex[2]
     if window.field_array:
         return float(np.mean([f.vertex[2] for f in window.faces if f.array == 1]))
     if window.form != "biconvex":

@@ -4,6 +4,7 @@ range).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from clacad.sheet.feasibility.derived_numbers import BodyFacts, BorderFacts, Fac
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.pieces_and_holes import BorderJoint, count_pieces_and_holes
 from clacad.sheet.representative_cells import representative_cells
+from clacad.sheet.volume_and_extent import body_extent
 from clacad.sheet.window import (
     Body,
     Face,
@@ -379,3 +381,11 @@ def connectedness(window: Window, body: Body, borders: tuple[BorderFacts, ...]) 
     if plate or not (body.columnar or None in (body.front.array, body.back.array)):
         return 1, 0  # one plate under all cells, and where cells are left out
     return count_pieces_and_holes(window.lattice, [BorderJoint(b.step, b.joints, b.corners) for b in borders])
+
+
+def outer_size(window: Window, bodies: Sequence[Body]) -> tuple[float, float, float]:
+    """Width, height and thickness (lengths) of some bodies together, as a caliper finds them."""
+    boxes = np.array([body_extent(window, body) for body in bodies])
+    ranges = np.array([whole_body_range(window, body) for body in bodies])
+    low, high = boxes.min(axis=0), boxes.max(axis=0)
+    return float(high[1] - low[0]), float(high[3] - low[2]), float(ranges[:, 1].max() - ranges[:, 0].min())
