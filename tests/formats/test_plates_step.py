@@ -265,3 +265,13 @@ def test_the_drawing_lists_volume_and_mass_of_every_layer_and_the_outer_sizes_of
             assert float(row[5]) == pytest.approx(1e-3 * density[row[1]] * volume, rel=0.01)
     assert [float(one) for one in rows[-1][3].split(", ")] == pytest.approx([1.5, 1.0, 17.3284028], abs=1e-3)
     assert float(rows[1][2]) == pytest.approx(1.65260254, abs=1e-3)
+
+
+def test_a_layer_between_planes_is_a_prism_of_the_outline(tmp_path):
+    (tmp_path / "edged.toml").write_text(text_of("flat") + "[body]\nborder = 1.0\n")
+    window = clacad.prescribe(clacad.load(str(tmp_path / "edged.toml")))
+    facts = write_step(window, tmp_path / "edged.step", mode="fused")
+    found = read_step(tmp_path / "edged.step", window)
+    layer = window.bodies[1].name
+    assert next(body["faces"] for body in facts["bodies"] if body["name"] == layer) == {"plane": 2, "side": 4}
+    assert found["volumes"][layer] == pytest.approx(3.5 * 3.0 * (15.6758003 - 1.65260254), rel=1e-12)
