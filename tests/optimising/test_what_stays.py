@@ -210,7 +210,7 @@ def test_the_text_says_where_lens_2_was_held(better):
     assert f"vertex = {prescribe(start).recipe['d']}" in design_text(found)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_advice_for_a_design_that_was_searched_for_changes_nothing_that_the_search_held(better):
     """Where limits fail that a larger separation would meet: it is advised for the start, and not for the faces found."""
     keys = []
