@@ -17,7 +17,7 @@ from clacad.advice.lens_shape import Work
 from clacad.advice.trade_offs import Trade, rows_of, sentences, trade_offs
 from clacad.advice.wish import KEYS, Wish, read_wish, workable_material
 from clacad.advice.wish_search import Search, Tried, returned_share
-from clacad.base.text import shown, table
+from clacad.base.text import percent_text, shown, table
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check
 from clacad.checks.light_kinds import VIEWED
@@ -284,7 +284,7 @@ def _for_the_eye(found: Proposal) -> Iterator[str]:
     means = {"": "aligned cells alone", "field lens": "field lenses", "aimed": "cells aimed at the eye"}
     yield (
         f"viewer at {found.wish.viewing:g} mm: {means[found.chosen.variant.eye]} keep"
-        f" {100.0 * float(share or 0.0):.3g} % of its light on the law over the whole sheet"
+        f" {percent_text(float(share or 0.0))} of its light on the law over the whole sheet"
     )
 
 

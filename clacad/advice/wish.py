@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import degrees, radians
 from typing import Any, Final, Literal
 
-from clacad.base.text import did_you_mean, near
+from clacad.base.text import did_you_mean, near, nm_text
 from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
 from clacad.config.compound_kinds import Several
@@ -192,7 +192,7 @@ def angle_text(radians_: float) -> str:
 
 def wavelength_text(metres: float) -> str:
     """A wavelength as written: in nanometres where that is exact."""
-    text = f"{1e9 * metres:g} nm"
+    text = nm_text(metres, 6)
     return text if _PAIR["wavelength"].kind.read(text, UNIT) == metres else f"{metres!r} m"
 
 

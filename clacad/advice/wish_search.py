@@ -27,6 +27,7 @@ from clacad.advice.candidate import (
 from clacad.advice.judged import Judged, judge
 from clacad.advice.lens_shape import FAULTS, JUDGEMENT, UNEQUAL, LensShapes, Work
 from clacad.advice.wish import Wish
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check
 from clacad.checks.design_kinds import DRAFT, WALL
@@ -271,8 +272,8 @@ class Search:
 
     def _too_little(self, share: float) -> str:
         return (
-            f"at most {100.0 * share:.3g} % of the light of an eye at {self.wish.distance:g} mm meets its"
-            f" partner lens ({100.0 * self.limit:.3g} % requested)"
+            f"at most {percent_text(share)} of the light of an eye at {self.wish.distance:g} mm meets its"
+            f" partner lens ({percent_text(self.limit)} requested)"
         )
 
     def _built(self, variant: Variant, bound: PitchBound, ratio: float) -> Design:
@@ -319,7 +320,7 @@ class Search:
         """Known reason why a design cannot pass, found before the full trace; "" where there is none."""
         left = max(window.residual.values(), default=0.0)
         if left > design.check.law_rms:  # fails regardless of the rest of the field
-            return f"along the axis ray {1e3 * left:.3g} mrad are left of the law"
+            return f"along the axis ray {mrad_text(left, 3)} are left of the law"
         if self.wish.viewing is None:
             return ""
         share = thin_share(window, viewer_of(design))
@@ -374,8 +375,8 @@ def impossible(wish: Wish, limit: float) -> list[str]:
     if wish.viewing is not None and most < limit:
         found.append(
             f"eta = [{wish.eta[0]:g}, {wish.eta[1]:g}]: lens 1 spreads the light of an eye over more than its"
-            f" partner where |eta| > 1, so that at most {100.0 * most:.3g} % obey the law from any distance"
-            f" ({100.0 * limit:.3g} % requested); --set check.viewed={most * 0.9:.2g} asks for what there is"
+            f" partner where |eta| > 1, so that at most {percent_text(most)} obey the law from any distance"
+            f" ({percent_text(limit)} requested); --set check.viewed={most * 0.9:.2g} asks for what there is"
         )
     return found
 

@@ -15,7 +15,7 @@ from importlib import import_module
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.base.text import plain
+from clacad.base.text import percent_text, plain
 from clacad.checks.levers import Lever
 
 if TYPE_CHECKING:
@@ -213,7 +213,7 @@ class CheckKind:
             if limit > 0.0 and used > near:
                 state = "warn"
                 sentence += (
-                    f"; that is {100.0 * used:.3g} % of the limit, and from {100.0 * near:.3g} % on it is a"
+                    f"; that is {percent_text(used)} of the limit, and from {percent_text(near)} on it is a"
                     " warning"
                 )
         return self.check(state, sentence, value, limit, **rest)

@@ -8,8 +8,9 @@ from math import atan, degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import percent_text, short_size_text
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option, required
-from clacad.cli.console import Console, show_text, size, table
+from clacad.cli.console import Console, show_text, table
 from clacad.cli.option_values import BadOption, load_counted, load_design
 
 if TYPE_CHECKING:
@@ -205,8 +206,8 @@ def _page_text(made: Explored, unit: str) -> str:
         ", ".join(f"{degrees(atan(t)):.3g}" for t in two) for two in (found.half_field, found.ghost_onset)
     )
     rows = [
-        ("light to the partner", f"{100 * found.share:.3g} %", "along the middle of the field"),
-        ("", f"{100 * found.share_from_eye:.3g} %", "over the sheet, of what reaches the eye"),
+        ("light to the partner", percent_text(found.share), "along the middle of the field"),
+        ("", percent_text(found.share_from_eye), "over the sheet, of what reaches the eye"),
         ("field, x, y", f"{field} deg", "half width: beyond it no light obeys the law"),
         ("ghosts from, x, y", f"{onset} deg", "off the middle of the field"),
         ("sharpest pitch", f"{found.advised_pitch:.4g} {unit}", "for what is looked at"),
@@ -214,7 +215,7 @@ def _page_text(made: Explored, unit: str) -> str:
     head = f"wrote {made.file}" if made.written else f"would write {made.file}"
     seconds = "" if made.written else "; takes less than a second of processor time"
     left_out = "\n".join(f"not shown: {one}" for one in made.not_shown)
-    return f"{head}: {size(made.bytes)}{seconds}\n{table(rows)}\n{left_out}"
+    return f"{head}: {short_size_text(made.bytes)}{seconds}\n{table(rows)}\n{left_out}"
 
 
 COMMANDS = (

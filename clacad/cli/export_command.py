@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.base.text import whole_number
+from clacad.base.text import mrad_text, whole_number
 from clacad.cli.command import Command, OfDesign, declared, dry_run_option, option, required
 from clacad.cli.console import Console, Progress, say
 from clacad.cli.option_values import (
@@ -143,8 +143,8 @@ def _warn_of(name: str, entry: Mapping[str, Any], limit: float) -> None:
             "too little light gets through it"
             if rms is None
             else (
-                f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit "
-                f"{1e3 * limit:.3g})"
+                f"light through it is forecast to miss the law by {mrad_text(rms, 3)} rms (limit "
+                f"{mrad_text(limit, 3, unit='')})"
             )
         )
         others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
@@ -196,9 +196,9 @@ def _within_target(
     normals: Literal["facet", "vertex"] = "facet" if given.normals == "facet" else "vertex"
     chosen = facets_for(made, prescribe(made), target, masters, normals)
     if chosen is None:
-        console.say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose")
+        console.say(f"target {mrad_text(target, 6)}: none of {', '.join(masters)} has facets to choose")
         return request
-    console.say(f"target {1e3 * target:g} mrad: {chosen}")
+    console.say(f"target {mrad_text(target, 6)}: {chosen}")
     _name_cheapest(made, target, chosen.formats, console)
     return replace(request, quads={**request.quads, **dict.fromkeys(chosen.formats, chosen.quads)})
 

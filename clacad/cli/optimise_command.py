@@ -9,6 +9,7 @@ from math import degrees, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.base.text import mrad_text
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console
 from clacad.cli.interrupts import INTERRUPTED
@@ -116,7 +117,7 @@ def run(request: Optimise, console: Console) -> int:
     ended: list[Optimised] = []
 
     def best_so_far(evaluations: int, rms: float) -> None:
-        progress(f"best so far {1e3 * rms:.3g} mrad", min(0.99, evaluations / ahead["evaluations"]))
+        progress(f"best so far {mrad_text(rms, 3)}", min(0.99, evaluations / ahead["evaluations"]))
 
     def search(private: Path) -> None:
         with console.forecast(TASK, ahead["seconds"]) as span:

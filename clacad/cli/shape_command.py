@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import percent_text
 from clacad.cli.command import (
     Command,
     Overridden,
@@ -258,14 +259,14 @@ def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str
                 f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}"
             ),
             (
-                f"  through           {100 * seen.through:.4g} % of the light, through lenses of one"
+                f"  through           {percent_text(seen.through, 4)} of the light, through lenses of one"
                 " telescopelet"
             ),
-            f"  within one blur   {100 * seen.within:.4g} % of all light",
+            f"  within one blur   {percent_text(seen.within, 4)} of all light",
             (
-                f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as"
+                f"  elsewhere         {percent_text(seen.difference)} of what arrives, against the target as"
                 f" wide as a cell: light comes in {len(found.cells):,} spots; by the lenses"
-                f" {100 * seen.by_lenses:.3g} %"
+                f" {percent_text(seen.by_lenses)}"
             ),
         ]
     )

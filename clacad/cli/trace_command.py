@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from clacad.base.text import mrad_text, short_size_text
 from clacad.cli.command import (
     Command,
     OfDesign,
@@ -22,7 +23,7 @@ from clacad.cli.command import (
     overwrite_option,
     required,
 )
-from clacad.cli.console import Console, Progress, size, table
+from clacad.cli.console import Console, Progress, table
 from clacad.cli.option_values import (
     BadOption,
     load_counted,
@@ -255,8 +256,8 @@ def run_wave(request: Wave, console: Console) -> int:
 def _forecast_text(ahead: dict[str, float]) -> str:
     return (
         f"{ahead['rays']:.0f} x {ahead['rays']:.0f} rays, a grid of {ahead['points']:.0f} points a side, "
-        f"about {ahead['seconds']:.2g} s of processor time, {size(ahead['bytes'])} of memory; nothing is "
-        "written"
+        f"about {ahead['seconds']:.2g} s of processor time, {short_size_text(ahead['bytes'])} of memory; "
+        "nothing is written"
     )
 
 
@@ -369,7 +370,7 @@ def plan_text(plan: Plan) -> str:
     return "\n".join(
         [
             f"rung {plan.rung}: {plan.rung_why}",
-            f"what matters: {1e3 * plan.angle:.3g} mrad, {plan.radiance:.2%} of the light; {kind} bounds "
+            f"what matters: {mrad_text(plan.angle, 3)}, {plan.radiance:.2%} of the light; {kind} bounds "
             "of what each effect changes:",
             table(rows),
             f"predicted time: {plan.cost:.3g} x the bare trace",

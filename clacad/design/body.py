@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import floor, sqrt
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from clacad.base.text import count_text
 from clacad.base.units import Unit
 from clacad.config.compound_kinds import ListOf, OneOf, Record, Several, each
 from clacad.config.keys import REQUIRED, key
@@ -49,7 +50,7 @@ class Points:
         if not isinstance(value, list):
             raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit))
         if not self.least <= len(value) <= self.most:
-            count = f"has {len(value)} point{'s' * (len(value) != 1)}"
+            count = f"has {count_text(len(value), 'point')}"
             shown = value if len(value) < self.least else [*value[:2], "…"]
             raise Refusal("CL108", count, shown, self.allowed(unit))
         return tuple(each(((n, _Point(self.bulges), item) for n, item in enumerate(value)), unit))

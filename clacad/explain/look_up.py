@@ -15,7 +15,7 @@ from math import inf, pi
 from pathlib import Path
 from string import ascii_letters
 
-from clacad.base.text import did_you_mean, near, table, whole_number
+from clacad.base.text import did_you_mean, near, nm_text, table, whole_number
 from clacad.base.units import LENGTHS, Unit
 from clacad.checks.check import kinds
 from clacad.config.mistakes import CODES as IN_DESIGNS
@@ -207,7 +207,7 @@ def _material(one: Material) -> Entry:
     means = [
         ", ".join(f"n = {one.index(wave):.4f} at {_wave(wave)}" for wave in waves),
         f"V_d = {abbe:.1f}" if abbe is not None else "V_d is not published",
-        f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm",
+        f"known from {1e9 * short:.0f} to {nm_text(long, 0, fixed=True)}",
         "density not published" if one.density_kg_m3 is None else f"{one.density_kg_m3:g} kg/m³",
         "dn/dT not published" if thermal.dn_dt is None else _dn_dt(*thermal.dn_dt),
         (
@@ -236,7 +236,7 @@ def _dn_dt(change: float, wave: float) -> str:
 
 
 def _wave(metres: float) -> str:
-    return f"{1e9 * metres:.0f} nm" if metres < 1e-6 else f"{1e6 * metres:g} µm"
+    return nm_text(metres, 0, fixed=True) if metres < 1e-6 else f"{1e6 * metres:g} µm"
 
 
 __all__ = ["Entry", "Unexplained", "entries", "explain"]

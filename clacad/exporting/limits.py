@@ -18,6 +18,7 @@ from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.base.text import number_text, size_text
 from clacad.exporting.formats.registry import format_of, formats
 from clacad.storage.errors import BadRequest, ExportError, LimitRefused, NotPossible
 from clacad.storage.worker import MEMORY_SHARE, free_memory
@@ -95,7 +96,7 @@ def refuse_cells(n1: int, n2: int) -> None:
     if n1 * n2 > MOST_CELLS:
         side = isqrt(MOST_CELLS)
         raise LimitRefused(
-            f"{count_text(n1 * n2)} lenslets ({n1} x {n2}) are more than the {count_text(MOST_CELLS)} that"
+            f"{number_text(n1 * n2)} lenslets ({n1} x {n2}) are more than the {number_text(MOST_CELLS)} that"
             f" are written; use lattice.count up to [{side}, {side}], or export a part with"
             f" cells=({min(n1, 100)}, {min(n2, 100)})"
         )
@@ -119,8 +120,8 @@ def _refuse_facets(
     else:
         ways.append("format 3mf or step, which repeat one cell")
     raise LimitRefused(
-        f"{format}: {'at least ' if at_least else ''}{count_text(facets)} facets, {size_text(size)} at"
-        f" {quads} quads a cell side, are more than {count_text(MOST_FACETS)} facets or"
+        f"{format}: {'at least ' if at_least else ''}{number_text(facets)} facets, {size_text(size)} at"
+        f" {quads} quads a cell side, are more than {number_text(MOST_FACETS)} facets or"
         f" {size_text(MOST_BYTES)}; use {' or '.join(ways)} (or force it)"
     )
 
@@ -170,8 +171,8 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
         held = row.facets if row.stored is None else row.stored
         if family == "welded" and held is not None and held > MOST_WELDED:
             raise LimitRefused(
-                f"{row.format}: {count_text(held)} facets with shared vertices are more than"
-                f" {count_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or"
+                f"{row.format}: {number_text(held)} facets with shared vertices are more than"
+                f" {number_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or"
                 " force it)"
             )
         if row.bytes > MOST_BYTES:
@@ -215,7 +216,7 @@ def refuse_many_places(window: Window, word: str, listed: int, what: str, most: 
         bodies = len(window.bodies)
         side = isqrt((most - 1000 * bodies) // bodies)
         raise LimitRefused(
-            f"{word}: {count_text(listed)} {what} are more than the {count_text(most)} that are read back;"
+            f"{word}: {number_text(listed)} {what} are more than the {number_text(most)} that are read back;"
             f" use {way} or --cells {side}x{side}"
         )
 
@@ -241,21 +242,6 @@ def free_disk(folder: Path) -> int:
         return shutil.disk_usage(place).free
     except OSError:
         return 1 << 62
-
-
-def count_text(n: int) -> str:
-    """Number as text: 12,345 or 1.2e18."""
-    return f"{n:,}" if n < 10**10 else f"{Decimal(n):.3g}"  # an int may be too large for a float
-
-
-def size_text(n: int | float | Decimal) -> str:
-    """Bytes as text: 1.5 GB."""
-    n = Decimal(n)
-    for unit in ("bytes", "kB", "MB", "GB", "TB", "PB"):
-        if n < 1000 or unit == "PB":
-            return f"{n:.0f} {unit}" if unit == "bytes" else f"{n:.3g} {unit}"
-        n /= 1000
-    raise AssertionError("unreachable: the loop ends with PB")
 
 
 class Refusals:

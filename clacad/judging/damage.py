@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.text import count_text
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.base.vectors import doubled_normals
@@ -89,7 +90,7 @@ class DamageFeature:
         if not self.cells:
             return f"{what}, next to the cells"
         some = ", ".join(str(c) for c in self.cells[:6]) + (" …" if len(self.cells) > 6 else "")
-        return f"{what}, in {len(self.cells)} cell{'s' if len(self.cells) > 1 else ''}: {some}"
+        return f"{what}, in {count_text(len(self.cells), 'cell', 'd')}: {some}"
 
     def to_dict(self, unit_m: float) -> dict[str, Any]:
         """JSON-ready numbers; lengths in mm."""

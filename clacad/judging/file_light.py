@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Bools, Floats
 from clacad.checks.check import DESIGN_FILE, Check, CheckKind
 from clacad.checks.file_kinds import (
@@ -220,7 +221,7 @@ def _law_rms(
     where = (
         f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
     )
-    sentence = f"through the file's {what} light leaves {1e3 * value:.4g} mrad rms from the law ({where})"
+    sentence = f"through the file's {what} light leaves {mrad_text(value)} rms from the law ({where})"
     sentence += _other_rms(found, every)
     common: dict[str, Any] = {
         "bundle": str(found.light.lit),
@@ -240,8 +241,8 @@ def _law_rms(
         )
     rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
     sentence += (
-        f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same"
-        f" noise are worse), {1e3 * rest:.4g} is left"
+        f"; the facets' own slopes, noise among them, make {mrad_text(noise, unit='')} of it (finer facets"
+        f" of the same noise are worse), {mrad_text(rest, unit='')} is left"
     )
     detail = {"with_noise": value, "noise": noise, **told}
     check = FILE_LAW_RMS.judge(rest, limit, sentence, detail=detail, **common)
@@ -259,11 +260,11 @@ def _other_rms(found: FileLight, every: Floats) -> str:
     """
     words = ""
     if len(every) > 1 and np.isfinite(_together(every)):
-        words += f"; over all {len(every)} cells {1e3 * _together(every):.4g} mrad"
+        words += f"; over all {len(every)} cells {mrad_text(_together(every))}"
     if found.strayed > 0.0 and found.partner == found.partner:
         words += (
-            f"; {100.0 * found.strayed:.2g} % of the light of the cell lit most leaves nearer to the"
-            f" direction of a neighbouring lens than to the law, the rest {1e3 * found.partner:.4g} mrad rms"
+            f"; {percent_text(found.strayed, 2)} of the light of the cell lit most leaves nearer to the"
+            f" direction of a neighbouring lens than to the law, the rest {mrad_text(found.partner)} rms"
             " from the law"
         )
     return words
@@ -280,7 +281,7 @@ def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:
     return FILE_LAW_BIAS.judge(
         value,
         limit,
-        f"{place} of the field the mean direction through the file's {what} is {1e3 * value:.4g} mrad from"
+        f"{place} of the field the mean direction through the file's {what} is {mrad_text(value)} from"
         " the law",
         bundle="9 directions over the whole cell",
         detail={"by_field_point": found.bias},

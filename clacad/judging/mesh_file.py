@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Bools, Floats, Ints, Progress
 from clacad.checks.check import Check, other
 from clacad.checks.file_kinds import FILE_NORMALS, PLACEMENT
@@ -93,7 +94,7 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
                 label = f"{window.bodies[body].name} {('front', 'back')[side]}"
                 worst, limit = rms, room
                 text = (
-                    f"stored normals are up to {1e3 * rms:.4g} mrad rms off the exact faces ({label}, cell"
+                    f"stored normals are up to {mrad_text(rms)} rms off the exact faces ({label}, cell"
                     f" {index})"
                 )
     if worst < 0.0:

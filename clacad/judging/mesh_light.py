@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Bools, Floats
 from clacad.checks.check import OWN_KEY, RAYS_NEEDED, Check, derived, other
 from clacad.checks.file_kinds import FAITHFUL_DELTA, FAITHFUL_ETA, FAITHFUL_RMS
@@ -244,9 +245,9 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
     worst = int(np.argmax(rms / evidence.forecast))
     limit = times * min(float(evidence.forecast[worst]), clean) + 1e-9
     sentence = (
-        f"through the triangles light leaves {1e3 * rms[worst]:.4g} mrad rms from where the exact surfaces"
+        f"through the triangles light leaves {mrad_text(rms[worst])} rms from where the exact surfaces"
         f" send it (cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast"
-        f" {1e3 * evidence.forecast[worst]:.4g}"
+        f" {mrad_text(evidence.forecast[worst], unit='')}"
     )
     check = FAITHFUL_RMS.judge(
         float(rms[worst]),
@@ -259,7 +260,7 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
     )
     if max(lost) > LOST:
         text = (
-            f"{100 * max(lost):.3g} % of the rays that the design lets through do not get through the"
+            f"{percent_text(max(lost))} of the rays that the design lets through do not get through the"
             " triangles"
         )
         return replace(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats
 from clacad.base.vectors import doubled_normals
 from clacad.checks.check import Check, LimitSource, derived, other
@@ -164,7 +165,7 @@ def shape_check(
     common |= {"detail": detail}
     slopes = _slope_faults(asked, window, gathered, off, dict(zip(own, clean, strict=True)))
     if "slope_error_rms" in stated:
-        sentence += f" ({1e3 * float(stated['slope_error_rms']):.4g} stated)"
+        sentence += f" ({mrad_text(float(stated['slope_error_rms']), unit='')} stated)"
     if slopes is not None:
         words, value, limit, source = slopes
         common["unit"] = "rad"
@@ -190,7 +191,7 @@ def _shape_words(
     }
     sentence = (
         f"facets lie up to {worst:.4g} {asked.design.unit} off the exact faces, their corners up to"
-        f" {at_corners:.4g}; their slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
+        f" {at_corners:.4g}; their slopes are {mrad_text(rms)} rms off on the worst face"
     )
     if gathered.farthest > max(worst, at_corners):
         where = gathered.farthest_cell
@@ -231,8 +232,8 @@ def _slope_faults(
         return None
     least = float(np.max([d.slope_rms.max() for d in clean.values()]))
     words = (
-        f": {1e3 * rough:.4g} mrad rms from those of the design cut into the same facets, which are "
-        f"{1e3 * least:.4g} off"
+        f": {mrad_text(rough)} rms from those of the design cut into the same facets, which are "
+        f"{mrad_text(least, unit='')} off"
     )
     return words, rough, room, other("slope error of the design cut into the same facets")
 

@@ -47,11 +47,11 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
     """
     objects, places = len(mesh.parts), sum(len(part.places) for part in mesh.parts)
     if places > objects:
-        words = f"{places:,} instances of {objects} object{'s' * (objects != 1)}"
+        words = f"{places:,} instances of {count_text(objects, 'object', 'd')}"
     else:
-        words = f"{objects} object{'s' * (objects != 1)}"
+        words = f"{count_text(objects, 'object', 'd')}"
     if shells is not None and shells != places:
-        words += f", {shells:,} closed shell{'s' * (shells != 1)}"
+        words += f", {count_text(shells, 'closed shell', ',')}"
     words += f", {mesh.facet_count:,} facets"
     if mesh.stored_count != mesh.facet_count:
         words += f" ({mesh.stored_count:,} in the file)"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import count_text
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.checks.check import Check, LimitSource, default, other
@@ -220,15 +221,13 @@ def hole_words(
         cell = window.lattice.locate(at[:, 0], at[:, 1])[0][0]
         where = f"cell ({cell[0]}, {cell[1]})" if window.lattice.contains(cell) else "no cell"
         words.append(f"{hole['diameter']:.4g} mm across in {where} at x {at[0, 0]:.4g}, y {at[0, 1]:.4g}")
-    return (
-        "" if not words else f"{len(holes)} hole{'s' * (len(holes) != 1)} drilled in it: " + "; ".join(words)
-    )
+    return "" if not words else f"{count_text(len(holes), 'hole', 'd')} drilled in it: " + "; ".join(words)
 
 
 def holds_words(holds: Mapping[str, Any]) -> str:
     """Text of a file's contents for a workshop: solids, shells, faces, and repeated parts."""
     solids, faces = int(holds["solids"]), int(holds["faces"])
-    words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
+    words = f"{count_text(solids, 'solid', ',')} with {faces:,} faces"
     if int(holds["shells"]) != solids:
         words += f" in {int(holds['shells']):,} shells"
     repeated = [part for part in holds["parts"] if int(part["instances"]) > 1]
@@ -239,7 +238,7 @@ def holds_words(holds: Mapping[str, Any]) -> str:
         f"{int(part['instances']):,} of {part['name'] or 'a part of ' + str(part['faces']) + ' faces'}"
         for part in repeated[:4]
     )
-    return words + f", placed from {many:,} prototype{'s' * (many != 1)} ({listed})"
+    return words + f", placed from {count_text(many, 'prototype', ',')} ({listed})"
 
 
 def _unit_words(found: Mapping[str, Any]) -> str:

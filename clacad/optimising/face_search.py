@@ -16,6 +16,7 @@ from time import monotonic
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Bools, Floats
 from clacad.checks.design_kinds import EDGE, NECK, RADIUS, SAG, SLOPE
 from clacad.config.mistakes import DesignError, Mistake
@@ -351,13 +352,13 @@ class FaceSearch:
         if self.gained:
             return
         rms, name = self.sharpest_beyond
-        found = f"; {1e3 * rms:.4g} mrad lies beyond the wall of the {name}" if rms < best.rms else ""
+        found = f"; {mrad_text(rms)} lies beyond the wall of the {name}" if rms < best.rms else ""
         raise DesignError(
             [
                 Mistake(
                     "CL120",
                     "no faces within the walls are better than the start, which leaves"
-                    f" {1e3 * self.before:.4g} mrad rms{found}; nothing is written",
+                    f" {mrad_text(self.before)} rms{found}; nothing is written",
                     "free",
                     allowed=f"a gain of at least {LEAST_GAIN:g}",
                     hint="more words of --free, or --field of another size",

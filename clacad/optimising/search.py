@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Floats
 from clacad.config.edit_text import to_toml
 from clacad.config.mistakes import DesignError, Mistake
@@ -354,14 +355,15 @@ def left_out(found: Optimised) -> str:
 def expected(found: Optimised) -> str:
     """A sentence on the error of parts as made."""
     assert found.expected is not None
-    before, after = (1e3 * error for error in found.expected)
-    return f"To expect of parts made with the [tolerances]: {before:.4g} mrad  ->  {after:.4g} mrad rms."
+    before, after = map(mrad_text, found.expected)
+    return f"To expect of parts made with the [tolerances]: {before}  ->  {after} rms."
 
 
 def gains(found: Optimised) -> list[str]:
     """One line per field: error and share before and after."""
     return [
-        f"{degrees(one.field):6.4g} deg: {1e3 * one.law_rms:.4g} mrad, {100 * one.throughput:.1f} %  ->  "
-        f"{1e3 * two.law_rms:.4g} mrad, {100 * two.throughput:.1f} %"
+        f"{degrees(one.field):6.4g} deg: {mrad_text(one.law_rms)},"
+        f" {percent_text(one.throughput, 1, fixed=True)}"
+        f"  ->  {mrad_text(two.law_rms)}, {percent_text(two.throughput, 1, fixed=True)}"
         for one, two in zip(found.before, found.after, strict=True)
     ]

@@ -10,6 +10,7 @@ from html import escape
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats
 from clacad.design import Design
 from clacad.optics.rays import Fate, Rays
@@ -120,7 +121,7 @@ def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
     return [
         f"{window.name} with {design.law_spec.words()}, to scale.",
         (
-            f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {1e3 * spread:.2g} mrad"
+            f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {mrad_text(spread, 2)}"
             " over this bundle."
         ),
     ]

@@ -22,6 +22,7 @@ from typing import cast
 import numpy as np
 
 from clacad.base.machine_rates import Span
+from clacad.base.text import mrad_text
 from clacad.base.types import Bools, Floats, Ints, Rung
 from clacad.design import Design
 from clacad.effects.engine.probe_rays import compared, situation_of_scene
@@ -216,8 +217,8 @@ def within_target(scene: Scene, target: float) -> Scene:
     error, disagree = compared(situation_of_scene(still, window), cast("Rung", rung), mesh)
     if error > target or disagree > MOST_DISAGREEMENT:
         raise TargetOutOfReach(
-            f"rung {rung} is {1e3 * error:.4g} mrad rms off the exact surfaces on this scene's rays and sends"
-            f" {disagree:.2%} of them another way; {1e3 * target:.4g} mrad and {MOST_DISAGREEMENT:.0%} are"
+            f"rung {rung} is {mrad_text(error)} rms off the exact surfaces on this scene's rays and sends"
+            f" {disagree:.2%} of them another way; {mrad_text(target)} and {MOST_DISAGREEMENT:.0%} are"
             " allowed: use rung surfaces, or auto"
         )
     return chosen
@@ -231,7 +232,7 @@ def _quads_within(design: Design, window: Window, target: float) -> int:
     assert facets is not None
     if facets.quads > MOST_QUADS:
         raise TargetOutOfReach(
-            f"{1e3 * target:.4g} mrad takes {facets.quads} quads a cell side, more than {MOST_QUADS}; "
+            f"{mrad_text(target)} takes {facets.quads} quads a cell side, more than {MOST_QUADS}; "
             "use rung surfaces"
         )
     return facets.quads

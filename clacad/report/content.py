@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.text import bound, plain, shown
+from clacad.base.text import bound, mrad_text, plain, shown
 from clacad.checks.check import Origin
 from clacad.exporting.drawing import views
 from clacad.exporting.drawing.notes import allowances, orientation
@@ -155,8 +155,8 @@ class Content:
                 "word": one.word,
                 "css": _CSS.get(one.word, "fail"),
                 "holds": holds.get(one.name, ""),
-                "rms": "–" if one.rms is None else f"{1e3 * one.rms:.3g}",
-                "limit": "–" if one.limit is None else f"{1e3 * one.limit:.3g}",
+                "rms": "–" if one.rms is None else mrad_text(one.rms, 3, unit=""),
+                "limit": "–" if one.limit is None else mrad_text(one.limit, 3, unit=""),
                 "sentence": one.sentence,
             }
             for one in self.report.verdicts

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.text import mrad_text, percent_text
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.feasibility.as_rows import length_unit
 from clacad.sheet.pattern import relocate
@@ -257,7 +258,11 @@ def spots(report: Report, label: str = "spot diagrams over the field") -> str:
             panel.plot(spot[:, 0], spot[:, 1], ".", ms=1.6, color=ACCENT, mec="none")
             panel.add_patch(Ellipse((0, 0), 2 * blur[0], 2 * blur[1], fill=False, color=SECOND, lw=0.8))
             panel.plot([0], [0], "+", color=INK, ms=6, mew=0.8)
-            text = "dark" if not len(spot) else f"bias {1e3 * point.bias:.2g}, rms {1e3 * point.rms:.2g}"
+            text = (
+                "dark"
+                if not len(spot)
+                else f"bias {mrad_text(point.bias, 2, unit='')}, rms {mrad_text(point.rms, 2, unit='')}"
+            )
             box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
             panel.text(
                 0.03, 0.95, text, transform=panel.transAxes, va="top", fontsize=7.5, zorder=5, bbox=box
@@ -308,7 +313,8 @@ def convergence_caption(report: Report) -> str:
         f" side, against the exact surfaces. Left: the rms direction error falls from {most:.2g} to"
         f" {least:.2g} mrad, as the facet size to the power {found.order_direction:.2f}; a flat facet has the"
         " wrong slope almost everywhere, so the power expected is 1. Right: the error of the measured η"
-        f" falls from {100 * found.fitted[0]:.2g} to {100 * found.fitted[-1]:.2g} %, to the power"
+        f" falls from"
+        f" {percent_text(found.fitted[0], 2, unit='')} to {percent_text(found.fitted[-1], 2)}, to the power"
         f" {found.order_fitted:.2f}; the mean slope errs with the square, so 2 is expected."
     )
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.checks.light_kinds import LAW_RMS, THROUGHPUT
@@ -245,7 +246,7 @@ def _stack(panel: Any, found: Attribution) -> None:
         right, left = (right + share, left) if share >= 0 else (right, left + share)
     panel.axvline(1e3 * found.rms, color=INK, lw=1.0)
     panel.set_yticks([0], ["shares"])
-    panel.set_xlabel(f"shares, mrad: they add up to the whole, {1e3 * found.rms:.4g} (line)")
+    panel.set_xlabel(f"shares, mrad: they add up to the whole, {mrad_text(found.rms, unit='')} (line)")
     panel.grid(axis="y", visible=False)
 
 

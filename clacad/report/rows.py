@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.polygons import polygon_area
-from clacad.base.text import digits, plainly
+from clacad.base.text import digits, mrad_text, percent_text, plainly
 from clacad.base.units import MONOMIALS, POWER, RAISED, millimetres
 from clacad.checks.design_kinds import RADIUS
 from clacad.checks.light_kinds import IMAGE_POINT, SPOT, VIEWED
@@ -80,7 +80,7 @@ class LightRows:
         """Contributions to the direction error, mrad."""
         from clacad.report.figures import budget_rows
 
-        return [(name, f"{1e3 * value:.4g}", what) for name, value, what in budget_rows(self.report)]
+        return [(name, mrad_text(value, unit=""), what) for name, value, what in budget_rows(self.report)]
 
     @property
     def attributions(self) -> list[dict[str, Any]]:
@@ -91,13 +91,13 @@ class LightRows:
                 "cell": f"{found.cell[0]}, {found.cell[1]}",
                 "bundle": found.bundle,
                 "used": f"{found.used} of {found.rays}",
-                "rms": f"{1e3 * found.rms:.4g}",
+                "rms": mrad_text(found.rms, unit=""),
                 "parts": [
                     (
                         p.name,
-                        f"{1e3 * p.rms:.3g}",
-                        f"{1e3 * p.half:.3g}",
-                        f"{1e3 * p.worst:.3g}",
+                        mrad_text(p.rms, 3, unit=""),
+                        mrad_text(p.half, 3, unit=""),
+                        mrad_text(p.worst, 3, unit=""),
                         f"{1e3 * p.share:+.3g}",
                         p.meaning,
                     )
@@ -137,9 +137,9 @@ class LightRows:
             (
                 r.rung,
                 r.setting,
-                f"{1e3 * r.model_rms:.3g}",
-                f"{1e3 * r.law_rms:.4g}",
-                f"{100 * r.disagree:.2g}",
+                mrad_text(r.model_rms, 3, unit=""),
+                mrad_text(r.law_rms, unit=""),
+                percent_text(r.disagree, 2, unit=""),
                 f"{1e6 * r.seconds / r.rays:.3g}" if self.timings else f"{us:.2g}",
             )
             for r, us in zip(found.rows, found.forecast, strict=True)
@@ -156,8 +156,8 @@ class LightRows:
                 r.effect,
                 STATES[r.state],
                 r.why,
-                f"{1e3 * r.angle:.3g}" if r.angle else "",
-                f"{100 * r.radiance:.3g}" if r.radiance else "",
+                mrad_text(r.angle, 3, unit="") if r.angle else "",
+                percent_text(r.radiance, unit="") if r.radiance else "",
                 f"×{r.cost:.3g}",
             )
             for r in plan.rows
@@ -186,9 +186,9 @@ class LightRows:
             return "The effects could not be planned: a wavelength lies outside the material's data."
         left = [
             (
-                f"{r.effect} ≤ {1e3 * r.angle:.2g} mrad"
+                f"{r.effect} ≤ {mrad_text(r.angle, 2)}"
                 if r.angle
-                else f"{r.effect} ≤ {100 * r.radiance:.2g} % of the light"
+                else f"{r.effect} ≤ {percent_text(r.radiance, 2)} of the light"
             )
             for r in plan.rows
             if not r.on and r.known and (r.angle or r.radiance) and declared(r.effect).rung is None

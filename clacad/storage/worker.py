@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import clacad
+from clacad.base.text import size_in
 from clacad.storage import errors
 from clacad.storage.errors import WorkerDied
 
@@ -315,8 +316,8 @@ def _cause(
     peak : bytes; limits : (bytes, seconds of processor time)
     """
     memory, cpu = limits
-    at = f" at about {peak / 1e9:.1f} GB" if peak else ""
-    limit = "" if memory is None else f" (limit {memory / 1e9:.1f} GB)"
+    at = f" at about {size_in(peak, 'GB')}" if peak else ""
+    limit = "" if memory is None else f" (limit {size_in(memory, 'GB')})"
     starved = memory is not None and (peak > 0.5 * memory or _wanted_memory(words))
     if status == -signal.SIGXCPU or (status == -signal.SIGKILL and cpu is not None and not starved):
         return f"the worker process used up its {cpu} s of processor time (stage: {stage})", True

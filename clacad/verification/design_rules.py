@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.text import count_text, digits
+from clacad.base.text import count_text, digits, mrad_text, percent_text
 from clacad.checks.check import DEFAULT, NEAR, Check, CheckKind, State, accepted, found_by
 from clacad.checks.design_kinds import (
     CLEARANCE,
@@ -377,9 +377,9 @@ def fresnel_number(built: Built) -> Iterator[Check]:
         return
     if value < limit:
         sentence += (
-            f": diffraction blurs as much as {1e3 * max(facts.diffraction_blur):.3g} mrad, and takes up to "
+            f": diffraction blurs as much as {mrad_text(max(facts.diffraction_blur), 3)}, and takes up to "
         )
-        sentence += f"{100.0 * max(facts.viewing.lost):.2g} % of the light to other cells, along that axis"
+        sentence += f"{percent_text(max(facts.viewing.lost), 2)} of the light to other cells, along that axis"
     state: State = "warn" if value < limit else "pass"
     yield FRESNEL_NUMBER.check(state, sentence, value, limit)
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from math import degrees, inf, pi
 from typing import TYPE_CHECKING
 
+from clacad.base.text import percent_text
 from clacad.checks.check import DESIGN_FILE, NEAR, Check, CheckKind, LimitSource, from_profile
 from clacad.checks.design_kinds import (
     ASPECT,
@@ -111,8 +112,8 @@ def _rules_of_shape(built: Built) -> Iterator[Check]:
     if tool > 0.0:
         seen = groove(window, tool)
         text = (
-            f"a nose radius of {tool:.4g} {unit} leaves {100 * seen.value:.3g} % of a cell's width rounded at"
-            f" {seen.what}"
+            f"a nose radius of {tool:.4g} {unit} leaves {percent_text(seen.value)} of a cell's width rounded"
+            f" at {seen.what}"
         )
         way_out = "a smaller tool, larger radii, or a seam where the rounding may lie"
         yield _rule(TOOL, seen, (LOST, source), text, way_out)

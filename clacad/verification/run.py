@@ -13,6 +13,7 @@ from math import ceil, log2
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check, accepted
 from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
@@ -264,8 +265,8 @@ def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
             continue
         within = "within" if check.value <= target else "not within"
         text = (
-            f"light through it is {1e3 * check.value:.4g} mrad rms off the exact surfaces, {within} the "
-            f"{1e3 * target:.4g} mrad requested"
+            f"light through it is {mrad_text(check.value)} rms off the exact surfaces, {within} the "
+            f"{mrad_text(target)} requested"
         )
         found.append(
             FILE_TARGET.judge(

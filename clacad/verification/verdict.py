@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from clacad.base.text import mrad_text
 from clacad.checks.check import RAYS_NEEDED, Check, wrong
 from clacad.checks.file_kinds import DELIVERY, FAITHFUL_RMS, FILE_LAW_ETA, FILE_LAW_RMS, THROUGH_FILE
 from clacad.exporting.roles import Role
@@ -97,7 +98,9 @@ def _sentence(
     """Sentence that accompanies the word."""
     through = ""
     if rms is not None and limit is not None:
-        through = f"light through it is {1e3 * rms:.3g} mrad rms from the law (limit {1e3 * limit:.3g})"
+        through = (
+            f"light through it is {mrad_text(rms, 3)} rms from the law (limit {mrad_text(limit, 3, unit='')})"
+        )
     if word == "shape only":
         said = f"cut {cut}; " if cut else ""
         beyond = rms is not None and limit is not None and rms > limit

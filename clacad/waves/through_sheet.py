@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.polygons import clip, polygon_area
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.bundle import asked_power
@@ -228,7 +229,7 @@ def situation(
     if found.built:
         found = replace(found, field_lens=True)
     if len(found.lit) == 0:
-        x, y = (f"{1e3 * half:.3g}" for half in half_field(found.cells))
+        x, y = (mrad_text(half, 3, unit="") for half in half_field(found.cells))
         raise BadRequest(
             f"no light of slope {found.slope[0]:.4g}, {found.slope[1]:.4g} obeys the law: the field ends {x}"
             f" and {y} mrad off its middle along lens x and y"

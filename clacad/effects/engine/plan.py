@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Rung
 from clacad.effects import registry
 from clacad.effects.engine.effect import Bound, Setting, Situation
@@ -160,7 +161,7 @@ class Plan:
         where = f" in the worst of {self.tried} cells tried" if self.tried else ""
         return (
             f"rung {self.rung}; simulated: {simulated}; left out: at most {radiance:.2%} of the light and "
-            f"{1e3 * angle:.3g} mrad{where}{note}"
+            f"{mrad_text(angle, 3)}{where}{note}"
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.units import POWER, millimetres
 from clacad.design.limits import TolerancesSpec
 from clacad.exporting.drawing.canvas import CHARACTER, Canvas
@@ -224,9 +225,9 @@ def errors_table(
     named = {
         "decentre of array 1, array 2 (x and y)": [f"±{mm_text(v)} mm" for v in allowed.decentre if v > 0.0],
         "rotation of array 2 about the normal of A": (
-            [f"±{1e3 * allowed.rotation:.3g} mrad"] if allowed.rotation else []
+            [f"±{mrad_text(allowed.rotation, 3)}"] if allowed.rotation else []
         ),
-        "tilt of array 2 against A": [f"±{1e3 * allowed.tilt:.3g} mrad"] if allowed.tilt else [],
+        "tilt of array 2 against A": [f"±{mrad_text(allowed.tilt, 3)}"] if allowed.tilt else [],
         "lens to lens": [f"±{mm_text(allowed.separation)} mm"] if two and allowed.separation else [],
         "play of the pins (x and y)": (
             []
@@ -236,7 +237,7 @@ def errors_table(
         "centre thickness of the bodies": [
             f"±{mm_text(v)} mm" for v in allowed.thickness[: len(window.bodies)] if v > 0.0
         ],
-        "radii of array 1, array 2": [f"±{100 * v:.3g} %" for v in allowed.radius if v > 0.0],
+        "radii of array 1, array 2": [f"±{percent_text(v)}" for v in allowed.radius if v > 0.0],
     }
     rows = [[name, ", ".join(values), "not studied"] for name, values in named.items() if values]
     rows = rows or [["none stated: [tolerances] of the design is empty", "-", "not studied"]]
@@ -259,7 +260,7 @@ def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
     rows = []
     for p in parameters:
         if p["unit"] == "rad":
-            stated = f"{1e3 * p['tolerance']:.3g} mrad"
+            stated = mrad_text(p["tolerance"], 3)
         elif p["unit"]:
             stated = f"{mm_text(p['tolerance'] * millimetres(design.unit_m))} mm"
         else:
@@ -269,7 +270,7 @@ def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
             [
                 p["name"],
                 ("" if p["one_sided"] else "±") + stated,
-                *("-" if c is None else f"{1e3 * c:.3g}" for c in costs),
+                *("-" if c is None else mrad_text(c, 3, unit="") for c in costs),
             ]
         )
     title = "errors allowed, and what each alone changes (mrad), by a tolerance study of this design"
@@ -283,7 +284,7 @@ def surfaces_table(window: Window, allowed: Allowances, slope_rms: float) -> Can
     What the design does not state is to be agreed: no value is assumed.
     """
     texture = f"Rq {1e6 * allowed.roughness:.3g} nm" if allowed.roughness > 0.0 else AGREE
-    form = f"slope {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else AGREE
+    form = f"slope {mrad_text(slope_rms, 3)} rms" if slope_rms > 0.0 else AGREE
     centred = [allowed.decentre[0] > 0.0, max(allowed.decentre[1], allowed.tilt, allowed.rotation) > 0.0]
     rows = [
         [
@@ -315,7 +316,7 @@ def notes(
         if allowed.roughness > 0.0
         else "to be agreed, the design states no roughness"
     )
-    slope = f", slope error at most {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else ""
+    slope = f", slope error at most {mrad_text(slope_rms, 3)} rms" if slope_rms > 0.0 else ""
     sides = (
         "B: the outermost side towards -y; C: towards -x; holes and corners are placed about the middle of"
         " the cells"

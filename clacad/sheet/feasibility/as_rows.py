@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from clacad.base.text import digits
+from clacad.base.text import digits, mrad_list
 from clacad.base.types import Pair2
 from clacad.base.units import MONOMIALS, POWER, RAISED
 from clacad.optics.law.focusing import Superlens, along_axes
@@ -356,7 +356,7 @@ def _view_rows(facts: Feasibility, of_length: Callable[[float | Pair2], str], na
         ),
         row(
             "diffraction, lens x, y",
-            _mrad(facts.diffraction_blur),
+            mrad_list(facts.diffraction_blur),
             "mrad",
             f"λ/w for the light that leaves lens 2, {wave}; w = √12 × rms distance, along that axis, of what"
             " is lit of a cell from its middle: the slit whose pattern has the same core (a square's own"
@@ -364,7 +364,7 @@ def _view_rows(facts: Feasibility, of_length: Callable[[float | Pair2], str], na
         ),
         row(
             "diffraction, first zero, lens x, y",
-            _mrad(facts.first_zero),
+            mrad_list(facts.first_zero),
             "mrad",
             "first dark line of that pattern; more than λ/w where a corner of the zone points along the axis",
         ),
@@ -401,7 +401,7 @@ def _pitch_rows(
         ),
         row(
             "least blur, lens x, y",
-            _mrad(eye.blur),
+            mrad_list(eye.blur),
             "mrad",
             f"half of the light of a point {place}, at those pitches",
         ),
@@ -515,10 +515,6 @@ def _body_rows(body: BodyFacts, of_length: Callable[[float | Pair2], str], name:
     if isfinite(body.neck):
         rows.insert(1, row("neck", of_length(body.neck), name, "least thickness that joins neighbours"))
     return rows
-
-
-def _mrad(angles: Pair2) -> str:
-    return ", ".join(digits(1e3 * v) for v in angles)
 
 
 def _angles(slopes: Pair2) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.text import mrad_text
 from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable, pareto
 
 SIZE = (10.4, 6.2)
@@ -81,7 +82,7 @@ def draw(figure: Any, table: AccuracyTable, target: float | None = None) -> None
         axes.set_ylabel(Y_LABEL)
         if target is not None:
             axes.axhline(
-                1e3 * target, color="#b00020", lw=0.9, ls="--", label=f"target {1e3 * target:g} mrad"
+                1e3 * target, color="#b00020", lw=0.9, ls="--", label=f"target {mrad_text(target, 6)}"
             )
     _draw_seconds(left, table)
     _draw_floors(right, table)

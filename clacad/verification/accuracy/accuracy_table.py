@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Progress, silent
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable, TargetOutOfReach
@@ -208,7 +209,7 @@ def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
     notes = [
         (
             "rung law's model error equals rung surfaces' error to the law by definition: "
-            f"{1e3 * surfaces.law_rms:.3g} mrad rms; it also leaves out the ray offset and the ghosts"
+            f"{mrad_text(surfaces.law_rms, 3)} rms; it also leaves out the ray offset and the ghosts"
         ),
     ]
     return (*notes, *([step_note] if step_note else []))

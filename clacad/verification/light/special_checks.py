@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats, Pair2
 from clacad.checks.check import Check
 from clacad.checks.light_kinds import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, IMAGE_POINT, PUPIL, SPOT
@@ -175,8 +176,8 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
     rms = [one.rms_of(both) for one in light]
     ratio = rms[0] / rms[1] if rms[1] > 0.0 else np.nan
     sentence = (
-        f"of the light that passes with and without the field lens the rms error is {1e3 * rms[0]:.4g} mrad"
-        f" with it, {1e3 * rms[1]:.4g} mrad without"
+        f"of the light that passes with and without the field lens the rms error is {mrad_text(rms[0])}"
+        f" with it, {mrad_text(rms[1])} without"
     )
     return FIELD_LAW.judge(ratio, LAW, sentence, bundle=str(lit[0]))
 

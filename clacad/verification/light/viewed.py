@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from clacad.base.sobol import sobol
+from clacad.base.text import percent_text
 from clacad.base.types import Floats, Ints
 from clacad.checks.check import Check, accepted, wrong
 from clacad.checks.light_kinds import VIEWED
@@ -167,7 +168,7 @@ def viewed_check(lit: Lit) -> Iterator[Check]:
     eye = _eye(design, found.viewer)
     sentence = _share_of(found.traced, eye)
     if not found.traced >= limit:
-        sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %); the rest meets other lenslets"
+        sentence += f" (ideal lenses: {percent_text(found.thin)}); the rest meets other lenslets"
     check = VIEWED.judge(
         found.traced,
         limit,
@@ -185,7 +186,7 @@ def headline(checks: Sequence[Check]) -> str:
     if check is None:
         return ""
     verdict = {"pass": "passes", "fail": "FAILS", "warn": "a warning"}[check.state]
-    limit = f"limit {100.0 * float(check.limit or 0.0):.4g} %"
+    limit = f"limit {percent_text(float(check.limit or 0.0), 4)}"
     return f"{_share_of(float(check.value or 0.0), check.detail['eye'])} ({limit}: {verdict})"
 
 
@@ -255,7 +256,7 @@ def _remedy_text(checks: list[Check], design: Design, window: Window, viewer: Po
     found = [*_keys(_failing(checks, design), design, viewer), *_farther(design, window, viewer)]
     if not found:
         return "neither aimed cells nor a field lens nor a viewer farther away mends it alone"
-    return f"{100.0 * design.check.viewed:.4g} % is reached by {', or by '.join(found)}"
+    return f"{percent_text(design.check.viewed, 4)} is reached by {', or by '.join(found)}"
 
 
 def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) -> Iterator[str]:
@@ -268,7 +269,7 @@ def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) ->
         share = _share(design, changes, viewer)
         if share >= design.check.viewed and _fails_no_more(design, changes, failing):
             keys = " with ".join(f"{key} = {value_text(value)}" for key, value in changes.items())
-            yield f"{keys} ({100.0 * share:.3g} %)"
+            yield f"{keys} ({percent_text(share)})"
 
 
 def _share(design: Design, changes: dict[str, Any], viewer: Point) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 
 from clacad import __version__
 from clacad.base.drawn_figure import drawn
+from clacad.base.text import percent_text
 from clacad.formats.study_file import FORMAT, TOLERANCES
 from clacad.storage.atomic import Stage, canonical_json
 from clacad.verification.tolerance.light_measures import MEASURES
@@ -251,8 +252,10 @@ def _png(size: tuple[float, float], draw: Callable[[Figure], None]) -> bytes:
 def _draw_study(figure: Figure, study: Study) -> None:
     share, low, high = study.yields()
     figure.suptitle(
-        f"{study.name}: {len(study.measures)} sheets, {100 * share:.1f} % good "
-        f"(95 %: {100 * low:.1f} to {100 * high:.1f}); bars: largest change over each tolerance alone",
+        f"{study.name}: {len(study.measures)} sheets, {percent_text(share, 1, fixed=True)} good "
+        f"(95 %: {percent_text(low, 1, fixed=True, unit='')} to"
+        f" {percent_text(high, 1, fixed=True, unit='')});"
+        " bars: largest change over each tolerance alone",
         fontsize=10,
     )
     axes = figure.subplots(4, 3).ravel()
