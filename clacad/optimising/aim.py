@@ -24,7 +24,6 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
-from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import shown
 from clacad.design import Design
 from clacad.design.sections import CHECK
@@ -32,6 +31,7 @@ from clacad.light.measure import measure
 from clacad.optics.fit import AskedLight, law_residuals
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import trace_sequence
+from clacad.optimising.unknowns import refused
 from clacad.sheet.bundle import RequestedLaw, bundle, cone, launched, middle_direction
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.representative_cells import central_cell, places_of_errors
@@ -81,23 +81,16 @@ class Aim:
     def __post_init__(self) -> None:
         for part, weight in self.weights:
             if not (0.0 < part <= LARGEST_PART and 0.0 < weight and isfinite(weight)):
-                raise DesignError(
-                    [
-                        Mistake(
-                            "CL106",
-                            f"weight {shown(weight)} of {shown(part)} of the field",
-                            "weights",
-                            allowed=(
-                                f"part:weight, the part from above 0 to {LARGEST_PART:g}, the weight above 0"
-                            ),
-                            hint=".5:1,1:1",
-                        )
-                    ]
+                raise refused(
+                    "CL106",
+                    f"weight {shown(weight)} of {shown(part)} of the field",
+                    "weights",
+                    allowed=f"part:weight, the part from above 0 to {LARGEST_PART:g}, the weight above 0",
+                    hint=".5:1,1:1",
                 )
         if not self.weights or len({part for part, _ in self.weights}) < len(self.weights):
-            raise DesignError(
-                [Mistake("CL106", "every part of the field has one weight", "weights", allowed=".5:1,1:1")]
-            )
+            message = "every part of the field has one weight"
+            raise refused("CL106", message, "weights", allowed=".5:1,1:1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,17 +186,13 @@ def kept_light(window: Window, field: float, design: Design, fewest: int = 1) ->
             if smaller > SMALLEST * field
             else "lattice.aperture aims it"
         )
-        raise DesignError(
-            [
-                Mistake(
-                    "CL120",
-                    f"{len(rays)} of {RAYS:,} rays of the field reach their partner cell through ideal"
-                    " lenses, too few to search with",
-                    CHECK.field,
-                    allowed=f"a cone inside the field of view: {fewest} rays at least",
-                    hint=way,
-                )
-            ]
+        raise refused(
+            "CL120",
+            f"{len(rays)} of {RAYS:,} rays of the field reach their partner cell through ideal"
+            " lenses, too few to search with",
+            CHECK.field,
+            allowed=f"a cone inside the field of view: {fewest} rays at least",
+            hint=way,
         )
     return AskedLight.of(rays, window.law.refract(rays.direction))
 
