@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 from clacad.exporting.roles import Role
 from clacad.storage.errors import BadRequest
@@ -253,6 +253,21 @@ class Request:
         asked = {name: value for name, value in rare.items() if value != getattr(DEFAULTS, name)}
         roles = {"role": {name: str(role) for name, role in self.role.items()}} if self.role else {}
         return plain | asked | roles
+
+
+class MoreOptions(TypedDict, total=False):
+    """Fields of `Request` that `clacad.export` takes by keyword only and hands on unchanged."""
+
+    cells: tuple[int, int] | None
+    overwrite: bool
+    force: bool
+    step_schema: Literal["ap242", "ap214"]
+    pcurves: bool
+    saddle_bevel: float
+    gpu_instancing: bool
+    grey_levels: int
+    paper: Literal["a4", "a3", "a2"]
+    fused: bool
 
 
 OPTIONS: Mapping[str, Option] = {one.name: one.metadata["option"] for one in fields(Request)}

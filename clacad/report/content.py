@@ -86,60 +86,10 @@ def row(check: Check) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Content:
-    """A report and the pictures of it, as rows of text.
-
-    report : Report
-        With its evidence.
-    look : Look
-    parts : Parts
-    timings : bool
-        Whether seconds of this run may be shown; without them the same input gives the same bytes.
-    whole : Window or None
-        The non-uniform sheet, where `report.window` is its uniform equivalent; None: `report.window`.
-    of_one_cell : str
-        Sentence about it; "" for a uniform sheet.
-    of_viewer : bytes or None
-        The view of the viewer of the check `viewed` as PNG; None for a viewer behind the sheet.
-    """
+class CheckRows:
+    """Checks, verdicts and judged files of a report as rows of text."""
 
     report: Report
-    look: Look
-    parts: Parts
-    timings: bool = False
-    whole: Window | None = None
-    of_one_cell: str = ""
-    of_viewer: bytes | None = None
-
-    @property
-    def evidence(self) -> Evidence:
-        """Measurements in addition to the checks."""
-        assert self.report.evidence is not None, "made from a report with evidence"
-        return self.report.evidence
-
-    @property
-    def head(self) -> tuple[str, str]:
-        """The word of the verdict as the page's head shows it, and its class: passed, shape, failed."""
-        word = self.report.word
-        css = "passed" if word.startswith("passed") else "shape" if word == "shape only" else "failed"
-        return word[0].upper() + word[1:], css
-
-    @property
-    def sheet(self) -> Window:
-        """The whole sheet."""
-        return self.report.window if self.whole is None else self.whole
-
-    @property
-    def cells(self) -> str:
-        """How many cells the whole sheet has."""
-        return cells_text(self.sheet.lattice).replace(" x ", " × ")
-
-    @property
-    def viewer(self) -> str:
-        """What the viewer gets of the whole sheet, in a line; "" where that was not checked."""
-        from clacad.verification.light.viewed import headline
-
-        return headline(self.report.checks)
 
     @property
     def verdicts(self) -> list[dict[str, str]]:
@@ -197,24 +147,6 @@ class Content:
         found = {c.source for c in self.report.checks if c.limit_source.origin is Origin.PROFILE}
         return "; ".join(sorted(text[0].upper() + text[1:] for text in found))
 
-    @cached_property
-    def fabrication_lines(self) -> tuple[FabricationLine, ...]:
-        """Lines of the fabrication table."""
-        return fabrication(self.report, self.sheet)
-
-    @property
-    def fabrication(self) -> list[tuple[str, list[FabricationLine]]]:
-        """Lines of the fabrication table by what they are about."""
-        groups: dict[str, list[FabricationLine]] = {}
-        for line in self.fabrication_lines:
-            groups.setdefault(line.about, []).append(line)
-        return list(groups.items())
-
-    @property
-    def orientation(self) -> list[str]:
-        """How the part must be held."""
-        return orientation(self.report.window)
-
     @property
     def files(self) -> list[dict[str, str]]:
         """The files that were judged."""
@@ -236,6 +168,91 @@ class Content:
                 }
             )
         return found
+
+    @property
+    def versions(self) -> str:
+        """Versions the numbers depend on."""
+        return ", ".join(f"{name} {version}" for name, version in self.report.versions.items())
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """A report and the pictures of it, as rows of text.
+
+    report : Report
+        With its evidence.
+    look : Look
+    parts : Parts
+    timings : bool
+        Whether seconds of this run may be shown; without them the same input gives the same bytes.
+    whole : Window or None
+        The non-uniform sheet, where `report.window` is its uniform equivalent; None: `report.window`.
+    of_one_cell : str
+        Sentence about it; "" for a uniform sheet.
+    of_viewer : bytes or None
+        The view of the viewer of the check `viewed` as PNG; None for a viewer behind the sheet.
+    """
+
+    report: Report
+    look: Look
+    parts: Parts
+    timings: bool = False
+    whole: Window | None = None
+    of_one_cell: str = ""
+    of_viewer: bytes | None = None
+
+    @property
+    def evidence(self) -> Evidence:
+        """Measurements in addition to the checks."""
+        assert self.report.evidence is not None, "made from a report with evidence"
+        return self.report.evidence
+
+    @property
+    def head(self) -> tuple[str, str]:
+        """The word of the verdict as the page's head shows it, and its class: passed, shape, failed."""
+        word = self.report.word
+        css = "passed" if word.startswith("passed") else "shape" if word == "shape only" else "failed"
+        return word[0].upper() + word[1:], css
+
+    @property
+    def checked(self) -> CheckRows:
+        """Checks, verdicts and judged files."""
+        return CheckRows(self.report)
+
+    @property
+    def sheet(self) -> Window:
+        """The whole sheet."""
+        return self.report.window if self.whole is None else self.whole
+
+    @property
+    def cells(self) -> str:
+        """How many cells the whole sheet has."""
+        return cells_text(self.sheet.lattice).replace(" x ", " × ")
+
+    @property
+    def viewer(self) -> str:
+        """What the viewer gets of the whole sheet, in a line; "" where that was not checked."""
+        from clacad.verification.light.viewed import headline
+
+        return headline(self.report.checks)
+
+    @cached_property
+    def fabrication_lines(self) -> tuple[FabricationLine, ...]:
+        """Lines of the fabrication table."""
+        return fabrication(self.report, self.sheet)
+
+    @property
+    def fabrication(self) -> list[tuple[str, list[FabricationLine]]]:
+        """Lines of the fabrication table by what they are about."""
+        groups: dict[str, list[FabricationLine]] = {}
+        for line in self.fabrication_lines:
+            groups.setdefault(line.about, []).append(line)
+        return list(groups.items())
+
+    @property
+    def orientation(self) -> list[str]:
+        """How the part must be held."""
+        return orientation(self.report.window)
 
     @property
     def described(self) -> tuple[FactRow, ...]:
@@ -271,11 +288,6 @@ class Content:
             f"clacad verify DESIGN.toml{files} --rays {len(self.report.optics.main.lit.rays)}{timings} -o"
             " REPORT"
         )
-
-    @property
-    def versions(self) -> str:
-        """Versions the numbers depend on."""
-        return ", ".join(f"{name} {version}" for name, version in self.report.versions.items())
 
 
 def numbers(content: Content) -> dict[str, Any]:

@@ -90,7 +90,7 @@ def _document(content: Content, shelf: _Shelf) -> dict[str, Any]:
             "state": {"passed": "pass", "shape": "warn"}.get(content.head[1], "fail"),
             "word": content.head[0],
             "sentence": report.verdict(),
-            "failures": [f"{c['id']} {c['subject']}: {c['sentence']}" for c in content.failures],
+            "failures": [f"{c['id']} {c['subject']}: {c['sentence']}" for c in content.checked.failures],
         },
         "tally": ", ".join(f"{n} {state}" for state, n in counts.items()),
         "blocks": [
@@ -118,7 +118,7 @@ def _viewer(content: Content, shelf: _Shelf) -> list[Block]:
 
 def _verdicts(content: Content) -> list[Block]:
     """One line a file: role, verdict, light through it."""
-    if not content.verdicts:
+    if not content.checked.verdicts:
         return []
     head = ["verdict", "file", "role", "rms / mrad", "limit"]
     rows = [
@@ -129,7 +129,7 @@ def _verdicts(content: Content) -> list[Block]:
             f["rms"],
             f["limit"],
         ]
-        for f in content.verdicts
+        for f in content.checked.verdicts
     ]
     return [{"kind": "table", "widths": [2, 6, 2, 0, 0], "head": head, "rows": rows, "numbers": [3, 4]}]
 
@@ -171,8 +171,8 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
         (about, line.name, line.text, line.unit) for about, lines in content.fabrication for line in lines
     ]
     blocks: list[Block] = [_heading("Fabrication"), _table(("", "", "", "unit"), rows, (2,), 1)]
-    if content.files:
-        files = [(f["name"], f["bytes"], f["size"], f["sha256"]) for f in content.files]
+    if content.checked.files:
+        files = [(f["name"], f["bytes"], f["size"], f["sha256"]) for f in content.checked.files]
         blocks += [_heading("Files", 2), _table(("file", "bytes", "holds", "sha256"), files, (1, 2))]
     blocks += [
         _heading("Orientation", 2),
@@ -200,7 +200,7 @@ def _item(shelf: _Shelf, name: str, data: str | bytes, caption: str, alt: str) -
 
 def _checks(content: Content) -> list[Block]:
     blocks = [_heading("Checks")]
-    for title, rows in content.groups:
+    for title, rows in content.checked.groups:
         lines = [
             (
                 {"state": c["state"], "text": c["word"]},
@@ -219,7 +219,9 @@ def _checks(content: Content) -> list[Block]:
             _heading(title, 2),
             _table(("", "check", "value", "limit", "unit", "what it says"), lines, (2, 3)),
         ]
-    return blocks + ([{"kind": "text", "text": f"{content.process}."}] if content.process else [])
+    return blocks + (
+        [{"kind": "text", "text": f"{content.checked.process}."}] if content.checked.process else []
+    )
 
 
 def _asked(content: Content) -> list[Block]:
@@ -340,7 +342,7 @@ def _rest(content: Content, shelf: _Shelf) -> list[Block]:
             _heading("What the source text says that cannot hold"),
             {"kind": "list", "lines": list(report.design.notes)},
         ]
-    again = f"Versions: {content.versions}. Design sha256 {report.design.sha256}."
+    again = f"Versions: {content.checked.versions}. Design sha256 {report.design.sha256}."
     return [
         *blocks,
         _heading("How to reproduce"),
