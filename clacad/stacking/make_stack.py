@@ -169,9 +169,7 @@ def refuse(standing: Stack, asked: StackRequest, folder: Path) -> None:
 
 
 RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
-"""Rungs on which the light of a stack is measured; facets are optional, since they take longer than all of
-these.
-"""
+"""Rungs on which the light of a stack is measured; facets, slower than all of them, are optional."""
 
 
 @dataclass(frozen=True, eq=False)

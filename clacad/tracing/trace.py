@@ -138,9 +138,7 @@ class SheetTracer:
         return "numba" if compiled_suits(self.rung, self.path, rays, faces, lay_out(self.window)) else "numpy"
 
     def _tiles_in_numpy(self, rays: int, faces: int) -> bool:
-        """Whether numpy traces a number of rays through a sheet's own mesh: as requested, or because they are
-        few.
-        """
+        """Whether numpy traces a number of rays through a sheet's own mesh: if requested, or if few."""
         if self.facets is None or not isinstance(self.facets.found_in, Tiles):
             return False
         return self.path == "numpy" or (self.path == "size" and not worth_compiled(rays, faces))

@@ -156,9 +156,7 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
 
 
 MANY = 50_000
-"""Number of rays above which split paths are compiled: loading the code costs as much as some thousand
-rays.
-"""
+"""Number of rays above which split paths are compiled: loading costs as much as some thousand rays."""
 
 
 def light_reaching_camera(
