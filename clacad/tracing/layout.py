@@ -274,7 +274,7 @@ class SampledCell(NamedTuple):
 
 
 def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
-    """A body as the tracer needs it: bounds from heights sampled over its cells, lengths over its own level."""
+    """Body as the tracer needs it: bounds from heights sampled over its cells, lengths over its own level."""
     level = body.front.vertex[2]
     cells = _farthest_cells(window, body)
     before, after = (_seen_by(window, face, sampled, cells) for face in (body.front, body.back))
@@ -322,7 +322,7 @@ def _covered(gap: Floats, bend: float, spacing: float) -> bool:
 
 
 def _farthest_cells(window: Window, body: Body) -> Ints | None:
-    """Cells (m, 2) whose lenses have the largest offsets from the faces' vertices; None where all are alike."""
+    """Cells (m, 2) with the largest offsets of lenses from the faces' vertices; None where all are alike."""
     found = [outermost_cells(window, face) for face in (body.front, body.back) if face.change is not None]
     return np.unique(np.concatenate(found), axis=0) if found else None
 

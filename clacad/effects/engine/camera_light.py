@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Rung
+from clacad.effects import declared_all
 from clacad.effects.engine.block import RayBlock, around, unit_rows
 from clacad.effects.engine.effect import Declaration, Effect, Setting, Situation
 from clacad.effects.engine.homogeneous_light import LightRays, join_light, law_light
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.passes import blocks, take_rays, trace_with
-from clacad.effects.registry import declared_all
 from clacad.light.compare import angles
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.surface import Quadric

@@ -271,7 +271,7 @@ def straight_chunk_single(
 
 @exact
 def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
-    """Write the share of light that the straight path transmits, where counted, to the last layer of `turns`."""
+    """Write the share of light that the straight path transmits, if counted, to the last layer of `turns`."""
     indices, bodies, share = sheet.indices, len(sheet.bodies), len(sheet.faces)
     if len(indices) == bodies:
         return

@@ -39,7 +39,7 @@ SANE = 1e100
 def carried_to(
     lat: Floats, plane: float, x: float, y: float, z: float, L: float, M: float, N: float
 ) -> tuple[float, float, float, float, float]:
-    """Carry a start along an unrounded direction to a plane: the step, and cell and local coordinates there."""
+    """Carry a start along an unrounded direction to a plane: step, cell and local coordinates there."""
     rise, rest = two_sum(plane, -z)
     step = rise / N
     product, over = two_product(step, N)

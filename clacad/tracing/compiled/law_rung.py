@@ -108,7 +108,7 @@ def surely_beside(sheet: Packed, s: Floats, k: int) -> bool:
 
 @exact
 def surely_unmet(sheet: Packed, s: Floats, k: int, sane: float, carried: float) -> bool:
-    """Whether launched ray k, whose direction is `sane` > 0, misses the sheet laterally or started behind it."""
+    """Whether launched ray k, whose direction is `sane` > 0, misses the sheet sideways or started behind."""
     reach = sheet.lattice[slot.REACH]
     if not (sane > 0.0 and abs(carried) < FAR * reach and abs(s[X, k]) + abs(s[Y, k]) < inf):
         return False

@@ -73,7 +73,7 @@ ORDERS = 64.0
 
 
 def trace_thin_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
-    """Write the rows of rays (n) that clearly pass both lenses; return the other rows (k,), not yet written."""
+    """Write the rows of rays (n) that clearly pass both lenses; return the other rows (k,)."""
     sheet, lenses = thin_pair(layout)
     return rows_left(thin_chunk, sheet, lenses, rays, ledger, threads)
 

@@ -254,7 +254,7 @@ class FacetBody:
 
 
 def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> FacetFace:
-    """Prepare facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
+    """Prepare facets (t, 3, 3) of the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
     flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
     if not len(local):
@@ -268,7 +268,7 @@ def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> Fa
 
 
 def on_land(window: Window, face: Face, corners: Floats) -> Bools:
-    """Which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
+    """Which facets (k, 3, 3) are the face's flat land: all corners at its height, up to float32 rounding."""
     if face.land is None:
         return np.zeros(len(corners), dtype=bool)
     reach = max(abs(v) for v in window.z_range)

@@ -110,7 +110,7 @@ def _hit(places: LensPlaces, point: Floats, distance: Floats, direction: Floats,
 
 
 def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
-    """Normal G towards +z at points near a lens (lens frame), and their heights over it, in units of 1/|G|."""
+    """Normal G towards +z at points near a lens (lens frame), and heights over it, in units of 1/|G|."""
     surface = face.surface
     x, y, z = point.T
     if not isinstance(surface, Quadric):

@@ -81,7 +81,7 @@ def meet_face(
 
 
 def facets_over(tiles: Tiles, tile: int, xy: Floats) -> Ints:
-    """Facets (m,) over points (m, 2) of the cell frame: those they lie deepest in; −1 far outside the tile."""
+    """Facets (m,) over points (m, 2) of the cell frame: those they lie deepest in; −1 far off the tile."""
     row = tiles.table[tile]
     i, j = _bins(row, xy)
     bins = (row[BIN] + j * row[BINS_X] + i).astype(np.int64)
