@@ -139,7 +139,7 @@ def _refuse_options(request: Trace) -> None:
     if request.mesh is not None and not request.mesh.is_file():
         raise BadOption(f"{request.mesh}: there is no such file")
     if request.effects:
-        from clacad.effects import registry
+        from clacad import effects as registry
 
         unknown = [name for name in request.effects if name not in registry.NAMES]
         if unknown:

@@ -47,9 +47,7 @@ LOBES = 64
 
 
 COST = 7.0
-"""Time of the compiled trace with diffraction over without: slit and angle are drawn per ray, outside the
-kernel.
-"""
+"""Time of the compiled trace with diffraction over without: slit and angle are drawn per ray, in numpy."""
 
 
 def effect(window: Window, setting: Setting) -> Effect:

@@ -15,6 +15,7 @@ from math import inf, pi
 from pathlib import Path
 from string import ascii_letters
 
+from clacad import effects as registry
 from clacad.base.text import did_you_mean, near, nm_text, table, whole_number
 from clacad.base.units import LENGTHS, Unit
 from clacad.checks.check import kinds
@@ -22,7 +23,6 @@ from clacad.config.mistakes import CODES as IN_DESIGNS
 from clacad.design.combinations import BUILT, ITSELF, matrix
 from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.design.sections import DESIGN, PAIR, ROOT, SECTIONS
-from clacad.effects import registry
 from clacad.explain.design_mistakes import MISTAKES, Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.exporting.formats.format import Format

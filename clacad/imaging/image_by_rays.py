@@ -243,9 +243,7 @@ def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
 
 
 def sent_to(window: Window, source: Floats, rays: int) -> tuple[Rays, Ints]:
-    """Rays from a source (3,) to points spread evenly over the sheet, and which of its kept cells (rays,)
-    each aims at.
-    """
+    """Rays from a source (3,) to points spread evenly over the sheet, and the kept cell (rays,) of each."""
     kept = window.lattice.cells()
     which = np.linspace(0, len(kept), rays, endpoint=False).astype(np.int64)
     cells = kept[which]

@@ -30,7 +30,7 @@ from clacad.checks.file_kinds import (
 from clacad.exporting.roles import Role
 from clacad.judging.delivery import Inspection
 from clacad.light.compare import Comparison
-from clacad.light.measure import Light, Send, measure
+from clacad.light.measure import Light, Send, measure, rms_of
 from clacad.optics.law import Law, difference_of_laws
 from clacad.sheet.bundle import RequestedLaw, bundle, field_points
 from clacad.sheet.vignetting import mean_share, share, thin_cells
@@ -93,7 +93,7 @@ class FileLight:
     @property
     def partner(self) -> float:
         """Rms error (radians) of the rays that are `near`."""
-        return self.light.rms_of(self.near)
+        return rms_of(self.light, self.near)
 
     @property
     def strayed(self) -> float:

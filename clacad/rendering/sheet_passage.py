@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Rung
-from clacad.effects.registry import declared_all
+from clacad.effects import declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.scene import Scene, SheetSpec
 from clacad.sheet.stack import Stack, StackedSheet, standing

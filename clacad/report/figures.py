@@ -15,6 +15,7 @@ import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
 from clacad.base.text import mrad_text, percent_text
+from clacad.light.measure import deviation
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.feasibility.as_rows import length_unit
 from clacad.sheet.pattern import relocate
@@ -245,16 +246,16 @@ def spots(report: Report, label: str = "spot diagrams over the field") -> str:
         # the middle of the field in the middle, its rim round it as seen: +x to the right, +y up
         place = ((1, 1), (1, 2), (0, 2), (0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2))
         points = report.optics.points
+        turned = [deviation(point) for point in points]
         reach = max(
-            (1e3 * float(np.percentile(np.abs(p.deviation), 99)) for p in points if len(p.deviation)),
-            default=1.0,
+            (1e3 * float(np.percentile(np.abs(turn), 99)) for turn in turned if len(turn)), default=1.0
         )
         from matplotlib.patches import Ellipse
 
         blur = [1e3 * b for b in report.facts.diffraction_blur]
         for k, point in enumerate(points):
             panel = axes[place[k]]
-            spot = 1e3 * point.deviation[:SPOT_RAYS]
+            spot = 1e3 * turned[k][:SPOT_RAYS]
             panel.plot(spot[:, 0], spot[:, 1], ".", ms=1.6, color=ACCENT, mec="none")
             panel.add_patch(Ellipse((0, 0), 2 * blur[0], 2 * blur[1], fill=False, color=SECOND, lw=0.8))
             panel.plot([0], [0], "+", color=INK, ms=6, mew=0.8)

@@ -17,7 +17,7 @@ from clacad.base.text import digits, mrad_text, percent_text, plainly
 from clacad.base.units import MONOMIALS, POWER, RAISED, millimetres
 from clacad.checks.design_kinds import RADIUS
 from clacad.checks.light_kinds import IMAGE_POINT, SPOT, VIEWED
-from clacad.effects.registry import declared
+from clacad.effects import declared
 from clacad.exporting.drawing.notes import orientation
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.feasibility.as_rows import cells_text

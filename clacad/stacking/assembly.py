@@ -1,6 +1,4 @@
-"""Files of a stack: one STEP assembly, one GLB; every sheet is read back in its own frame and compared with
-its design.
-"""
+"""Files of a stack: one STEP assembly, one GLB; every sheet is read back and compared with its design."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Verify the files of a stack: every sheet as a master of its design, and light through all sheets
-together.
-"""
+"""Verify the files of a stack: every sheet as a master of its design, and light through all."""
 
 from __future__ import annotations
 
@@ -169,9 +167,7 @@ def _through_exact(stack: Stack, field: float) -> tuple[Rays, StackTrace]:
 
 
 def _column(stack: Stack, exact: StackTrace) -> tuple[Floats, Floats]:
-    """Column of x and y, low (2,) and high (2,), that holds all cells rays go through, lengths of the
-    stack.
-    """
+    """Column of x and y, low (2,) and high (2,), that holds all cells rays go through, stack's lengths."""
     corners = []
     for one, (_, result) in zip(stack.sheets, exact.passed, strict=True):
         window = one.window

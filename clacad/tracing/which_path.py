@@ -89,9 +89,7 @@ def _rate(rung: Rung) -> Rung:
 
 
 def has_kernel(rung: Rung, window: Window) -> bool:
-    """Whether a rung of a sheet has kernels: rung law needs one law, rung thin a uniform sheet without a
-    field lens.
-    """
+    """Whether a rung of a sheet has kernels: law needs one law, thin a uniform sheet, no field lens."""
     if rung == "law":
         return window.cell_laws is None
     if rung == "thin":

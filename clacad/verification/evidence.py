@@ -15,7 +15,7 @@ import numpy as np
 
 from clacad.base.text import plain
 from clacad.base.types import Floats, Progress
-from clacad.effects.registry import declared_all
+from clacad.effects import declared_all
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.like_cell import interfaces

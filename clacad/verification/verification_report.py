@@ -264,7 +264,7 @@ def _field_row(point: Light, closed_form: float) -> dict[str, Any]:
         "worst": point.worst,
         "share": point.share,
         "closed_form": closed_form,
-        "counts": point.counts,
+        "counts": point.seen.counts(),
     }
     return dict(plain(row))
 

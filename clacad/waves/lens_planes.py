@@ -27,9 +27,7 @@ MOST = 4096
 """Largest number of points along each side of a square grid; a single axis may have MOST² points."""
 
 FEWEST = (256, 128)
-"""Least number of points across the first rim, in one dimension and in two, to resolve it and its
-diffraction.
-"""
+"""Fewest points across the first rim, in one dimension and in two, to resolve it and its diffraction."""
 
 ROOM = (16.0, 12.0)
 """Width of the grid over the half width of its content, in one dimension and in two.

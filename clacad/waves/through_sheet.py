@@ -250,9 +250,7 @@ MOST_COLUMNS = 1000
 """Largest number of cells that light may pass over inside a body; the rays then take about ten seconds."""
 
 SECONDS_A_POINT = 0.25e-6
-"""Processor seconds per grid point on the reference machine, for both planes and the propagation between
-them.
-"""
+"""Processor seconds per grid point on the reference machine: both planes and the propagation between."""
 
 
 def wave(

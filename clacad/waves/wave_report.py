@@ -174,9 +174,7 @@ HEAD = (
 
 
 def rows(found: WaveReport) -> list[tuple[str, ...]]:
-    """Waves through the exact surfaces and through ideal lenses, as far as computed, then rays; see
-    `HEAD`.
-    """
+    """Waves through exact surfaces and ideal lenses, as far as computed, then rays; see `HEAD`."""
     told: list[tuple[str, ...]] = []
     for far, name, share in (
         (found.exact, "waves, exact surfaces", found.share),

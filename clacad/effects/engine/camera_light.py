@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Rung
+from clacad.effects import declared_all
 from clacad.effects.engine.block import RayBlock, around, unit_rows
 from clacad.effects.engine.effect import Declaration, Effect, Setting, Situation
 from clacad.effects.engine.homogeneous_light import LightRays, join_light, law_light
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.passes import blocks, take_rays, trace_with
-from clacad.effects.registry import declared_all
 from clacad.light.compare import angles
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.surface import Quadric
@@ -156,9 +156,7 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
 
 
 MANY = 50_000
-"""Number of rays above which split paths are compiled: loading the code costs as much as some thousand
-rays.
-"""
+"""Number of rays above which split paths are compiled: loading costs as much as some thousand rays."""
 
 
 def light_reaching_camera(

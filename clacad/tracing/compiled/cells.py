@@ -107,9 +107,7 @@ def _hexagon_step(u: float, v: float, half: float, slant: float) -> tuple[float,
 
 @exact
 def hexagon_steps(u: float, v: float, half: float, slant: float, middle: float) -> tuple[float, float]:
-    """Step (i, j) over a slanted border of a hexagon, without a branch, in the precision of `middle` =
-    0.5.
-    """
+    """Step (i, j) over a slanted border of a hexagon, branchless, in the precision of `middle` = 0.5."""
     one, zero = middle + middle, middle - middle
     two, three = middle * u + slant * v, -middle * u + slant * v
     second = (one if two >= half else zero) - (one if two < -half else zero)
@@ -211,9 +209,7 @@ COLUMNS = 4
 
 @inlined
 def quick_change(sheet: Packed, b: int, ray: CellRay, stage: int, event: Floats) -> bool:
-    """Fill in the event that `first_change` would find and return True, or return False where `first_change`
-    must decide.
-    """
+    """Fill in the event of `first_change` and return True; False where `first_change` must decide."""
     faces, bodies, lat, rows = sheet.faces, sheet.bodies, sheet.lattice, sheet.rows
     array, i, j, x, y, z, L, M, N = ray
     if bodies[b, slot.QUICK] == 0.0 or array != int(bodies[b, slot.ENTRY]):

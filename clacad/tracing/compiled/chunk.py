@@ -48,9 +48,7 @@ from clacad.tracing.facets.tiles import Tiles
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 
 WAITING = 32
-"""Rays queued before a walk: enough to keep the code of the walk in the cache, few enough to keep their rows
-there.
-"""
+"""Rays queued before a walk: enough to keep its code in the cache, few enough to keep their rows there."""
 
 MOST = 2.0**31 - 1.0
 
@@ -205,9 +203,7 @@ def trace_chunk_of_triangles(
 def _through_squares(
     squares: Squares, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
 ) -> int:
-    """Trace rays where facets halve the bins of the grid; undecided rows go to `left`, and their count is
-    returned.
-    """
+    """Trace rays where facets halve the bins of the grid; undecided rows go to `left`; return their count."""
     s, count = np.zeros((ROWS, BLOCK)), 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
@@ -223,9 +219,7 @@ def _through_squares(
 def trace_chunk(
     tiles: Tiles | None, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
 ) -> int:
-    """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows; return the number that were
-    walked.
-    """
+    """Trace the rays `chosen` of `start` and `ray` (n, 3), write their rows, return how many were walked."""
     s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
     waiting, scratch = np.empty(WAITING + BLOCK, dtype=np.intp), new_scratch()
     count, walked = 0, 0
@@ -277,9 +271,7 @@ def straight_chunk_single(
 
 @exact
 def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
-    """Write the share of light that the straight path transmits, where counted, to the last layer of
-    `turns`.
-    """
+    """Write the share of light that the straight path transmits, if counted, to the last layer of `turns`."""
     indices, bodies, share = sheet.indices, len(sheet.bodies), len(sheet.faces)
     if len(indices) == bodies:
         return

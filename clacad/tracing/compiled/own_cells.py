@@ -15,9 +15,7 @@ from clacad.tracing.layout import FacePlan, Layout, prepared
 
 
 def pack_own(layout: Layout) -> Packed:
-    """Pack the layout of a non-uniform sheet, with the indices of the design's wavelength; kept with the
-    layout.
-    """
+    """Pack the layout of a non-uniform sheet, with indices of the design's wavelength; kept with it."""
     made: Packed | None = prepared(layout).get("packed_own")
     if made is None:
         sheet = pack_array_1(layout)

@@ -43,9 +43,7 @@ from clacad.tracing.compiled.straight_path_slots import (
 )
 
 CLEAR = 2.0**-44
-"""Share of half a cell: closer to a border than this no cell is decided here; 100 times the rounding of both
-paths.
-"""
+"""Share of half a cell: closer to a border no cell is decided here; 100 times the rounding of both paths."""
 
 
 @exact

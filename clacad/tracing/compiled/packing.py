@@ -40,9 +40,7 @@ NORMAL, HALF = 11, 17
 OPAQUE, BAFFLE, PLAIN, SHIFT = range(20, 24)
 
 MOST_ARRAYS = 3
-"""Arrays that a packed sheet has room for: from SHIFT two numbers an array, from BETWEEN four an ordered
-pair.
-"""
+"""Arrays that a packed sheet has room for: two numbers an array from SHIFT, four a pair from BETWEEN."""
 
 BETWEEN = SHIFT + 2 * MOST_ARRAYS
 """Displacement of the second array against the first: residual x and y, then whole lattice steps i and j."""
@@ -119,9 +117,7 @@ def pack(layout: Layout) -> Packed:
 
 
 def pack_array_1(layout: Layout) -> Packed:
-    """Pack a layout as `pack` does; non-uniform sheets get the lattice of array 1 and the lens positions of
-    its middle.
-    """
+    """Pack a layout as `pack`; non-uniform sheets get the lattice of array 1 and the lenses of its middle."""
     from clacad.tracing.layout import prepared
 
     kept: Packed | None = prepared(layout).get("packed")

@@ -1,8 +1,7 @@
 """The straight path, compiled: blocks of rays in the first-level cache, face by face, two loops a face.
 
 The twin of `clacad.tracing.reference.surfaces.in_cell`. Each pass is a plain loop over a block that a
-compiler turns
-into vector instructions: no branch, no call, two square roots and two divisions a face.
+compiler turns into vector instructions: no branch, no call, two square roots and two divisions a face.
 
 Each condition of the straight path is a number that must be positive; the row GOOD keeps the least of them.
 A miss or a total reflection is a NaN that propagates to the exit direction. Rays that fail are walked one by
@@ -518,9 +517,7 @@ def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
 
 @exact
 def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
-    """Add rate · length inside a body to DEPTH: the difference of its end heights over the body's level,
-    divided by N.
-    """
+    """Add rate · length inside a body to DEPTH: the difference of its end heights, divided by N."""
     z, dz, depth, steep = lanes(s, (Z, DZ, DEPTH, STEEP))
     if side == 0:
         for i in range(m):
@@ -604,9 +601,7 @@ def _enter_array(sheet: Packed, f: int, s: Floats, m: int, index: float, array: 
 
 @inlined
 def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex: Vector) -> None:
-    """Require that a hit on a structured face is still in its cell at the face's end, or before the body's
-    other face.
-    """
+    """Require that a hit on a structured face is in its cell at the face's end, or before the other face."""
     face, body = sheet.faces[f], sheet.bodies[f // 2]
     vx, vy, vz = vertex
     if body[slot.COLUMNAR] == 0.0:

@@ -73,9 +73,7 @@ ORDERS = 64.0
 
 
 def trace_thin_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
-    """Write the rows of rays (n) that clearly pass both lenses; return the other rows (k,), not yet
-    written.
-    """
+    """Write the rows of rays (n) that clearly pass both lenses; return the other rows (k,)."""
     sheet, lenses = thin_pair(layout)
     return rows_left(thin_chunk, sheet, lenses, rays, ledger, threads)
 
@@ -127,9 +125,7 @@ def thin_chunk(
 
 @exact
 def _unit(s: Floats, m: int) -> None:
-    """Divide the directions as given, in LEFT_X, LEFT_Y and ROOT, by their lengths: rounded once, as in
-    numpy.
-    """
+    """Divide the given directions, LEFT_X, LEFT_Y and ROOT, by their lengths: rounded once, as in numpy."""
     dx, dy, dz, given_x, given_y, given_z = lanes(s, (DX, DY, DZ, LEFT_X, LEFT_Y, ROOT))
     for i in range(m):
         u, v, w = given_x[i], given_y[i], given_z[i]

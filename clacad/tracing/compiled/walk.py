@@ -74,9 +74,7 @@ def walk_ray(
     out: Outcome,
     scratch: Scratch,
 ) -> None:
-    """Trace one ray from the launch plane and write its row, in which position and direction are its
-    start.
-    """
+    """Trace one ray from the launch plane and write its row, whose position and direction are its start."""
     w, left = scratch.walker, scratch.left
     _begin(launched, out.position, row, w)
     end = GOES_ON
@@ -131,9 +129,7 @@ def _write_row(w: Floats, end: int, row: int, out: Outcome) -> None:
 
 @exact
 def _order(w: Floats) -> tuple[int, int]:
-    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that
-    face.
-    """
+    """Cell of lens 2 minus cell 1; if these agree but a face between differs, that difference."""
     if w[SECOND] == 0.0 or w[FIRST] == NO_CELL or w[LAST] == NO_CELL:
         return NO_CELL, NO_CELL
     i, j = w[LAST] - w[FIRST], w[LAST + 1] - w[FIRST + 1]
@@ -366,9 +362,7 @@ def _cross_gap(sheet: Packed, b: int, w: Floats) -> tuple[float, int]:
 
 @exact
 def reach(lat: Floats, x: float, y: float, u: float, v: float, i: float, j: float) -> float:
-    """How far along the gap a ray gets before it meets the honeycomb; see
-    `clacad.tracing.reference.launch`.
-    """
+    """How far along the gap a ray gets before the honeycomb; see `clacad.tracing.reference.launch`."""
     u, v = less_steps(lat, u, v, -i, -j)
     first = inf
     for n in range(int(lat[slot.BORDERS])):

@@ -162,9 +162,7 @@ def search(
 def ways_through(
     trees: Hierarchy, b: int, origin: Vector, ray: Ray, near: float, most: float, stack: Ints
 ) -> int:
-    """Direction in which the ray passes the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0
-    for none.
-    """
+    """How the ray passes the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0 for none."""
     inverse = inverse_of(ray)
     own = Ray(origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z, ray.L, ray.M, ray.N)
     found, stack[0] = 0, 0

@@ -36,16 +36,13 @@ FULLEST = 16
 """Entries for each triangle, on average, beyond which no squares are looked for."""
 
 NEAR = 1e-3
-"""Share of a bin by which corners of facets may deviate from those of the bin: numbers in files are rounded.
-"""
+"""Share of a bin by which facet corners may deviate from those of the bin: numbers in files are rounded."""
 
 ROUNDED = 4.0
 """Multiple of the corner deviation: a point this far from a border is certainly on that side of it."""
 
 WHOLE_OF = (15 - (1 << 0), 15 - (1 << 1), 15 - (1 << 2), 15 - (1 << 3))
-"""Sets of three corners of a bin, by the missing corner; corners are 0, 1 along x and 2, 3 beyond them along
-y.
-"""
+"""Sets of three corners of a bin, by the missing corner; corners 0, 1 lie along x and 2, 3 beyond in y."""
 
 
 class Squares(NamedTuple):

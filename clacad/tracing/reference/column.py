@@ -69,9 +69,7 @@ class RaysInArray(NamedTuple):
 
 
 class RaysInColumn(NamedTuple):
-    """Rays inside one column: for each array the present cell, the start seen from it, and whether it is
-    kept.
-    """
+    """Rays inside one column: for each array present cell, start seen from it, and whether it is kept."""
 
     starts: dict[int, Floats]
     kept: dict[int, Bools]

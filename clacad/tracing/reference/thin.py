@@ -163,9 +163,7 @@ def _patch(
     focal_length: Pair2,
     change: VertexChange | None = None,
 ) -> ThinPatch:
-    """Thin lens of an array whose `vertex` and focal lengths are in lengths, with the space of all its
-    patches.
-    """
+    """Thin lens of an array whose `vertex` and focal lengths are in lengths, with its patches' space."""
     pair, place = layout.window.thin, layout.window.placements[array]
     box = place.extent(layout.lattice)
     centre = (0.0, 0.0) if layout.window.form == "slab" else place.shift
@@ -276,9 +274,7 @@ def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -
 def _stopped(
     layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, met: Met, length: Floats
 ) -> Bools:
-    """End the rays that a honeycomb stops between the array they left and the one they meet, `length` (m,)
-    on; return which (m,).
-    """
+    """End rays that a honeycomb stops before the array they meet, `length` (m,) on; return which (m,)."""
     start = gone.beam
     share = honeycomb.reach(layout, start.local, met.beam.local, met.beam.cell - gone.one.beam.cell)
     stopped = np.isfinite(share) | met.beside

@@ -21,7 +21,7 @@ from clacad.checks.check import Check
 from clacad.checks.light_kinds import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, IMAGE_POINT, PUPIL, SPOT
 from clacad.imaging.image_by_rays import image, lens_plane
 from clacad.light.confocality import axis_start, field_onto_axis
-from clacad.light.measure import Light
+from clacad.light.measure import Light, rms_of
 from clacad.optics.law.imaging import spot_widths
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, Interface, trace_sequence
@@ -173,7 +173,7 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
         for sheet, one in zip((window, plain), lit, strict=True)
     ]
     both = light[0].known & light[1].known
-    rms = [one.rms_of(both) for one in light]
+    rms = [rms_of(one, both) for one in light]
     ratio = rms[0] / rms[1] if rms[1] > 0.0 else np.nan
     sentence = (
         f"of the light that passes with and without the field lens the rms error is {mrad_text(rms[0])}"
