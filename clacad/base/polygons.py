@@ -5,10 +5,12 @@ Lengths of any unit. A polygon is an array (m, 2) of its corners; convex ones ru
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from clacad.base.arrays import distinct
-from clacad.base.types import Bools, Floats, Ints
+if TYPE_CHECKING:
+    from clacad.base.types import Bools, Floats, Ints
 
 
 def polygon_area(points: Floats) -> float:
@@ -99,7 +101,7 @@ def common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
         order = np.argsort(~kept, axis=1, kind="stable")[:, : count.max(initial=0)]
         corners = np.take_along_axis(made.reshape(len(places), -1, 2), order[..., None], axis=1)
     areas = np.zeros(len(places))
-    for n in distinct(count[count > 2]):
+    for n in sorted(set(count[count > 2].tolist())):
         here = count == n
         areas[here] = polygon_areas(corners[here, :n])
     return areas

@@ -14,20 +14,22 @@ Techniques 2(2) (2013); daylight D65, CIE 15, its table at 10 nm over the range 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.hashing import GOLDEN, mixed
 from clacad.base.sobol import sobol
-from clacad.base.types import Floats, Ints
 from clacad.base.vectors import picture_axes
-from clacad.rendering.scene_arrays import SceneArrays
-from clacad.rendering.sheet_passage import Passage
-from clacad.scene import Camera, Light
-from clacad.scene.kinds import Rgb
-from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.base.types import Floats, Ints
+    from clacad.rendering.scene_arrays import SceneArrays
+    from clacad.rendering.sheet_passage import Passage
+    from clacad.scene import Camera, Light
+    from clacad.scene.kinds import Rgb
+    from clacad.sheet.window import Window
 
 RGB_LINES = (611.4e-9, 549.1e-9, 464.2e-9)
 """Dominant wavelengths of the sRGB primaries (ITU-R BT.709) under D65, metres."""

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Rung
 from clacad.effects.registry import declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.scene import Scene, SheetSpec
 from clacad.sheet.stack import Stack, StackedSheet, standing
-from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest
 from clacad.tracing.through_stack import entering, leaving
 from clacad.tracing.trace import SheetTracer
@@ -25,6 +23,8 @@ from clacad.tracing.trace import SheetTracer
 if TYPE_CHECKING:
     from clacad.effects import Plan
     from clacad.mesh import Mesh
+    from clacad.scene import Scene, SheetSpec
+    from clacad.sheet.window import Window
 
 
 @dataclass(frozen=True, eq=False)
