@@ -58,9 +58,7 @@ def distance_to_rim(polygon: Floats, start: Floats, direction: Floats) -> Floats
 
 
 def clip(subject: Floats, window: Floats) -> Floats:
-    """Clip a convex polygon (m, 2), lengths, by another one,
-    both counter-clockwise (Sutherland and Hodgman).
-    """
+    """Clip a convex polygon (m, 2), lengths, by another, both counter-clockwise (Sutherland and Hodgman)."""
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
         if len(subject) == 0:
             break
@@ -78,8 +76,7 @@ def clip(subject: Floats, window: Floats) -> Floats:
 
 
 def common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
-    """Areas (k,), length², of the intersections of a convex polygon (m, 2), or one (k, m, 2) each, moved to
-    positions (k, 2), with another convex polygon.
+    """Areas (k,) of a convex polygon (m, 2), or (k, m, 2), moved to (k, 2), cut with another; length².
 
     Vectorised `clip` with identical bits: rows with fewer corners than others are padded.
     """

@@ -28,12 +28,7 @@ TASK = "shape"
 
 
 def _source(option: str, text: str) -> float:
-    """Read a half angle of light as radians.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Read a half angle of light as radians."""
     angle = parse_angle(option, text)
     if not angle < 1.5:
         raise BadOption(f"{option} {text}: {angle:.6g} rad is no half angle of light; allowed: 0 to 1.5 rad")

@@ -25,9 +25,7 @@ BLOCK: Final = 1 << 16
 
 
 class RowBlock(NamedTuple):
-    """Several rows: their numbers (n, columns), their text,
-    and the number of the first in the file (from 1).
-    """
+    """Several rows: numbers (n, columns), text, and the number of the first in the file (from 1)."""
 
     numbers: Floats
     lines: list[str]
@@ -219,9 +217,7 @@ ARRAY: Final = "delta"
 
 
 class CellNumbers(NamedTuple):
-    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2) or None;
-    0 and the law's η for cells that an outline leaves out.
-    """
+    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2) or None; 0 and the law's η for left-out cells."""
 
     deltas: Floats
     etas: Floats | None
@@ -316,9 +312,7 @@ class TableFile:
         return " less j // 2, as hexagons are counted" if self.lattice.hexagonal else ""
 
     def _whole(self, made: Floats) -> Floats:
-        """Numbers of every cell, 0 and the law's η for cells that are not kept;
-        refuse a kept cell without numbers.
-        """
+        """Numbers of every cell, 0 and the law's η where it is not kept; refuse a kept one without any."""
         missing = np.isnan(made[..., 0])
         for j in np.flatnonzero(missing.any(axis=0)).tolist():
             kept = self.lattice.row(j)

@@ -17,9 +17,7 @@ from clacad.design.sections import BODY, LATTICE, LAW, PAIR
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta
 
 SMALLEST_PITCH_M: Final = 1e-7
-"""Smallest pitch, metres: 0.1 µm is about a quarter of the shortest visible wavelength,
-too small for a lens.
-"""
+"""Smallest pitch, metres: 0.1 µm, about a quarter of the shortest visible wavelength."""
 
 MOST_CUT: Final = 1_000_000
 """Greatest number of rows or columns that are tested one by one against an outline: one or two seconds."""
@@ -359,9 +357,7 @@ def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
 
 
 def focus_has_planes(a: Asked) -> Iterator[Mistake]:
-    """At least one plane must be finite; both meridians need power;
-    two pitch ratios must lie along the cells.
-    """
+    """A plane must be finite; both meridians need power; two pitch ratios must lie along the cells."""
     planes, eta, euler = a(PAIR.focus), a(LAW.eta), a(LAW.euler)
     if planes is None or eta is None:
         return

@@ -165,9 +165,7 @@ def _offset(canvas: _Canvas, foot: Floats, lens2: Floats, axis: Floats, f2: floa
 
 
 class _Canvas:
-    """Transformation from sheet (z to the right, x up) to drawing coordinates, and the pieces of an SVG
-    text.
-    """
+    """Transformation from sheet (z to the right, x up) to drawing coordinates, and pieces of an SVG text."""
 
     def __init__(self, low: Floats, high: Floats) -> None:
         margin = 0.08 * float((high - low)[0])

@@ -35,9 +35,7 @@ RGB_LINES = (611.4e-9, 549.1e-9, 464.2e-9)
 """Dominant wavelengths of the sRGB primaries (ITU-R BT.709) under D65, metres."""
 
 DAYLIGHT_NM = tuple(440.0 + 26.25 * k for k in range(9))
-"""Nine samples of daylight, nm: nearly all of the eye's response, and within the data of almost every
-material of the table.
-"""
+"""Nine samples of daylight, nm: nearly all of the eye's response, within the data of most materials."""
 
 _D65_NM = tuple(range(430, 660, 10))
 _D65 = (
