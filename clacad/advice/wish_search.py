@@ -40,28 +40,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.verification.light.viewed import thin_share, viewer_of
 
-RATIOS = (
-    3.0,
-    4.0,
-    5.0,
-    6.0,
-    7.0,
-    8.0,
-    9.0,
-    10.0,
-    12.0,
-    14.0,
-    17.0,
-    20.0,
-    24.0,
-    28.0,
-    34.0,
-    40.0,
-    48.0,
-    56.0,
-    68.0,
-    80.0,
-)
+RATIOS = tuple(map(float, "3 4 5 6 7 8 9 10 12 14 17 20 24 28 34 40 48 56 68 80".split()))
 """Trial separations, in pitches."""
 
 STEPS = 6

@@ -161,7 +161,7 @@ def _refuse_uncountable(design: Design) -> None:
 def _within_target(
     design: Design, given: Export, target: float, request: Request, console: Console
 ) -> Request:
-    """The request with the coarsest facets that meet its target in the files that are no declared previews."""
+    """The request with the coarsest facets that meet its target in files that are no declared previews."""
     from clacad.exporting.formats.registry import known
     from clacad.exporting.roles import Role
     from clacad.exporting.run import refuse_impossible
