@@ -240,10 +240,8 @@ class Proposal:
         return (
             f"pitch {one.pitch.value:g} mm: {one.pitch.why}",
             *not_met(self.wish, self.design),
-            (
-                f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
-                " the law is kept as sharply as a pixel looks, or as the limits ask"
-            ),
+            f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
+            " the law is kept as sharply as a pixel looks, or as the limits ask",
             *(
                 []
                 if one.variant.conic is None

@@ -146,11 +146,9 @@ def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
             if sharp > fine
             else "both hold between them"
         ),
-        (
-            f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here,"
-            f" which is {own.seen:.3g} mm of the sheet seen from {wish.distance:g} mm, but aberration grows"
-            " as the third power of pitch over separation"
-        ),
+        f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here,"
+        f" which is {own.seen:.3g} mm of the sheet seen from {wish.distance:g} mm, but aberration grows"
+        " as the third power of pitch over separation",
         (
             "steps: none between neighbours"
             if own.step == 0.0

@@ -203,10 +203,8 @@ ETA: Final = "eta"
 NOT_HERE: Final = (
     (
         "eta_",
-        (
-            "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be"
-            " confocal in both"
-        ),
+        "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be"
+        " confocal in both",
     ),
 )
 LARGEST: Final = 1e6

@@ -125,10 +125,8 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
         "CL117",
         f"{a.says(LATTICE.outline)} holds no cell of {count[0]} x {count[1]}",
         LATTICE.outline,
-        allowed=(
-            f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to the"
-            " middle"
-        ),
+        allowed=f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to"
+        " the middle",
         hint=(
             ""
             if kind == "hexagonal" or all(n % 2 for n in count)
@@ -146,10 +144,8 @@ def count_or_outline(a: Asked) -> Iterator[Mistake]:
             "CL103",
             "missing key lattice.count",
             LATTICE.count,
-            allowed=(
-                f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline,"
-                " which is then filled"
-            ),
+            allowed=f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline,"
+            " which is then filled",
         )
         return
     outline, pitch, kind = a(LATTICE.outline), a(LATTICE.pitch), a(LATTICE.kind)
@@ -180,10 +176,8 @@ def outline_is_simple(a: Asked) -> Iterator[Mistake]:
                 "CL141",
                 f"{key} is no outline: {why}",
                 key,
-                allowed=(
-                    "corners of a closed polygon in order, the first not repeated, whose sides meet at"
-                    " corners alone"
-                ),
+                allowed="corners of a closed polygon in order, the first not repeated, whose sides meet at"
+                " corners alone",
             )
 
 
@@ -225,10 +219,8 @@ def plate_has_a_border(a: Asked) -> Iterator[Mistake]:
             "CL114",
             f"body.corners does not belong to a {shape}",
             BODY.corners,
-            allowed=(
-                "a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border"
-                " alone"
-            ),
+            allowed="a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border"
+            " alone",
             hint="give a polygon's corners themselves: [x, y, bulge] bends a side",
         )
     if a(BODY.pins) and a(PAIR.form) == "slab":
@@ -252,10 +244,8 @@ def _one_way_to_place(hole: dict[str, Any], n: int, shape: str) -> Iterator[Mist
             "CL112" if ways else "CL103",
             f"body.holes[{n}] says {'two ways' if ways else 'nothing'} of where its holes are",
             key,
-            allowed=(
-                "exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from"
-                " both sides"
-            ),
+            allowed="exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from"
+            " both sides",
         )
     elif ways == ["circle"] and "count" not in hole:
         yield Mistake(

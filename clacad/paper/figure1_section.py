@@ -120,10 +120,8 @@ def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
     spread = np.linalg.norm(np.cross(directions, asked), axis=1).max()
     return [
         f"{window.name} with {design.law_spec.words()}, to scale.",
-        (
-            f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {mrad_text(spread, 2)}"
-            " over this bundle."
-        ),
+        f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {mrad_text(spread, 2)}"
+        " over this bundle.",
     ]
 
 
