@@ -154,9 +154,7 @@ class Wish:
 
     @property
     def straight(self) -> bool:
-        """Whether the lens axes are the sheet's normal and no lens is offset: light along it stays on the
-        axis.
-        """
+        """Whether lens axes are the sheet's normal, no lens offset: light along it stays on the axis."""
         return self.delta == (0.0, 0.0) and self.euler[1] == 0.0
 
     @property
@@ -298,9 +296,7 @@ def read_wish(words: Mapping[str, Any]) -> Wish:
 
 
 def workable_material(process: str, wanted: str, wavelength: float) -> str:
-    """The wanted material if the process works it, else the first in the table for the process and wavelength
-    (m).
-    """
+    """The wanted material if the process works it, else the table's first for process and wavelength (m)."""
     rules = profile(process)
     if rules.works(find(wanted)):
         return wanted

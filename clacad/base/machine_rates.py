@@ -30,9 +30,7 @@ LEAST = 0.02
 
 MOST_BYTES = 200_000
 UNSEEN = math.log(2.5)
-"""Half width (natural logarithm) of a forecast for a task never run here:
-about how much machines in use differ.
-"""
+"""Half width (natural logarithm) of a forecast for a task never run here: how much machines differ."""
 
 OTHERS_SEEN = math.log(1.7)
 """Half width (natural logarithm) where the machine's speed is known from other tasks only."""
@@ -171,9 +169,7 @@ def _positive(value: object) -> bool:
 
 
 def processor_seconds() -> float:
-    """Processor seconds of this process and of its ended children:
-    the cost of work on a machine of any load.
-    """
+    """Processor seconds of this process and its ended children: the cost of work at any load."""
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
 

@@ -114,9 +114,7 @@ def printable(text: str) -> str:
 
 
 ROUNDING = 1e-12
-"""Magnitude below which a number of a design, in a unit near its sizes,
-is the rounding error of an exact 0.
-"""
+"""Magnitude below which a design's number, in a unit near its sizes, is the rounding error of a 0."""
 
 NOTHING = 1e-8
 """Fraction of its limit below which a value is shown as 0; JSON has the exact value."""

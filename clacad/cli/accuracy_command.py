@@ -208,12 +208,7 @@ def _line(row: AccuracyRow, on_front: bool) -> list[str]:
 
 
 def _rows(name: str, text: str) -> tuple[str, ...]:
-    """Read "F1,F2" as names of rows.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Read "F1,F2" as names of rows."""
     rows = words_of(name, text.upper())
     if not rows:
         raise BadOption(f"{name} {text}: it names no row; give one, such as F3, or leave it out for all")

@@ -108,12 +108,7 @@ def _share(one: Parameter, words: list[str]) -> list[str]:
 
 
 def _typed(one: Parameter, text: Any) -> Any:
-    """A text as the type of a parameter.
-
-    Raises
-    ------
-    ValueError
-    """
+    """A text as the type of a parameter."""
     if one.kind in ("bool", "str"):
         return text
     if one.kind == "Path":

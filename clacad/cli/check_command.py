@@ -58,12 +58,7 @@ def run_check(request: Check, console: Console) -> int:
 
 
 def _listable(design: Design) -> Design:
-    """The design; with an outline only if its cells, which are then visited one by one, are within the limit.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """The design; one with an outline, whose cells are visited one by one, only within their limit."""
     from clacad.exporting.limits import refuse_uncountable
 
     if design.lattice.outline is not None:

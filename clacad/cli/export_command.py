@@ -77,12 +77,7 @@ def run(given: Export, console: Console) -> int:
 
 
 def _request(design: Design, given: Export) -> Request:
-    """The request of an export in numbers.
-
-    Raises
-    ------
-    BadOption, BadRequest
-    """
+    """The request of an export in numbers."""
     from clacad.exporting.quads_and_roles import asked_quads, asked_roles
     from clacad.exporting.request import OPTIONS, Request
 
@@ -157,12 +152,7 @@ def _cut(design: Design, request: Request) -> Design:
 
 
 def _refuse_uncountable(design: Design) -> None:
-    """Refuse more lenslets than are ever counted through, before a module is loaded that could.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """Refuse more lenslets than are ever counted through, before a module is loaded that could."""
     from clacad.exporting.limits import refuse_uncountable
 
     refuse_uncountable(design)
@@ -171,12 +161,7 @@ def _refuse_uncountable(design: Design) -> None:
 def _within_target(
     design: Design, given: Export, target: float, request: Request, console: Console
 ) -> Request:
-    """The request with the coarsest facets that meet its target in the files that are no declared previews.
-
-    Raises
-    ------
-    TargetOutOfReach, LimitRefused, BadOption
-    """
+    """The request with the coarsest facets that meet its target in files that are no declared previews."""
     from clacad.exporting.formats.registry import known
     from clacad.exporting.roles import Role
     from clacad.exporting.run import refuse_impossible

@@ -39,12 +39,7 @@ def _free(option: str, text: str) -> tuple[str, ...]:
 
 
 def _weights(option: str, text: str) -> tuple[tuple[float, float], ...]:
-    """Read ".5:1,1:1" as parts of the field and their weights.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Read ".5:1,1:1" as parts of the field and their weights."""
     found = []
     for one in text.split(","):
         part, colon, weight = one.partition(":")
@@ -142,12 +137,7 @@ def run(request: Optimise, console: Console) -> int:
 
 @contextmanager
 def _named_as_typed() -> Iterator[None]:
-    """Report mistakes in the words of --free under the name of the option.
-
-    Raises
-    ------
-    DesignError
-    """
+    """Report mistakes in the words of --free under the name of the option."""
     from clacad.design import DesignError
 
     try:

@@ -28,12 +28,7 @@ TASK = "shape"
 
 
 def _source(option: str, text: str) -> float:
-    """Read a half angle of light as radians.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Read a half angle of light as radians."""
     angle = parse_angle(option, text)
     if not angle < 1.5:
         raise BadOption(f"{option} {text}: {angle:.6g} rad is no half angle of light; allowed: 0 to 1.5 rad")
@@ -250,24 +245,16 @@ def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str
     blur, unit = found.blur, design.unit
     return "\n".join(
         [
-            (
-                f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array"
-                f" 2, {found.way:.4g} {unit} aside (rms)"
-            ),
-            (
-                f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
-                f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}"
-            ),
-            (
-                f"  through           {percent_text(seen.through, 4)} of the light, through lenses of one"
-                " telescopelet"
-            ),
+            f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array"
+            f" 2, {found.way:.4g} {unit} aside (rms)",
+            f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
+            f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
+            f"  through           {percent_text(seen.through, 4)} of the light, through lenses of one"
+            " telescopelet",
             f"  within one blur   {percent_text(seen.within, 4)} of all light",
-            (
-                f"  elsewhere         {percent_text(seen.difference)} of what arrives, against the target as"
-                f" wide as a cell: light comes in {len(found.cells):,} spots; by the lenses"
-                f" {percent_text(seen.by_lenses)}"
-            ),
+            f"  elsewhere         {percent_text(seen.difference)} of what arrives, against the target as"
+            f" wide as a cell: light comes in {len(found.cells):,} spots; by the lenses"
+            f" {percent_text(seen.by_lenses)}",
         ]
     )
 

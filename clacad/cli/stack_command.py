@@ -162,12 +162,7 @@ def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]
 def _stack_request(
     first: Design, gaps: tuple[float, ...], ids: tuple[str, ...] | None, given: StackSheets
 ) -> StackRequest:
-    """The request in numbers; lengths in the first design's unit.
-
-    Raises
-    ------
-    BadOption
-    """
+    """The request in numbers; lengths in the first design's unit."""
     from clacad.stacking import StackRequest
 
     distance = None

@@ -89,12 +89,7 @@ def run_trace(request: Trace, console: Console) -> int:
 
 @contextmanager
 def _mesh_is_input(request: Trace) -> Iterator[None]:
-    """Within the block a mesh that cannot be read, or of another sheet, is bad input.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Within the block a mesh that cannot be read, or of another sheet, is bad input."""
     from clacad.storage.errors import OverBudget, UnreadableFile
 
     try:
@@ -118,12 +113,7 @@ def _cost(request: Trace, rays: int, faces: int) -> tuple[str, float]:
 
 
 def _refuse_options(request: Trace) -> None:
-    """Refuse options with unknown words, or of another rung.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Refuse options with unknown words, or of another rung."""
     if request.rung not in ("law", "thin", "surfaces", "mesh"):
         raise BadOption(f"--rung {request.rung}: it is one of law, thin, surfaces, mesh")
     if request.normals not in ("facet", "vertex"):
@@ -147,12 +137,7 @@ def _refuse_options(request: Trace) -> None:
 
 
 def _options(window: Any, request: Trace) -> dict[str, Any]:
-    """Arguments of `trace` besides window and rays; a mesh is made, or read, here.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Arguments of `trace` besides window and rays; a mesh is made, or read, here."""
     _refuse_options(request)
     options: dict[str, Any] = dict(rung=request.rung, effects=request.effects)
     if request.rung == "mesh":
@@ -334,12 +319,7 @@ def _show_sheets(scene: Scene, request: Effects, console: Console) -> int:
 
 
 def _planned(plan: Callable[[], T]) -> T:
-    """The plan; a request that has none is bad input.
-
-    Raises
-    ------
-    NoPlan
-    """
+    """The plan; a request that has none is bad input."""
     try:
         return plan()
     except ValueError as error:

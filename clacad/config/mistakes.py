@@ -197,9 +197,7 @@ def _one(
     path: str,
     overrides: Sequence[tuple[KeyPath, str]],
 ) -> Mistake:
-    """Mistake with its position: the last override that set its key,
-    else the key or the value in the file.
-    """
+    """Mistake with its position: the last override that set its key, else its key or value in the file."""
     if mistake.line is not None or mistake.path == "--set":
         return mistake
     key = split_key(mistake.key)

@@ -179,9 +179,7 @@ def _syntax_hint(line: str) -> str:
 
 
 def _refuse_deep_keys(text: str, name: str) -> None:
-    """Refuse dotted keys of more than 64 parts before parsing:
-    parsing time grows as the square of the parts.
-    """
+    """Refuse dotted keys of more than 64 parts before parsing, whose time grows as their square."""
     for number, line in enumerate(text.split("\n"), 1):
         if line.count(".", 0, 100_000) > DEEPEST and re.match(r"\s*\[*\s*(?:[^.=#\"'\[\]]*\.){65}", line):
             _refuse(

@@ -25,9 +25,7 @@ BLOCK: Final = 1 << 16
 
 
 class RowBlock(NamedTuple):
-    """Several rows: their numbers (n, columns), their text,
-    and the number of the first in the file (from 1).
-    """
+    """Several rows: numbers (n, columns), text, and the number of the first in the file (from 1)."""
 
     numbers: Floats
     lines: list[str]
@@ -205,10 +203,8 @@ ETA: Final = "eta"
 NOT_HERE: Final = (
     (
         "eta_",
-        (
-            "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be"
-            " confocal in both"
-        ),
+        "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be"
+        " confocal in both",
     ),
 )
 LARGEST: Final = 1e6
@@ -219,9 +215,7 @@ ARRAY: Final = "delta"
 
 
 class CellNumbers(NamedTuple):
-    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2) or None;
-    0 and the law's η for cells that an outline leaves out.
-    """
+    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2) or None; 0 and the law's η for left-out cells."""
 
     deltas: Floats
     etas: Floats | None
@@ -316,9 +310,7 @@ class TableFile:
         return " less j // 2, as hexagons are counted" if self.lattice.hexagonal else ""
 
     def _whole(self, made: Floats) -> Floats:
-        """Numbers of every cell, 0 and the law's η for cells that are not kept;
-        refuse a kept cell without numbers.
-        """
+        """Numbers of every cell, 0 and the law's η where it is not kept; refuse a kept one without any."""
         missing = np.isnan(made[..., 0])
         for j in np.flatnonzero(missing.any(axis=0)).tolist():
             kept = self.lattice.row(j)

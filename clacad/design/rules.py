@@ -392,9 +392,7 @@ def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) 
 
 
 def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
-    """A tilt needs a biconvex pair; separate foci need cells along the lens axes;
-    keys of a field lens need one.
-    """
+    """A tilt needs a biconvex pair; separate foci need cells along the lens axes; its keys need a lens."""
     if a.given(PAIR.field) and a(PAIR.field_lens) is False:
         yield Mistake(
             "CL113",

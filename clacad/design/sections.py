@@ -221,9 +221,7 @@ OF_RECIPES: Final = tuple(name for name, one in keys_of(PairSpec).items() if one
 
 @dataclass(frozen=True, slots=True)
 class AimedAt:
-    """Position of the viewer that a sheet is aimed at: a point of the sheet frame, lengths;
-    z < 0 before array 1.
-    """
+    """Viewer's position a sheet is aimed at: a point of the sheet frame, lengths; z < 0 before array 1."""
 
     point: tuple[float, float, float] = key(Several(LENGTH, ("x", "y", "z")), "where the viewer is", REQUIRED)
 

@@ -17,9 +17,7 @@ from clacad.design.sections import BODY, LATTICE, LAW, PAIR
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta
 
 SMALLEST_PITCH_M: Final = 1e-7
-"""Smallest pitch, metres: 0.1 µm is about a quarter of the shortest visible wavelength,
-too small for a lens.
-"""
+"""Smallest pitch, metres: 0.1 µm, about a quarter of the shortest visible wavelength."""
 
 MOST_CUT: Final = 1_000_000
 """Greatest number of rows or columns that are tested one by one against an outline: one or two seconds."""
@@ -127,10 +125,8 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
         "CL117",
         f"{a.says(LATTICE.outline)} holds no cell of {count[0]} x {count[1]}",
         LATTICE.outline,
-        allowed=(
-            f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to the"
-            " middle"
-        ),
+        allowed=f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to"
+        " the middle",
         hint=(
             ""
             if kind == "hexagonal" or all(n % 2 for n in count)
@@ -148,10 +144,8 @@ def count_or_outline(a: Asked) -> Iterator[Mistake]:
             "CL103",
             "missing key lattice.count",
             LATTICE.count,
-            allowed=(
-                f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline,"
-                " which is then filled"
-            ),
+            allowed=f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline,"
+            " which is then filled",
         )
         return
     outline, pitch, kind = a(LATTICE.outline), a(LATTICE.pitch), a(LATTICE.kind)
@@ -182,10 +176,8 @@ def outline_is_simple(a: Asked) -> Iterator[Mistake]:
                 "CL141",
                 f"{key} is no outline: {why}",
                 key,
-                allowed=(
-                    "corners of a closed polygon in order, the first not repeated, whose sides meet at"
-                    " corners alone"
-                ),
+                allowed="corners of a closed polygon in order, the first not repeated, whose sides meet at"
+                " corners alone",
             )
 
 
@@ -227,10 +219,8 @@ def plate_has_a_border(a: Asked) -> Iterator[Mistake]:
             "CL114",
             f"body.corners does not belong to a {shape}",
             BODY.corners,
-            allowed=(
-                "a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border"
-                " alone"
-            ),
+            allowed="a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border"
+            " alone",
             hint="give a polygon's corners themselves: [x, y, bulge] bends a side",
         )
     if a(BODY.pins) and a(PAIR.form) == "slab":
@@ -254,10 +244,8 @@ def _one_way_to_place(hole: dict[str, Any], n: int, shape: str) -> Iterator[Mist
             "CL112" if ways else "CL103",
             f"body.holes[{n}] says {'two ways' if ways else 'nothing'} of where its holes are",
             key,
-            allowed=(
-                "exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from"
-                " both sides"
-            ),
+            allowed="exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from"
+            " both sides",
         )
     elif ways == ["circle"] and "count" not in hole:
         yield Mistake(
@@ -359,9 +347,7 @@ def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
 
 
 def focus_has_planes(a: Asked) -> Iterator[Mistake]:
-    """At least one plane must be finite; both meridians need power;
-    two pitch ratios must lie along the cells.
-    """
+    """A plane must be finite; both meridians need power; two pitch ratios must lie along the cells."""
     planes, eta, euler = a(PAIR.focus), a(LAW.eta), a(LAW.euler)
     if planes is None or eta is None:
         return

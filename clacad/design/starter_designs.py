@@ -71,17 +71,13 @@ def template(name: str, kind: str = "slab") -> str:
 
 
 def figure_of(name: str) -> str:
-    """Return the paper's figure of a template: "Fig. 5", "sheet" for a paper template without figure,
-    "" for others.
-    """
+    """Return the paper's figure of a template: "Fig. 5", "sheet" for the paper's others, else ""."""
     found = re.match(r"fig(\d+[a-z]?)", name)
     return f"Fig. {found[1]}" if found else "sheet" if name.startswith("paper-") else ""
 
 
 def differences(name: str) -> str:
-    """Return the values of a template that differ from paper-base: "law.eta = [-0.5, -0.5]";
-    name and notes are ignored.
-    """
+    """Values of a template that differ from paper-base, "law.eta = [-0.5, -0.5]"; not name and notes."""
     own, base = (tomllib.loads(_files()[kind].read_text(encoding="utf-8")) for kind in (name, "paper-base"))
     found = [
         f"{section}.{key} = {shown(value)}"

@@ -32,8 +32,7 @@ from clacad.optics.material.material import Material
 from clacad.topology.complex_parts import CODES as BODIES
 
 SHOWN = (550e-9, 4e-6, 10.6e-6)
-"""Wavelengths, metres, at which an index is printed where it is known: the eye's, the middle and the far
-infrared."""
+"""Wavelengths, metres, at which known indices are printed: the eye's, the middle and far infrared."""
 
 
 def named_things() -> Iterator[Entry]:
@@ -47,9 +46,7 @@ def named_things() -> Iterator[Entry]:
 
 
 def _combinations() -> Entry:
-    """Features that combine with non-uniform sheets: a matrix, from the table by which the reader refuses
-    the others.
-    """
+    """Features that combine with non-uniform sheets: a matrix, from the table of the reader's refusals."""
     (_, *sheets), *rows = matrix()
     codes: dict[str, str] = {}
     lines = [["", *(sheet.rpartition(".")[2] for sheet in sheets)]]
@@ -287,8 +284,7 @@ def _see(key: str) -> str:
 
 
 def explain(text: str, more: Sequence[Entry] = ()) -> Entry:
-    """Look up a code ("CL337", "337"), a check ("wall"), a word ("moire"), a process, effect or material, a
-    key ("pair.web").
+    """Look up a code ("CL337", "337"), check ("wall"), word, process, effect, material or key ("pair.web").
 
     The former name of a check finds the check; its title then states the present name.
 

@@ -91,12 +91,7 @@ def put(data: Any, key: str, value: Any) -> Any:
 
 
 def _numbered(data: Any, kind: str, name: str) -> str:
-    """Number, as text, of an object or sheet that is named by its id.
-
-    Raises
-    ------
-    LookupError
-    """
+    """Number, as text, of an object or sheet that is named by its id."""
     found = data.get(kind) if isinstance(data, Mapping) else None
     listed = found if isinstance(found, list) else []
     names = [o.get("id") if isinstance(o, dict) else None for o in listed]
