@@ -38,6 +38,9 @@ MARGIN = 0.6
 """Distance (pitches) around the rays within which faces are read."""
 
 
+REMEDY = "`clacad stack … -o DIR` writes them"
+
+
 def judge_stack(
     stack: Stack, designs: Sequence[Design], files: Path, field: float, progress: Progress
 ) -> list[Check]:
@@ -46,8 +49,7 @@ def judge_stack(
     Parameters
     ----------
     stack : Stack
-    designs : sequence of Design
-        Of its sheets.
+    designs : sequence of Design, of its sheets
     files : Path
         The folder, or one of its files.
     field : float, radians
@@ -65,20 +67,17 @@ def judge_stack(
     wanted = [files] if files.is_file() else [folder / name for name in sorted(stated)]
     subjects = [path for path in wanted if path.suffix.lower() in (".step", ".stp", ".glb")]
     if not subjects:
-        raise BadRequest(
-            f"{files}: there is no STEP or GLB file of a stack; `clacad stack … -o DIR` writes them"
-        )
+        raise BadRequest(f"{files}: there is no STEP or GLB file of a stack; {REMEDY}")
     checks: list[Check] = []
     for path in subjects:
         entry = stated.get(path.name, {})
         if not path.is_file():
-            checks.append(
-                unreadable(FileNotFoundError(f"{path} is not there"), where="file", subject=path.name)
-            )
+            gone = FileNotFoundError(f"{path} is not there")
+            checks.append(unreadable(gone, where="file", subject=path.name))
             continue
         checks += _same_bytes(path, entry)
         if path.suffix.lower() == ".glb":
-            checks += [_judge_facets(one, path, entry) for one in [stack]]
+            checks.append(_judge_facets(stack, path, entry))
         else:
             checks += _judge_faces(stack, designs, path, entry, field, progress)
     return checks

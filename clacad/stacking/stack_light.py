@@ -223,11 +223,7 @@ class StackLight:
 
 
 def measure_light(
-    tracers: Sequence[StackTracer],
-    rays: int,
-    field: float,
-    progress: Progress,
-    zone: Pair2 | None = None,
+    tracers: Sequence[StackTracer], rays: int, field: float, progress: Progress, zone: Pair2 | None = None
 ) -> tuple[StackLight, ...]:
     """Trace the same rays on several rungs and measure the light.
 

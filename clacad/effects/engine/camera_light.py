@@ -29,7 +29,6 @@ from clacad.effects.engine.passes import blocks, take_rays, trace_with
 from clacad.light.compare import angles
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.surface import Quadric
-from clacad.sheet.need_window import need_one_eta
 from clacad.sheet.window import Window
 from clacad.tracing.layout import lay_out
 
@@ -191,20 +190,13 @@ def light_reaching_camera(
     ghosts = any(kind.shows is Fate.GHOST for kind in kinds)
     result = trace_with(window, rays, rung, effects, setting=setting, **options)
     if rung == "law":
-        if ghosts:
-            need_one_eta(
-                window,
-                "ghosts on rung law",
-                "rungs thin and surfaces trace those of cells with an eta of their own",
-            )
         return law_light(window, rays, result, ghosts), result
     rows = np.flatnonzero(shining(result, names))
     light = LightRays(rows, result.position[rows], result.direction[rows], result.flux[rows])
     if any(kind.splits for kind in kinds) and rung in ("surfaces", "mesh"):
         compiled = options.get("path") == "numba" or (options.get("path") != "numpy" and len(rays) > MANY)
-        light = join_light(
-            light, reflected_paths(window, rays, result, replace(setting, active=names), compiled)
-        )
+        extra = reflected_paths(window, rays, result, replace(setting, active=names), compiled)
+        light = join_light(light, extra)
     return light, result
 
 

@@ -11,18 +11,7 @@ from clacad.tracing.compiled.array_cells import apex, in_plate, into_array, next
 from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy
 from clacad.tracing.compiled.face import height, lens_roots
 from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import (
-    BASE,
-    CELL,
-    DISTANCE,
-    HOME,
-    KIND,
-    PLACE,
-    START,
-    STEP,
-    CellRay,
-    Ray,
-)
+from clacad.tracing.compiled.records import BASE, CELL, DISTANCE, HOME, KIND, PLACE, START, STEP, CellRay, Ray
 from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 

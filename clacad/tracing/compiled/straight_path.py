@@ -629,9 +629,9 @@ def straight(
 ) -> int:
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
-    Positions are relative to the vertex of the last face, whichever face was last crossed. Where lost light
-    is counted (see `Packed.indices`) no hit is stored. The rows SHARE and DEPTH then gather the transmission
-    of bare faces for unpolarised light and the absorption of the bodies.
+    Positions are relative to the vertex of the face last crossed. Where lost light is counted (see
+    `Packed.indices`) no hit is stored; the rows SHARE and DEPTH gather the transmission of bare faces for
+    unpolarised light and the absorption of the bodies.
     """
     faces, bodies, lat, indices, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.indices, sheet.own
     m = len(chosen)
@@ -692,7 +692,5 @@ def straight(
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:
-            _in_cell_at(
-                sheet.lattices[row_of(sheet.own, array)], s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0
-            )
+            _in_cell_at(sheet.lattices[row_of(own, array)], s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
     return array

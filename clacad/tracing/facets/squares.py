@@ -143,24 +143,12 @@ def _sums(held: Bools, bins: Ints) -> NDArray[np.int32]:
 def _halved(
     place: Floats, corners: Floats, normal: Floats, facet: Ints, where: Ints, bins: Ints
 ) -> tuple[Floats, Floats, float, Floats, Bools]:
-    """Find the bins of a body that facets halve.
+    """Numbers of halved bins, as in `Squares`: split, climb, off, plane; and which bins (b,) are not halved.
 
-    Parameters
-    ----------
-    place : (t, 3, 2)
-        Corners of the facets in the sheet plane, counted in bins.
-    corners : (t, 3, 3) lengths
-    normal : (t, 3)
-    facet, where : (k,) ints
-        Facets that are not walls and the bins they are over, bin after bin.
-    bins : (2,) ints
-
-    Returns
-    -------
-    split, climb : (2,), off : float, plane : (2 bins, 2, 4)
-        As in `Squares`.
-    odd : (bins,) bools
-        Bins that are not halved.
+    place : (t, 3, 2), corners of the facets in the sheet plane, counted in bins
+    corners, normal : (t, 3, 3) lengths, (t, 3)
+    facet, where : (k,), facets that are not walls and the bins they are over, bin after bin
+    bins : (2,)
     """
     count = int(bins.prod())
     split, climb, off = np.ones(2), np.zeros(2), 0.0

@@ -41,13 +41,7 @@ class Hit:
 
 
 def cross(
-    face: FacePlan,
-    local: Floats,
-    z: Floats,
-    direction: Floats,
-    n1: float,
-    n2: float,
-    places: LensPlaces,
+    face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float, places: LensPlaces
 ) -> Hit:
     """Intersect a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's
     level.
