@@ -1,10 +1,8 @@
 """Light through a file, compared with the law: the checks by which a file is called an optical master.
 
 The same rays are traced through the file's own triangles or faces and through the exact surfaces. The file
-must meet
-the requirements on the design (section E of the contract: rms, bias, η, δ, confocality, throughput) within
-the
-design's limits. `clacad.light` describes each measurement.
+must meet the requirements on the design (section E of the contract: rms, bias, η, δ, confocality, throughput)
+within the design's limits. `clacad.light` describes each measurement.
 """
 
 from __future__ import annotations
@@ -58,8 +56,7 @@ class FileLight:
         Parallel light through the file, of nine directions of the field.
     shift : (2,)
         Shift of array 2 along the sheet's normal that minimizes the rms error to the law, file minus exact,
-        per
-        lens axis, over the distance between the lenses; NaN in an axis without power.
+        per lens axis, over the distance between the lenses; NaN in an axis without power.
     middle, field : (float, float)
         ALIVE share in the middle of the field, and over the field, each as (through the file, closed form).
     half_order : float, radians
@@ -80,9 +77,7 @@ class FileLight:
 
     @cached_property
     def bias(self) -> Floats:
-        """Angle (9,) of the mean exit direction to the law, radians, for nine directions; NaN where too
-        dark.
-        """
+        """Angle (9,) of the mean exit direction to the law, radians, of nine directions; NaN if too dark."""
         return np.array([point.bias for point in self.points])
 
     @property
@@ -120,9 +115,8 @@ def measure_light(
     ----------
     design, window
     send : callable
-        Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every
-        body of one
-        telescopelet.
+        Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every body
+        of one telescopelet.
     rays, point_rays : int
         Of the main bundle, and of each of the nine field points.
     cell : (i, j) or None
@@ -146,9 +140,7 @@ def measure_light(
 
 
 def half_order(window: Window) -> float:
-    """Half the angle p/f2 (radians) between light through lens 2 of a cell and of its neighbour; inf without
-    power.
-    """
+    """Half the angle p/f2 (radians) between light through lens 2 of neighbouring cells; inf without power."""
     focal = [abs(f) for f in window.thin.focal_length[1] if np.isfinite(f)]
     return 0.5 * min(window.lattice.pitch) / max(focal) if focal else np.inf
 
@@ -169,8 +161,7 @@ def light_checks(
     ----------
     `asked` : Inspection
         A master fails beyond a limit; a preview gets a warning. A scan fails by the part of its rms that its
-        facets
-        and their noise do not explain; for the rest it gets a warning.
+        facets and their noise do not explain; for the rest it gets a warning.
     found : FileLight
         Of the most densely lit cell.
     what : str
@@ -206,9 +197,7 @@ def _law_rms(
     cells: Sequence[tuple[int, int]],
     noise: float,
 ) -> Check:
-    """Rms direction error to the law of the worst measured cell; for a scan, without the part its facets
-    cause.
-    """
+    """Rms direction error to the law of the worst measured cell; for a scan, without its facets' part."""
     spec = asked.design.check
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
     source = FILE_LAW_RMS.limit_source if spec.mesh_law_rms is None else DESIGN_FILE
@@ -223,11 +212,7 @@ def _law_rms(
     )
     sentence = f"through the file's {what} light leaves {mrad_text(value)} rms from the law ({where})"
     sentence += _other_rms(found, every)
-    common: dict[str, Any] = {
-        "bundle": str(found.light.lit),
-        "limit_source": source,
-        **asked.common,
-    }
+    common: dict[str, Any] = {"bundle": str(found.light.lit), "limit_source": source, **asked.common}
     told = {
         "by_cell": every,
         "cells": cells,
@@ -255,9 +240,7 @@ def _together(every: Floats) -> float:
 
 
 def _other_rms(found: FileLight, every: Floats) -> str:
-    """Text of the rms over all cells and of that over partner light, where they differ from the worst
-    cell's.
-    """
+    """Text of the rms over all cells and over partner light, where they differ from the worst cell's."""
     words = ""
     if len(every) > 1 and np.isfinite(_together(every)):
         words += f"; over all {len(every)} cells {mrad_text(_together(every))}"

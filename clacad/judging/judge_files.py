@@ -135,9 +135,7 @@ def judge_turned(
 
 
 def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float) -> FileMesh:
-    """Triangles of a file's solids, at most `deflection` (mm) off its faces, written by a worker to
-    `target`.
-    """
+    """Triangles of a file's solids, at most `deflection` (mm) off its faces; a worker writes `target`."""
     from clacad.formats.mesh.readers import read_mesh
 
     with reading_worker(subject.path) as worker:

@@ -49,8 +49,7 @@ if TYPE_CHECKING:
 
 
 STEEPER = 2.0
-"""Rms error of the stored normals over the slope error of their facets, beyond which the normals are
-wrong."""
+"""Rms error of stored normals over the slope error of their facets, beyond which they are wrong."""
 
 ROOM = 1e-6
 """Radians by which rounding to float32, or to six digits, may turn a normal."""
@@ -118,9 +117,7 @@ def _rms(window: Window, gathered: CellFacets, body: int, side: int, cell: int) 
 
 
 def exact_normals(window: Window, face: Face, local: Floats) -> Floats:
-    """Outward unit normals (k, 3, 3) of the design at the corners of facets, cell frame; NaN where it has no
-    lens.
-    """
+    """Outward unit normals (k, 3, 3) of the design at corners of facets, cell frame; NaN without a lens."""
     out = np.zeros_like(local)
     out[..., 2] = -face.side
     if face.array is None:
@@ -131,12 +128,10 @@ def exact_normals(window: Window, face: Face, local: Floats) -> Floats:
 
 
 TOUCHING = 1e-6
-"""Overlap, over the pitch, by which a box must enter a cell to have facets there; identical cells touch at
-borders."""
+"""Overlap, over the pitch, by which a box must enter a cell to have facets there; identical cells touch."""
 
 MOST_LOOKS = 64
-"""Places of one part that are examined one by one; where more lie over the chosen cells the places are
-wrong."""
+"""Places of one part that are examined one by one; if more lie over the chosen cells they are wrong."""
 
 
 def placement_check(design: Design, found: Standing, name: str) -> Check:

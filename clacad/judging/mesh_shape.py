@@ -1,6 +1,4 @@
-"""Agreement of a mesh file with the design: its volume, and the distance of its facets from the exact
-faces.
-"""
+"""Agreement of a mesh file with the design: its volume, the distance of its facets from exact faces."""
 
 from __future__ import annotations
 
@@ -72,9 +70,7 @@ def chord_volume(window: Window, gathered: CellFacets, cell: int) -> float:
 
 @lru_cache(maxsize=8)
 def volume_of(window: Window, body: Body) -> Integral | None:
-    """Volume of a body by quadrature, cached for all files of a window; None where an outline cuts
-    lenslets.
-    """
+    """Volume of a body by quadrature, cached for all files of a window; None if an outline cuts lenslets."""
     return body_volume(window, body, depth=11)
 
 
@@ -132,8 +128,7 @@ def _volume_room(window: Window, reach: float, chord: float, exact: float) -> fl
     """Allowed error of a volume (length³): 2 % of the chord volume, and rounding of corners to float32.
 
     Rounding moves each side of the box by half a spacing. It moves a plane far from the origin as a whole by
-    half a
-    spacing, which is a large part of a thin body, also where that body is alone in its file.
+    half a spacing, which is a large part of a thin body, also where that body is alone in its file.
     """
     x0, x1, y0, y1 = whole_extent(window)
     planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * reach
@@ -147,9 +142,7 @@ def shape_check(
     off: Sequence[Deviation],
     present: Sequence[str] | None,
 ) -> Check:
-    """Judge the distance of facets from the exact faces: densely over the chosen cells, at facet middles
-    over all.
-    """
+    """Judge the distance of facets from the exact faces: densely over chosen cells, at middles over all."""
     design, stated = asked.design, asked.stated
     common: dict[str, Any] = {"unit": design.unit, **asked.common}
     if not all(d.complete for d in off):
@@ -347,8 +340,7 @@ def own_sag_error(gathered: CellFacets) -> float:
 
 
 CUBIC = 48
-"""Facets of a cell from which the bend is computed point by point: steep lenses bend more towards their
-rim."""
+"""Facets of a cell from which the bend is computed point by point: steep lenses bend more at the rim."""
 
 
 def _bend(middle: Floats, slopes: Floats) -> Floats:

@@ -173,9 +173,7 @@ def pieces_check(
     counts: Sequence[PartCount] | None,
     counted: PieceCount | None = None,
 ) -> list[Check]:
-    """Judge the number of connected pieces and holes of the file; `counted` was counted while measuring
-    facets.
-    """
+    """Judge the number of connected pieces and holes of a file; `counted` while measuring facets."""
     common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
     if found.facets == 0:
         return [PIECES.not_run("the file holds no triangles", **common)]
@@ -249,9 +247,7 @@ class PieceCount:
 
 
 def counted_on_the_way(mesh: FileMesh) -> PieceCount | None:
-    """Counter of the pieces of a file for use while its facets are measured; None where that is not
-    needed.
-    """
+    """Counter of a file's pieces for use while its facets are measured; None where that is not needed."""
     one = len(mesh.parts) == 1 and not mesh.parts[0].repeated
     return (
         PieceCount(mesh.stored_count)
@@ -275,13 +271,7 @@ def scale_check(design: Design, window: Window, found: Measure, name: str) -> Ch
     sentence = "extent over the design's: " + ", ".join(
         f"{axis} {r:.6g}" for axis, r in zip("xyz", ratio, strict=True)
     )
-    return SCALE.judge(
-        value,
-        design.check.scale,
-        sentence,
-        subject=name,
-        detail={"ratio": ratio},
-    )
+    return SCALE.judge(value, design.check.scale, sentence, subject=name, detail={"ratio": ratio})
 
 
 SECTORS = 36

@@ -57,8 +57,7 @@ FITTED = 1e-8
 """Relative difference of parameter curves that another CAD program fitted itself."""
 
 MERGED = 1e-10
-"""Mean height change over all faces, mm, that closed steps cause in the kernel's results (measured:
-3.5e-11)."""
+"""Mean height change (mm) over all faces that closed steps cause in the kernel (measured: 3.5e-11)."""
 
 PART = 0.1
 """Part of the limit of the law's rms error that faces of a file without a manifest may use."""
@@ -103,9 +102,7 @@ def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
 
 
 def gain(window: Window) -> float:
-    """Direction error (rad) per slope error (rad) of the lens faces, all with equal errors, added in
-    quadrature.
-    """
+    """Direction error (rad) per slope error (rad) of the lens faces, equal errors added in quadrature."""
     total = 0.0
     smallest = min(abs(m) for m in focal_ratio(window.thin))
     laws = window.cell_laws
@@ -140,8 +137,7 @@ def judge_solid(
     checks : list of Check
     found : mapping
         Result of the reader; empty if reading failed. `holds`: solids, shells, faces, prototypes, parts
-        (name, solid,
-        faces, instances); `holds_words`: the same as text.
+        (name, solid, faces, instances); `holds_words`: the same as text.
     """
     asked.progress(f"reading {path.name}", 0.0)
     try:
@@ -302,18 +298,12 @@ def _solids(found: Mapping[str, Any], stated: Mapping[str, Any], common: Mapping
         )
     same = int(count) == int(want)
     return SOLIDS.check(
-        "pass" if same else "fail",
-        f"{count} solids, {want} stated",
-        float(count),
-        float(want),
-        **common,
+        "pass" if same else "fail", f"{count} solids, {want} stated", float(count), float(want), **common
     )
 
 
 def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
-    """Judge whether every lens of a repeated part lies on a cell of its own array and every cell holds each
-    lens once.
-    """
+    """Judge whether each lens of a repeated part lies on a cell of its array, and each cell has it once."""
     at = found.get("placement")
     if at is None:
         why = "no lens face was found whose cell could be determined"
@@ -445,9 +435,7 @@ def _volume(
 
 
 def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
-    """Bodies whose lenses the file holds, or whose heights it spans; all where it spans none (it lies
-    elsewhere).
-    """
+    """Bodies whose lenses the file holds or whose heights it spans; all if it spans none (lies elsewhere)."""
     at = found.get("placement")
     if at is not None and at["standing_held"] >= 0.5:
         return tuple(body for body in window.bodies if body.name in at["bodies"])

@@ -1,8 +1,7 @@
 """Checks of a delivery as a whole: files without optics, files withheld from judgement, and missing bodies.
 
 A manifest is an unverified claim. It may call a file a frame or a coupon, but a file withheld from judgement
-by
-light cannot make a delivery pass, and a file with the measurements of the design is not a frame.
+by light cannot make a delivery pass, and a file with the measurements of the design is not a frame.
 """
 
 from __future__ import annotations

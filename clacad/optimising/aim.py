@@ -1,12 +1,11 @@
 """Objective of a search: the error over one field or several, of the perfect part or of parts as made.
 
-Parts as made: to first order an error e of a part, of standard deviation σ, adds σ² |∂r/∂e|² to the
-expected square of the residuals r. The slopes of `clacad.verification.tolerance` for every tolerance of the
-design, times σ, are therefore appended to the residuals of the perfect part. Least squares then minimise
-the expected error. The slopes are central differences over ±σ. Roughness changes no direction and is left
-out. Rotation and tilt of an array are evaluated at the cell farthest from the centre, where their effect is
-largest; other errors affect all cells equally. Start and end are compared over independent rays, not those
-of the search.
+Parts as made: to first order an error e of a part, of standard deviation σ, adds σ² |∂r/∂e|² to the expected
+square of the residuals r. The slopes of `clacad.verification.tolerance` for every tolerance of the design,
+times σ, are therefore appended to the residuals of the perfect part. Least squares then minimise the expected
+error. The slopes are central differences over ±σ. Roughness changes no direction and is left out. Rotation
+and tilt of an array are evaluated at the cell farthest from the centre, where their effect is largest; other
+errors affect all cells equally. Start and end are compared over independent rays, not those of the search.
 
 Light must stay in the cells of lens 2: rays that miss their partner's cell do not count in the error, and
 an unconstrained search would lose light to reduce it. `ShareOfLight` constrains the cones over which start
@@ -126,9 +125,7 @@ class AimedRays:
         most = max(lights, key=lambda pair: pair[1])[0]
         step = max(1, len(most.asked) // FEW)
         few = replace(
-            most,
-            rays=Rays(most.rays.position[::step], most.rays.direction[::step]),
-            asked=most.asked[::step],
+            most, rays=Rays(most.rays.position[::step], most.rays.direction[::step]), asked=most.asked[::step]
         )
         return AimedRays(lights, tuple(_errors(design, window)) if aim.tolerances else (), few)
 
@@ -214,9 +211,7 @@ FIELDS = (0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Seen:
-    """Result of independent rays: field (radians), rms error to the law (radians), share in the partner
-    cell.
-    """
+    """Result of independent rays: field and rms error to the law (radians), share in the partner cell."""
 
     field: float
     law_rms: float
@@ -279,9 +274,7 @@ class ShareOfLight:
 
     @staticmethod
     def of(window: Window, fields: Sequence[float], centre: str) -> ShareOfLight:
-        """Constraint from the start window; half angles of the cones in radians, about the `centre` of
-        checks.
-        """
+        """Constraint from the start window; half angles of cones (radians) about the `centre` of checks."""
         one = window.with_cells((1, 1))
         cones = tuple(bundle(one, CELL_RAYS, field, centre).rays for field in fields)
         return ShareOfLight(cones, _shares(window, cones))
@@ -330,9 +323,7 @@ def _beyond(window: Window, rays: Rays) -> float:
 
 
 def _way_out(window: Window, rays: Rays) -> Floats:
-    """Distance (n,) of rays from the border of lens 2's cell, in half widths; negative inside, `LOST` if
-    lost.
-    """
+    """Distance (n,) of rays from the border of lens 2's cell, half widths; inside < 0, `LOST` if lost."""
     seen = trace_sequence(interfaces(window), rays, record=True)
     assert seen.hits is not None  # recorded
     last = max(number for number, face in enumerate(window.faces) if face.array == 1)

@@ -73,9 +73,7 @@ class Walls:
 
     @staticmethod
     def of(design: Design, window: Window, field: float | None = None) -> Walls:
-        """Walls of a design and its built start window; field in radians, None: the design's
-        `check.field`.
-        """
+        """Walls of a design and its start window; field in radians, None: the design's `check.field`."""
         rules = profile(design.check.process)
         kinds = (EDGE, NECK, RADIUS, SAG, SLOPE)
         edge, least_neck, radius, sag, slope = (process_limit(design, rules, kind)[0] for kind in kinds)
@@ -145,9 +143,7 @@ def penalties(slack: dict[str, float]) -> Floats:
 
 
 def _thinnest(body: Body, x: Floats, y: Floats) -> float:
-    """Least thickness (length) over points (n,) of the zone, for a slab over any two cells; NaN without a
-    face.
-    """
+    """Least thickness (length) over points (n,) of the zone, a slab's over any two cells; NaN if no face."""
     front, back = (lens_height_and_normal(face, x, y)[0] for face in (body.front, body.back))
     return _least_apart(body, front, back)
 
@@ -263,9 +259,7 @@ class FaceSearch:
         return ""
 
     def _lower_orders(self) -> Floats:
-        """Search terms of fourth order before conic constants: their effects are similar, and both together
-        diverge.
-        """
+        """Search terms of fourth order before conic constants: being alike, both together diverge."""
         kinds = np.array([one.kind for one in self.unknowns.free])
         here, now = self.unknowns.vector, ~np.isin(kinds, HIGHER)
         if "K" in kinds and "a4" in kinds:

@@ -80,9 +80,7 @@ def refuse_moved(start: Window, found: Window, *, traced: bool) -> None:
 
 
 def _places(window: Window, *, traced: bool) -> Floats:
-    """Lengths that fix the plates and cells: vertices of all faces, or only their heights, and displacements
-    of arrays.
-    """
+    """Lengths that fix plates and cells: vertices of all faces or only their heights, shifts of arrays."""
     vertices = np.array([face.vertex for face in window.faces])
     return np.concatenate([(vertices[:, 2:] if traced else vertices).ravel(), np.ravel(window.shifts)])
 

@@ -1,9 +1,8 @@
 """Unknowns of a search: words to a vector of order 1, and back to faces.
 
 A unit of an unknown changes the slope at the border of a cell by about 1: curvatures times half a cell,
-coefficients of
-order 2k times 2k (half a cell)^(2k − 1). Conic constants are scaled by ten. The two faces of a lens are alike
-unless it is bent.
+coefficients of order 2k times 2k (half a cell)^(2k − 1). Conic constants are scaled by ten. The two faces of
+a lens are alike unless it is bent.
 
 Designs and windows with replaced faces: unchecked trials of a search, or its checked result.
 """
@@ -185,9 +184,7 @@ def _groups(window: Window, lenses: list[int], *, bent: bool) -> list[tuple[int,
 
 
 def _of_field(window: Window, faces: tuple[FaceSpec, ...], words: tuple[str, ...]) -> list[Unknown]:
-    """Curvature and conic constant of every face of the field lens, in the meridians in which it has
-    power.
-    """
+    """Curvature and conic constant of each face of the field lens, in the meridians where it has power."""
     found: list[Unknown] = []
     for k, face in enumerate(window.faces):
         if face.array != 2 or "field" not in words:
@@ -279,9 +276,7 @@ def _spec(surface: Surface) -> FaceSpec:
 
 
 def _ellipsoidal(surface: Surface) -> bool:
-    """Whether a face is the ellipsoid that recipes build: one κ, the geometric mean of the curvatures; a
-    plane is, too.
-    """
+    """Whether a face is the ellipsoid that recipes build: one κ, the geometric mean; a plane is, too."""
     if not isinstance(surface, Quadric):
         return False
     cx, cy = surface.curvature_x, surface.curvature_y

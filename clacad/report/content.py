@@ -121,9 +121,7 @@ class CheckRows:
 
     @property
     def groups(self) -> list[tuple[str, list[dict[str, Any]]]]:
-        """Checks by what they are about: light, geometry, each file, refinement; what did not pass comes
-        first.
-        """
+        """Checks by subject: light, geometry, each file, refinement; what did not pass comes first."""
         groups: dict[str, list[Check]] = {}
         for check in self.report.checks:
             groups.setdefault(_title(check), []).append(check)

@@ -202,9 +202,7 @@ def transmission(report: Report) -> str:
 
 
 def residual_map(report: Report, label: str = "error over aperture and field") -> str:
-    """Error of single rays over aperture and field, along both lens axes; labels differ where a page holds
-    several.
-    """
+    """Error of single rays over aperture and field, along both lens axes; `label` differs on one page."""
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 1, 2, Margins(left=0.78, right=0.6, across=1.36))
@@ -237,9 +235,7 @@ def residual_map(report: Report, label: str = "error over aperture and field") -
 
 
 def spots(report: Report, label: str = "spot diagrams over the field") -> str:
-    """Exit directions about the law's, for nine incident directions; labels differ where a page holds
-    several.
-    """
+    """Exit directions about the law's, for nine incident directions; `label` differs on one page."""
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 3, 3, Margins(across=0.26, down=0.16), sharex=True, sharey=True)
@@ -389,9 +385,7 @@ def section(report: Report, label: str = "cross-section with rays") -> str:
 
 
 def draw_section(panel: Axes, window: Window, scale: float, name: str) -> None:
-    """Draw three cells cut along x, to scale, and rays through the middle one; `scale` makes lengths units
-    called `name`.
-    """
+    """Draw three cells cut along x with rays through the middle one; lengths times `scale` are in `name`."""
     for body in window.bodies:
         x, front, back = _profile(window, body, window.lattice.pitch[0])
         panel.fill_betweenx(x * scale, front * scale, back * scale, color="#bcd9ee", lw=0.7, ec=ACCENT)
@@ -420,9 +414,7 @@ def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:
 
 
 def ray_fan(window: Window) -> list[Any]:
-    """Five parallel rays, along the middle of the field, through the cell in the middle: points (k, 3)
-    each.
-    """
+    """Five parallel rays along the middle of the field through the middle cell: points (k, 3) each."""
     from clacad.sheet.bundle import middle_direction
 
     one = window.with_cells((1, 1))

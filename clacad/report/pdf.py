@@ -1,6 +1,4 @@
-"""The report as PDF: the rows and drawings of the page, set by Typst, an extra package that pip alone
-installs.
-"""
+"""Report as PDF: the page's rows and drawings, set by Typst, an extra package that pip alone installs."""
 
 from __future__ import annotations
 
@@ -151,9 +149,7 @@ def _figure(shelf: _Shelf, name: str, data: str | bytes, caption: str, width: in
 def _table(
     head: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int] = (), wide: int = -1
 ) -> Block:
-    """A table; columns in `numbers` are set flush right, the one called `wide` takes the room that is
-    left.
-    """
+    """A table; columns in `numbers` are set flush right, the one called `wide` takes the remaining room."""
     wide = wide % len(head)
     return {
         "kind": "table",

@@ -185,9 +185,7 @@ def ghosts(evidence: Evidence) -> str:
 
 
 def viewed(report: Report, window: Window) -> str:
-    """The share of one eye's light that obeys the law, over the sheet: ideal lenses, and the rays that were
-    traced.
-    """
+    """Share of one eye's light that obeys the law, over the sheet: ideal lenses, and the traced rays."""
     viewer = viewer_of(report.design)
     values, (x0, x1, y0, y1) = share_map(window, viewer)
     rays = seen_from(window, viewer, VIEWED_RAYS)
@@ -347,9 +345,7 @@ def _map(
 
 
 def _maps(window: Window) -> Floats:
-    """δ_x, δ_y, the greatest step (length) and η_x at points over the sheet, (4, h, w); NaN where no cell is
-    kept.
-    """
+    """δ_x, δ_y, greatest step (length) and η_x at points over the sheet, (4, h, w); NaN without a cell."""
     assert window.cell_laws is not None  # who calls this has looked
     x0, x1, y0, y1 = window.lattice.extent()
     pixel = max(x1 - x0, y1 - y0) / ACROSS

@@ -69,9 +69,7 @@ class LightRows:
 
     @property
     def image(self) -> str:
-        """Sentence on the place and width of the image of the design's object point; "" for a sheet without
-        one.
-        """
+        """Sentence on place and width of the image of the design's object point; "" for one without."""
         found = [check.sentence for check in self.report.checks if check.kind in (IMAGE_POINT, SPOT)]
         return "; ".join(found)
 

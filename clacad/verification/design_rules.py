@@ -95,9 +95,7 @@ def _in_outer_cells(built: Built) -> tuple[Check, ...]:
 
 
 def _priced(check: Check) -> Check:
-    """Fail the check of steps between neighbours of a non-uniform sheet where the process cannot make
-    them.
-    """
+    """Fail the check of steps between neighbours of a non-uniform sheet that the process cannot make."""
     if check.kind is not WALL or check.state != "warn":
         return check
     sentence, _, _ = check.sentence.rpartition("; ")
@@ -179,9 +177,7 @@ def _cover(built: Built, lens: LensFacts) -> Check:
 
 
 def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
-    """Text of the values that cover the cell, found by building windows, since the radii follow the
-    thickness.
-    """
+    """Text of the values that cover the cell, by building windows: the radii follow the thickness."""
     if not (isfinite(lens.least_thickness) and lens.least_thickness > 0.0):
         return "No thickness covers it at these radii: a smaller pitch or a larger separation would"
     ways = [f"thickness >= {_round_up(lens.least_thickness)}"]
@@ -385,9 +381,7 @@ def fresnel_number(built: Built) -> Iterator[Check]:
 
 
 def orders(built: Built) -> Iterator[Check]:
-    """Judge the deviation of coherent light from the law: half a step of the grating that identical cells
-    form.
-    """
+    """Judge the deviation of coherent light from the law: half a step of the grating of identical cells."""
     design, window = built.design, built.window
     if not design.light.coherent:
         return

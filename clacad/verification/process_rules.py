@@ -1,8 +1,7 @@
 """Design rules of a process: limits of the tool, the mould, the light or the printer, and of the part.
 
-In one cell the limits give warnings, with numbers; a design file can accept a warning with a reason:
-`[check] allow`. Of the whole part: whether the process can work its material, and whether it fits the
-machine.
+In one cell the limits give warnings, with numbers; a design file can accept a warning with a reason: `[check]
+allow`. Of the whole part: whether the process can work its material, and whether it fits the machine.
 """
 
 from __future__ import annotations
@@ -234,9 +233,7 @@ def _other_processes(design: Design, window: Window) -> list[ProcessProfile]:
 
 
 def workable(built: Built) -> Iterator[Check]:
-    """Judge each material of the parts once, by the design's process; a bare index does not identify a
-    material.
-    """
+    """Judge each material of the parts once, by the design's process; a bare index is no material."""
     design, window, rules = built.design, built.window, built.rules
     own = design.check.materials
     if not rules.materials and own is None:

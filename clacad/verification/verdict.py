@@ -1,9 +1,8 @@
 """The verdict on a delivery in a few words: a master passes by light alone; a preview is at most a shape.
 
 `passed as optical master` means that light through that file obeys the law. A coarse mesh that approximates
-the design
-faithfully is *shape only*: no defect, but no part should be made from it. A file not judged by light cannot
-pass.
+the design faithfully is *shape only*: no defect, but no part should be made from it. A file not judged by
+light cannot pass.
 """
 
 from __future__ import annotations

@@ -211,9 +211,7 @@ class Report:
 
 
 def of_worst_cell(report: Report) -> tuple[Report, str]:
-    """Report of a non-uniform sheet as that of its worst cell's uniform equivalent, with a note; else the
-    note is "".
-    """
+    """Report of a non-uniform sheet as that of its worst cell's uniform equivalent, with a note; else ""."""
     if report.window.uniform:
         return report, ""
     seen = worst_cell(report.window, report.design.check.field)

@@ -15,8 +15,7 @@ from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable
 
 SIZE = (10.4, 6.2)
 AXES = (0.07, 0.3, 0.985, 0.9)
-"""Left, bottom, right and top of both panels, in parts of the figure; legends and the conclusion lie below
-them."""
+"""Left, bottom, right and top of both panels, parts of the figure; legends and conclusion lie below."""
 
 LETTERS = 150
 """Letters in a line of the conclusion."""
@@ -47,8 +46,7 @@ OFFSETS = tuple(
         (-far, -far - 4.0),
     )
 )
-"""Offsets of a label's start (dx > 0) or end (dx < 0) from its point, in points; the first free one is
-used."""
+"""Offsets (points) of a label's start (dx > 0) or end (dx < 0) from its point; the first free one is used."""
 
 Box = tuple[float, float, float, float]
 
@@ -132,9 +130,7 @@ def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
 
 
 def label_points(axes: Any, labels: Sequence[tuple[str, tuple[float, float]]]) -> None:
-    """Write labels next to their points where they cover no point, line or label; omit labels without
-    room.
-    """
+    """Write labels next to their points where they cover no point, line or label; omit those without room."""
     axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # fix the view before positions are read from it
     scale = 72.0 / axes.figure.dpi
     taken = _drawn_boxes(axes, scale)

@@ -30,9 +30,8 @@ class AccuracyRow:
     setting : str
         Text for a person: "16 quads, facet normals, float32 vertices".
     model_rms, model_p95, model_max : float, radians
-        Angle to the truth, caused by what the rung leaves out. The truth is rung surfaces in float64; the
-        row of that
-        rung holds its angle to a 50-digit trace of `checked` rays.
+        Angle to the truth, caused by what the rung leaves out. The truth is rung surfaces in float64; the row
+        of that rung holds its angle to a 50-digit trace of `checked` rays.
     law_rms, law_max : float, radians
         Angle to the requested law.
     disagree : float

@@ -37,8 +37,7 @@ def accuracy(
     """Measure error against seconds over the rungs and their settings.
 
     For a non-uniform sheet, the rungs that trace it are measured on its worst cell. All rungs are also
-    measured on the
-    uniform equivalent of that cell.
+    measured on the uniform equivalent of that cell.
 
     Parameters
     ----------
@@ -130,8 +129,7 @@ def _measured(
 
 
 OWN_SECONDS, OWN_SECONDS_A_CELL, OWN_SECONDS_A_RAY = 2.3, 2.0e-5, 1.5e-5
-"""Seconds of the rows of a non-uniform sheet: 50 digits, each built cell, and each ray on the rungs without
-facets."""
+"""Seconds of a non-uniform sheet's rows: 50 digits, each built cell, each ray on rungs without facets."""
 
 OWN_SECONDS_A_FACET = 1.2e-3
 """Seconds to sort its facets, per square of the quads."""
@@ -139,14 +137,12 @@ OWN_SECONDS_A_FACET = 1.2e-3
 THROUGH_FACETS, A_QUAD_OF_ONE_LATTICE, A_QUAD_OF_TWO = 2.5e-6, 0.36e-6, 1.2e-6
 """Seconds of a ray through such facets, and the additional seconds per quad of a cell side.
 
-The first additional time is for two arrays on one lattice. The second is for an array 2 with its own
-lattice: cells
-then meet in steps everywhere, and a ray is followed from facet to facet.
+The first additional time is for two arrays on one lattice. The second is for an array 2 with its own lattice:
+cells then meet in steps everywhere, and a ray is followed from facet to facet.
 """
 
 RIM_OF_TWO_SIDES, RIM_OF_ONE_SIDE = 4.2e-9, 1.4e-9
-"""Seconds of the land about a body whose arrays are displaced along both axes or one, per square of its
-points."""
+"""Seconds of the land about a body with arrays displaced along both axes or one, per square of points."""
 
 RIMS_OF_FLOORS = 21_000
 """Sum of the squared grids that are built for the floors of formats."""
@@ -159,11 +155,9 @@ def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = No
     """Processor seconds of the table, by a model of one reference machine (see `clacad.base.machine_rates`).
 
     The 50-digit trace and the STEP spot count once. To them add the rays of every row, the layout of facets,
-    and the
-    floors of each pattern of cells that is meshed. Hexagons have more facets per quad than squares, cells
-    with land are
-    cut along their rims, and turned lenses have no plane of symmetry. A non-uniform sheet is measured itself
-    in addition.
+    and the floors of each pattern of cells that is meshed. Hexagons have more facets per quad than squares,
+    cells with land are cut along their rims, and turned lenses have no plane of symmetry. A non-uniform sheet
+    is measured itself in addition.
     """
     from clacad.verification.accuracy.measure_rungs import QUADS
 
@@ -210,7 +204,7 @@ def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
         (
             "rung law's model error equals rung surfaces' error to the law by definition: "
             f"{mrad_text(surfaces.law_rms, 3)} rms; it also leaves out the ray offset and the ghosts"
-        ),
+        )
     ]
     return (*notes, *([step_note] if step_note else []))
 
@@ -224,8 +218,7 @@ MICROSECONDS = {"law": 0.05, "thin": 0.25, "surfaces": 0.07, "mesh": 0.16, "mesh
 
 The values are geometric means over traces of 20 000 rays through four shipped designs (plano, window-100mm,
 tilted-biconvex, hexagonal) on one core of an ordinary server. A design may differ from it by a factor of 8,
-because
-tilted lenses and hexagons cost more; another machine scales all points alike.
+because tilted lenses and hexagons cost more; another machine scales all points alike.
 """
 
 

@@ -166,8 +166,7 @@ def _traced(
     """Grid within the target, and the floor's constants corrected by a trace of that grid.
 
     The constant of facets depends slightly on their size. The errors of two successive faces are correlated
-    where the
-    ray shifts by less than a facet between them.
+    where the ray shifts by less than a facet between them.
     """
     power = 2 if floor.normals == "vertex" else 1
     quads = _quads(format, floor, target, seen, smooth)

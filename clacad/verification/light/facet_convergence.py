@@ -43,8 +43,7 @@ def _mesh_formats() -> list[str]:
 
 """Mesh formats for which the size of a master file is reported."""
 ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
-"""Allowed orders: the direction error is first order in the facet size; the mean slope, and so eta, is
-second order."""
+"""Allowed orders: first in the facet size for the direction error, second for the mean slope and eta."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 MERIDIANS = 0.002
-"""Largest allowed difference of the two meridians' defects of confocality, over the separation, for any
-design."""
+"""Largest allowed difference of the meridians' defects of confocality, over the separation, any design."""
 
 WORTH_SAYING = 0.005
 """Smallest on-axis share of light lost to diffraction that is reported with the traced share."""
@@ -225,9 +224,7 @@ def accounting(light: Light) -> Check:
 
 
 def throughput(lit: Lit) -> Iterator[Check]:
-    """Judge the share of light through corresponding lenslets, compared with the closed form of thin
-    lenses.
-    """
+    """Judge the share of light through corresponding lenslets against the closed form of thin lenses."""
     window, seen = lit.like, lit.optics
     cells = thin_cells(window)
     alive = seen.main.share

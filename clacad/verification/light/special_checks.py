@@ -83,9 +83,7 @@ def _focus(window: Window) -> Check:
 
 
 def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: Floats, axis: int) -> float:
-    """Distance (length) along the axis from the crossing of parabasal light and the axis ray to a vertex
-    (3,).
-    """
+    """Distance (length) along the axis from where parabasal light crosses the axis ray to a vertex (3,)."""
     turn = window.thin.rotation
     aside = STEP * window.lattice.circumradius * turn[:, axis]
     rays = Rays(start + np.array([np.zeros(3), aside, -aside]), np.tile(turn[:, 2], (3, 1)))

@@ -45,8 +45,7 @@ PLACES = 48
 
 
 FARTHEST = 1000.0
-"""Pitches between a lens and the landing point of undeviated light; beyond, no lens reaches its partner: not
-traced."""
+"""Pitches from a lens to where undeviated light lands; beyond, no lens reaches its partner: not traced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +71,7 @@ class Viewed:
 
 
 def viewer_of(design: Design) -> tuple[float, float, float]:
-    """Position of the eye: on the axis as in [check] viewer; else the aim point of the cells; else 1 m
-    before the sheet.
-    """
+    """Position of the eye: as in [check] viewer, on the axis; else the cells' aim point; else 1 m before."""
     distance, _ = design.viewing_places
     aperture = design.lattice.aperture
     if distance is None and isinstance(aperture, AimedAt):
@@ -121,9 +118,7 @@ def _thin_share(window: Window, cells: Ints, viewer: tuple[float, float, float])
 def share_map(
     window: Window, viewer: tuple[float, float, float]
 ) -> tuple[Floats, tuple[float, float, float, float]]:
-    """Thin share (PLACES, PLACES), [y, x], NaN outside the sheet, and its (x_min, x_max, y_min, y_max),
-    lengths.
-    """
+    """Thin share (PLACES, PLACES), [y, x], NaN off the sheet; its (x_min, x_max, y_min, y_max), lengths."""
     x0, x1, y0, y1 = window.lattice.extent()
     y, x = np.meshgrid(
         *(np.linspace(a, b, 2 * PLACES + 1)[1::2] for a, b in ((y0, y1), (x0, x1))), indexing="ij"
@@ -140,9 +135,7 @@ def _slopes(place: Floats, viewer: tuple[float, float, float]) -> Floats:
 
 
 def _kept_cells(window: Window, unit_square: Floats) -> tuple[Ints, Ints]:
-    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the indices (k,) of their
-    points.
-    """
+    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the indices (k,) of these."""
     lattice = window.lattice
     n1, n2 = lattice.count
     i, j = (np.floor(unit_square * (n1, n2)).astype(np.int64)).T
@@ -273,9 +266,7 @@ def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) ->
 
 
 def _share(design: Design, changes: dict[str, Any], viewer: Point) -> float:
-    """Share of the viewer's light with some keys changed; aimed cells use paraxial lenses. 0: it cannot be
-    built.
-    """
+    """Viewer's share of light with some keys changed; paraxial lenses for aimed cells; 0: not buildable."""
     try:
         asked = design.replace(changes)
         if isinstance(asked.lattice.aperture, AimedAt):

@@ -2,10 +2,8 @@
 answers.
 
 `stability_table()` traces every case of `cases.json` and reports its error next to that of the textbook
-formula, in
-ulp (2⁻⁵²). The answers, the conditions and the textbook's errors were computed once by independent
-arithmetic of
-60 to 450 digits; the tests compute them again and compare this file with them.
+formula, in ulp (2⁻⁵²). The answers, the conditions and the textbook's errors were computed once by
+independent arithmetic of 60 to 450 digits; the tests compute them again and compare this file with them.
 """
 
 from __future__ import annotations

@@ -82,9 +82,7 @@ class Row:
 
     @property
     def worsened(self) -> bool:
-        """Whether the error exceeds the recorded one by more than half a place (a law uses sines of some
-        library).
-        """
+        """Whether the error exceeds the recorded one by over half a place (a law uses a library's sines)."""
         slack = 0.5 * (max(1.0, self.condition) if self.kind == "law" else 1.0)
         return self.error > 1.001 * self.recorded + slack  # four figures are recorded
 

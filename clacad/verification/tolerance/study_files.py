@@ -113,9 +113,7 @@ def _csv(lines: Sequence[Sequence[str]]) -> str:
 
 
 def harmless_cell(cell: str) -> str:
-    """Return a cell with an apostrophe before text that a spreadsheet would run as a formula; numbers are
-    unchanged.
-    """
+    """Put an apostrophe before text that a spreadsheet would run as a formula; numbers are unchanged."""
     try:
         float(cell)
     except ValueError:
@@ -230,16 +228,12 @@ BAR, LINE, LIMIT = "#1f4e79", "#e07b39", "#b00020"
 
 
 def plot_tolerances(study: Study) -> bytes:
-    """Draw the ranked contributors of each measure, and its distribution over the Monte-Carlo sheets, as
-    PNG.
-    """
+    """Draw ranked contributors of each measure, and its distribution over Monte-Carlo sheets, as PNG."""
     return _png((11.0, 9.6), lambda figure: _draw_study(figure, study))
 
 
 def plot_sweep(found: Sweep) -> bytes:
-    """Draw measures as PNG: over one key as lines, over two as maps, over more against the first, one line
-    each.
-    """
+    """Draw measures as PNG: over one key lines, over two maps, over more against the first, one line each."""
     if len(found.axes) == 2:
         return _png((11.0, 6.4), lambda figure: _draw_maps(figure, found))
     return _png((11.0, 6.4), lambda figure: _draw_lines(figure, found))
