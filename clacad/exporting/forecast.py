@@ -42,10 +42,7 @@ ROUGH = 2.0
 
 
 def forecast(
-    meshes: Meshes,
-    words: Sequence[str],
-    quads: int | Mapping[str, int],
-    asked: Request = DEFAULTS,
+    meshes: Meshes, words: Sequence[str], quads: int | Mapping[str, int], asked: Request = DEFAULTS
 ) -> list[Forecast]:
     """Forecast each format.
 

@@ -24,6 +24,9 @@ The cost constants of all formats hold for one x86-64 server core; `clacad.base.
 other machines.
 """
 
+STREAM_FACET = 50
+"""Bytes of a facet of a file that is written as a stream, binary STL."""
+
 STREAM_MEMORY = (80_000_000, 400_000_000)
 """Memory (bytes) of writing a file as a stream."""
 
@@ -218,6 +221,11 @@ class Format:
             and (self.turned_arrays or not turned)
             and (self.many_sizes or not window.many_sizes)
         )
+
+
+def stream_bytes(facets: int, files: int = 1) -> int:
+    """Bytes of files written as a stream, with a head each."""
+    return 84 * files + STREAM_FACET * facets
 
 
 def about_number(number: int) -> int:

@@ -215,9 +215,7 @@ class SheetPlace:
         return found
 
     def _of_rows(self, placements: Placements, middle: float) -> Placements:
-        """Placements of a part in rows that belong to the sheet, its middle at that height (mm) in its own
-        frame.
-        """
+        """Placements of a part in rows of the sheet, its middle at that height (mm) in its own frame."""
         inside = self.holds(middle + placements.outer[:, 2, 3])
         return replace(placements, outer=self.own(placements.outer[inside]))
 

@@ -93,9 +93,7 @@ def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:
 
 
 def _hole(face: Any) -> dict[str, Any] | None:
-    """Diameter, length, middle and axis of the round hole whose wall is this face, mm; None for any other
-    face.
-    """
+    """Diameter, length, middle and axis (mm) of the round hole with this face as its wall, or None."""
     from OCP.BRepAdaptor import BRepAdaptor_Surface
     from OCP.GeomAbs import GeomAbs_Cylinder
     from OCP.gp import gp_Pnt, gp_Vec
