@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clacad.base.types import Floats
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.formats.maps.sag import HeightMap
     from clacad.sheet.window import Body, Face, Window
 

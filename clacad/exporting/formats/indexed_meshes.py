@@ -16,9 +16,9 @@ from clacad.exporting.roles import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORM
 
 if TYPE_CHECKING:
     from clacad.base.types import Floats
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
     from clacad.formats.placements import Piece, Places
     from clacad.sheet.window import Window
@@ -144,7 +144,7 @@ def _forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
 
 def threemf_row(meshes: Meshes, quads: int) -> Forecast:
     """Forecast a 3MF file, without the cost of a non-uniform sheet."""
-    from clacad.exporting.rough_sizes import RoughSheet
+    from clacad.exporting.formats.format import RoughSheet
 
     window, repeated = meshes.window, meshes.repeatable
     held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)

@@ -19,9 +19,9 @@ from clacad.storage.errors import FileDisagrees, LimitRefused
 
 if TYPE_CHECKING:
     from clacad.exporting.fixtures import BaffleMesh
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
     from clacad.storage.worker import Worker
@@ -43,7 +43,7 @@ def _write_baffle(job: Job) -> list[FileRecord]:
 
 
 def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
-    from clacad.formats.mesh.closed_stream import measure
+    from clacad.formats.mesh.measure import measure
     from clacad.formats.mesh.readers import read_mesh
     from clacad.formats.mesh.stl import write_stl
 

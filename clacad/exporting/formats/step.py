@@ -11,9 +11,9 @@ from clacad.exporting.formats.format import ChosenMesh, Forecast, Format, about_
 from clacad.exporting.roles import EXACT_FACES
 
 if TYPE_CHECKING:
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.plate import Plate
     from clacad.sheet.window import Window

@@ -18,9 +18,9 @@ from clacad.exporting.formats.format import (
 from clacad.exporting.roles import IN_SHEET
 
 if TYPE_CHECKING:
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
 

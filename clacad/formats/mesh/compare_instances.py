@@ -18,7 +18,7 @@ from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
 from clacad.base.vectors import doubled_normals
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
-from clacad.formats.mesh.measure_instances import objects
+from clacad.formats.mesh.measure import objects
 from clacad.formats.placements import fill
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from clacad.base.untrusted_files import BUDGETS
-from clacad.formats.step.lens_placements import SheetPlace
+from clacad.formats.step.lens_placements import SheetPlace, engraved_in, holes_in, occ_lenses, sampled_lenses
 from clacad.formats.step.lenses_on_cells import lens_facts
-from clacad.formats.step.occ_faces import engraved_in, holes_in, occ_lenses, sampled_lenses
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
 from clacad.formats.step.text_health import Scan, patch_points, scan_step
 from clacad.sheet.window import Window
