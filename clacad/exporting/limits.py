@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import number_text, size_text
+from clacad.exporting.formats.format import STREAM_FACET, stream_bytes
 from clacad.exporting.formats.registry import format_of, formats
 from clacad.storage.errors import BadRequest, ExportError, LimitRefused, NotPossible
 from clacad.storage.worker import MEMORY_SHARE, free_memory
@@ -105,13 +106,11 @@ def refuse_cells(n1: int, n2: int) -> None:
 def _refuse_facets(
     format: str, facets: int, quads: int, count: tuple[int, int], at_least: bool = True
 ) -> None:
-    """Refuse an STL of more facets or bytes than the limits; `count`: cells each way, for the suggested
-    remedy.
-    """
-    size = 84 + 50 * facets
+    """Refuse an STL of more facets or bytes than the limits; `count`: cells each way, for the remedy."""
+    size = stream_bytes(facets)
     if facets <= MOST_FACETS and size <= MOST_BYTES:
         return
-    most = min(MOST_FACETS, MOST_BYTES // 50)
+    most = min(MOST_FACETS, MOST_BYTES // STREAM_FACET)
     coarser = isqrt(max(0, quads * quads * most // facets))
     part = max(1, isqrt(count[0] * count[1] * most // facets))
     ways = [f"cells=({part}, {part})"]
@@ -142,7 +141,7 @@ def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> 
     except ValueError as error:
         short = re.sub(r"\d{16,}", lambda long: f"{Decimal(long[0]):.3g}", str(error))
         raise LimitRefused(f"a slope error of {slope_error:g} rad is out of reach: {short}") from error
-    if not force and facets_at_least(window, quads) * 50 > MOST_BYTES:
+    if not force and facets_at_least(window, quads) * STREAM_FACET > MOST_BYTES:
         stream = next(one.word for one in formats() if one.family == "stream")
         _refuse_facets(stream, facets_at_least(window, quads), quads, window.lattice.count)
     return quads

@@ -254,10 +254,7 @@ def in_all(rows: Sequence[Forecast]) -> Span:
     rates = Rates.here()
     quads = {row.quads for row in rows if row.quads is not None}
     return total(
-        [
-            rates.span(PREPARE, prepare_seconds(quads)),
-            *(rates.span(r.task, r.modelled) for r in rows),
-        ]
+        [rates.span(PREPARE, prepare_seconds(quads)), *(rates.span(r.task, r.modelled) for r in rows)]
     )
 
 
@@ -304,9 +301,7 @@ def _with_role(record: FileRecord, row: Forecast) -> FileRecord:
 
 
 def _used(worker: Worker) -> float:
-    """Processor seconds so far, the worker's included; elapsed seconds where the system does not report
-    them.
-    """
+    """Processor seconds so far, the worker's included; elapsed seconds on systems that do not report them."""
     pid = worker.pid
     return time.process_time() + (0.0 if pid is None else seconds_of(pid, time.monotonic()))
 

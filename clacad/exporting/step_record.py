@@ -88,9 +88,7 @@ def _facts(
 
 
 def _stated(error: float) -> float | None:
-    """An error of fitted geometry (mm) as the manifest states it: two digits, rounded up; None where all is
-    exact.
-    """
+    """Error of fitted geometry (mm) as in the manifest: two digits, rounded up; None where all is exact."""
     if error == 0.0:
         return None
     digit = 10.0 ** (floor(log10(error)) - 1)

@@ -20,7 +20,7 @@ from clacad.checks.check import Check, LimitSource, other
 from clacad.checks.file_kinds import CLOSED, FAITHFUL_RMS, FILE_LAW_RMS, PIECES, SCALE, SHAPE, VOLUME
 from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.roles import Role
-from clacad.formats.mesh.closed_stream import Measure, measure
+from clacad.formats.mesh.measure import Measure, measure
 from clacad.judging.cell_triangles import CellFacets, Gatherer, SideFacets
 from clacad.judging.damage import SHOWN, find_dents, find_features
 from clacad.judging.delivery import Inspection

@@ -19,10 +19,9 @@ from clacad.base.text import mrad_text
 from clacad.base.types import Bools, Floats, Ints, Progress
 from clacad.checks.check import Check, other
 from clacad.checks.file_kinds import FILE_NORMALS, PLACEMENT
-from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.compare_instances import PartPlaces, RowPlaces, Standing, owner, standing
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
-from clacad.formats.mesh.measure_instances import MOST_KINDS, joined, measure_repeated
+from clacad.formats.mesh.measure import MOST_KINDS, Measure, joined, measure, measure_repeated
 from clacad.judging.cell_triangles import CellFacets, Gatherer
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import Deviation, deviations

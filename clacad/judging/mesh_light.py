@@ -13,7 +13,7 @@ from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Bools, Floats
 from clacad.checks.check import OWN_KEY, RAYS_NEEDED, Check, derived, other
 from clacad.checks.file_kinds import FAITHFUL_DELTA, FAITHFUL_ETA, FAITHFUL_RMS
-from clacad.formats.mesh.closed_stream import Measure
+from clacad.formats.mesh.measure import Measure
 from clacad.judging.cell_triangles import CellFacets, telescopelet
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import Deviation, forecast_rms

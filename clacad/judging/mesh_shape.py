@@ -13,7 +13,7 @@ from clacad.base.types import Floats
 from clacad.base.vectors import doubled_normals
 from clacad.checks.check import Check, LimitSource, derived, other
 from clacad.checks.file_kinds import SHAPE, VOLUME
-from clacad.formats.mesh.closed_stream import Measure
+from clacad.formats.mesh.measure import Measure
 from clacad.judging.cell_triangles import CellFacets, exact_height, owner, telescopelet
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import FEWER, POINTS, Deviation, corner_distance, deviation, forecast_rms

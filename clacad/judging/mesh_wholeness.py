@@ -14,8 +14,8 @@ from clacad.base.text import count_text
 from clacad.base.types import Floats
 from clacad.checks.check import Check, State
 from clacad.checks.file_kinds import CLOSED, PIECES, SCALE
-from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
+from clacad.formats.mesh.measure import Measure, crowded_edges, edge_times, vertex_hashes
 from clacad.judging.cell_triangles import CellFacets
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.volume_and_extent import whole_extent

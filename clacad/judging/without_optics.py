@@ -146,7 +146,7 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
         return [READABLE.check("pass", f"{scan.solids} solids with {scan.faces} faces", **common), state]
     if not subject.is_mesh:
         return [READABLE.check("pass", "judged by its bytes", required=False, **common)]
-    from clacad.formats.mesh.closed_stream import measure
+    from clacad.formats.mesh.measure import measure
     from clacad.formats.mesh.readers import read_mesh
 
     found = measure(read_mesh(subject.path).chunks())

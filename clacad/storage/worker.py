@@ -250,9 +250,7 @@ class Worker:
             self._errors.close()
 
     def _messages(self, deadline: float | None, timeout: float | None) -> Iterator[dict[str, Any]]:
-        """The child's messages as they arrive; ends with an exception at the deadline (monotonic s) or
-        before.
-        """
+        """The child's messages as they arrive; raises at the deadline (monotonic s) or before."""
         while True:
             line, newline, rest = self._pending.partition(b"\n")
             if newline:
@@ -411,9 +409,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _again(number: int) -> None:
-    """Interrupt the main thread from another thread, after it has left the code that dropped the
-    exception.
-    """
+    """Interrupt the main thread from another thread, after the code that dropped the exception has ended."""
     timer = threading.Timer(AGAIN, _signal_main_thread, (number,))
     timer.daemon = True
     timer.start()

@@ -11,7 +11,7 @@ import pytest
 
 import clacad
 from clacad.exporting.forecast import forecast, outlook
-from clacad.exporting.rough_sizes import RoughSheet
+from clacad.exporting.formats.format import RoughSheet
 from clacad.exporting.tessellations import Meshes
 from clacad.prescription.prescribe import prescribe
 

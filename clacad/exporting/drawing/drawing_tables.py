@@ -131,9 +131,7 @@ def sag_table(window: Window) -> Canvas:
 
 
 def _reach(window: Window) -> float:
-    """Largest distance from its apex at which a lens is used (length): corner distance of a cell plus the
-    lens offset.
-    """
+    """Largest distance from its apex at which a lens is used (length): cell corner plus lens offset."""
     moved = [
         np.hypot(*window.vertices(face, extreme_cells(face.change, window.lattice))[:, :2].T).max()
         for face in window.faces
@@ -249,9 +247,7 @@ def errors_table(
 
 
 def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
-    """Parameters of a study with the change over the tolerance of each, the largest effect on the law
-    first.
-    """
+    """Parameters of a study with the change over the tolerance, the largest effect on the law first."""
     changes = {
         measure: {row["parameter"]: row["change"] for row in study["ranking"].get(measure, ())}
         for measure in COSTS

@@ -161,9 +161,7 @@ def _same(one: Floats, other: Floats) -> bool:
 
 
 def _fits(window: Window, ways: tuple[Floats, ...]) -> bool:
-    """Whether a plate rotated in one of these ways coincides with itself; outlines that are no plate always
-    do.
-    """
+    """Whether a plate coincides with itself after one of these rotations; other outlines always do."""
     plate = window.outline
     return not isinstance(plate, Plate) or any(
         np.array_equal(_marks(plate, np.eye(2)), _marks(plate, way)) for way in ways

@@ -184,9 +184,7 @@ def tables(window: Window) -> Iterator[str]:
 
 
 def _moves(window: Window, units: float) -> Iterator[str]:
-    """Lines within a loop that compute the moves of the lenses of its cell, from the cell's position in the
-    lattice.
-    """
+    """Lines within a loop that compute the moves of the lenses of its cell from its lattice position."""
     for k, change in enumerate(changes(window)):
         (xx, xy), (yx, yy) = change.gradient
         yield f"      #declare C = <{_place(window.lattice, (0.0, 0.0), units)}>;"

@@ -91,9 +91,7 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
 
 
 def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
-    """Additional entries of a face on a non-uniform sheet: the pitch of its array, and that the pose table
-    has its apexes.
-    """
+    """Additional entries of a face on a non-uniform sheet: pitch of its array, and home of its apexes."""
     found: dict[str, Any] = {}
     place = None if face.array is None else window.placements[face.array]
     if place is not None and place.pitch is not None:

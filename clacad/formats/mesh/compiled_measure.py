@@ -1,4 +1,4 @@
-"""Sums over a stream of triangles in one pass, compiled: see `clacad.formats.mesh.closed_stream`."""
+"""Sums over a stream of triangles in one pass, compiled: see `clacad.formats.mesh.measure`."""
 
 from __future__ import annotations
 

@@ -104,13 +104,7 @@ def _write_rows(stream: IO[bytes], rows: Floats, scale: float) -> int:
 
 
 def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
-    """Bytes (k, 50) of facets (k, 3, 3) as they are written; −0 and 0 are one position and one bit pattern.
-
-    Raises
-    ------
-    FileDisagrees
-        A corner is not a finite float32 number.
-    """
+    """Bytes (k, 50) of facets (k, 3, 3) as written; −0 and 0 are one position and one bit pattern."""
     from clacad.formats.mesh.compiled_facets import facet_numbers
 
     numbers = np.empty((len(corners), 4, 3), dtype="<f4")

@@ -240,9 +240,7 @@ class _Board:
                 self._instanced(face, error, *copies.each)
 
     def _instanced(self, face: int, error: float, index: Ints, away: Floats) -> None:
-        """One lens of a part, moved from its best fit to all its placements, cells (k, 2), `away` (k,) mm
-        from them.
-        """
+        """One lens of a part, moved from its best fit to all placements: cells (k, 2), offsets (k,) mm."""
         self._count(face, index, np.maximum(away, error), repeated=True)
         self._moved += int((away > MOVED * min(self._window.lattice.pitch) * self._scale).sum())
         worst = int(np.argmax(away))
@@ -272,9 +270,7 @@ class _Board:
         )
 
     def _whole(self, face: int) -> _Held | None:
-        """Content of all cells for a lens; None where one part fills the lattice with it and nothing else
-        does.
-        """
+        """Content of all cells for a lens; None unless one part alone fills the lattice with it."""
         filled, held = self._filled.get(face, []), self._held.get(face)
         if held is None and len(filled) == 1:
             return None
