@@ -15,7 +15,7 @@ from typing import Any
 
 from clacad.advice.hints import changes_text, outcome_text
 from clacad.advice.judged import Judged
-from clacad.advice.levers import (
+from clacad.advice.lever_trials import (
     Changes,
     NoMoreTrials,
     Trials,

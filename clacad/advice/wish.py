@@ -16,7 +16,7 @@ from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
 from clacad.config.compound_kinds import Several
 from clacad.config.keys import REQUIRED, Key
-from clacad.config.mistakes import DesignError, Mistake
+from clacad.config.mistakes import DesignError, Mistake, design_error
 from clacad.config.quantities import LENGTH_ABOVE_0
 from clacad.config.toml_text import toml_value
 from clacad.config.value_kinds import Refusal, Whole, Word, shown
@@ -215,15 +215,11 @@ def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
             if not part.strip():
                 continue
             if not equals or not key.strip() or not value.strip():
-                raise DesignError(
-                    [
-                        Mistake(
-                            "CL118",
-                            f"{part.strip()!r} is not KEY=VALUE",
-                            path="--for",
-                            allowed="such as 'eta=-1, circle=60 mm, process=moulding'",
-                        )
-                    ]
+                raise design_error(
+                    "CL118",
+                    f"{part.strip()!r} is not KEY=VALUE",
+                    path="--for",
+                    allowed="such as 'eta=-1, circle=60 mm, process=moulding'",
                 )
             found[key.strip()] = written(value.strip())
     return found

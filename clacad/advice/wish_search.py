@@ -33,7 +33,7 @@ from clacad.checks.check import Check
 from clacad.checks.design_kinds import DRAFT, WALL
 from clacad.checks.light_kinds import FIELD, LAW_RMS, VIEWED
 from clacad.design import Design, DesignError
-from clacad.design.limits import CheckSpec
+from clacad.design.limit_sections import CheckSpec
 from clacad.design.process_profiles import profile
 from clacad.design.sections import PAIR
 from clacad.prescription.prescribe import prescribe

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check(OfDesign):
+class CheckDesign(OfDesign):
     """Derive what would be made, forecast the verdict of verify, find the keys that would make it pass."""
 
     fix: bool = flag(
@@ -32,7 +32,7 @@ class Check(OfDesign):
     overwrite: bool = overwrite_option()
 
 
-def run_check(request: Check, console: Console) -> int:
+def run_check(request: CheckDesign, console: Console) -> int:
     """Derive and judge everything, print it; exit 1 when verify will fail, 3 when nothing could be written.
 
     Keys that would change a failure or a warning are searched for only where they are printed.
@@ -111,7 +111,7 @@ def verdict(judged: Judged) -> str:
     return "verify will pass" + (f", {'; '.join(notes)}" if notes else "")
 
 
-def _fix(request: Check, console: Console) -> int:
+def _fix(request: CheckDesign, console: Console) -> int:
     """Find the fewest keys that make a design pass, print them, write the design; exit 1 where none do."""
     from clacad.advice import fix
     from clacad.storage.atomic import Stage, translated
@@ -137,7 +137,7 @@ def _fix(request: Check, console: Console) -> int:
     return _show_fixed(fixed, out if fixed.passes else None, console)
 
 
-def _text(request: Check, fixed: Fixed, out: Path) -> tuple[str, bool]:
+def _text(request: CheckDesign, fixed: Fixed, out: Path) -> tuple[str, bool]:
     """Text of the file to write, and whether it is the given one with its keys changed."""
     from clacad.config.edit_text import parse as parse_override
     from clacad.config.edit_text import with_values
@@ -214,6 +214,6 @@ def _page_text(made: Explored, unit: str) -> str:
 
 
 COMMANDS = (
-    Command("check", "make", Check, run_check),
+    Command("check", "make", CheckDesign, run_check),
     Command("explore", "look", Explore, run_explore),
 )

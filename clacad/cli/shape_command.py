@@ -36,7 +36,7 @@ def _source(option: str, text: str) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(Overridden):
+class ShapeBeam(Overridden):
     """Write a sheet whose cells send parallel light into a picture or pattern on a screen."""
 
     target: Path = required(
@@ -61,7 +61,7 @@ class Shape(Overridden):
     overwrite: bool = overwrite_option()
 
 
-def run(request: Shape, console: Console) -> int:
+def run(request: ShapeBeam, console: Console) -> int:
     """Write the design, its table and the picture of its light; print the result of the rays."""
     design = _base(request)
     distance = parse_distance("--distance", request.distance, design.unit)
@@ -101,7 +101,7 @@ def run(request: Shape, console: Console) -> int:
     return 0
 
 
-def _base(request: Shape) -> Design:
+def _base(request: ShapeBeam) -> Design:
     """The design to shape: as given, or the slab of the templates, its law and cells as --set has them."""
     from clacad.design import Design, load, template
     from clacad.design.sections import LATTICE
@@ -133,7 +133,7 @@ PROBE = "law.varying={f_image=1e9}"
 """Varying law with a plane, as a shaped sheet has: it is refused where features cannot be combined."""
 
 
-def _written(request: Shape, out: Path) -> tuple[Path, Path, Path]:
+def _written(request: ShapeBeam, out: Path) -> tuple[Path, Path, Path]:
     """Paths of the design, its table and the picture; none of them is a file that is read."""
     paths = (out, out.with_suffix(".cells.csv"), out.with_suffix(".png"))
     given = {path.resolve() for path in (request.target, request.base) if path is not None}
@@ -172,7 +172,7 @@ def _target(path: Path, width: float) -> Target:
 
 
 def _published(
-    design: Design, found: Shaped, paths: tuple[Path, Path, Path], distance: float, request: Shape
+    design: Design, found: Shaped, paths: tuple[Path, Path, Path], distance: float, request: ShapeBeam
 ) -> Rendered:
     """Write design, table and picture; nothing where the sheet cannot be built."""
     from hashlib import sha256
@@ -264,4 +264,4 @@ def _pair(two: tuple[float, float]) -> str:
     return f"{x:.3g}" if x == y else f"{x:.3g} x {y:.3g}"
 
 
-COMMANDS = (Command("shape", "make", Shape, run),)
+COMMANDS = (Command("shape", "make", ShapeBeam, run),)

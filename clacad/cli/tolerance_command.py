@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -149,30 +150,32 @@ def tolerance_text(study: Study) -> str:
             f"{study.cell[1]}), the worst of {study.tried} tried"
         )
     for measure in RANKED:
-        title, factor = WORDS[measure]
-        low, middle, high = (f"{factor * v:.4g}" for v in study.percentiles(measure))
-        blocks.append(
-            f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, "
-            f"half below {middle}, 95 % below {high}"
-        )
-        if measure == "law_rms":
-            blocks.append("    of the worst of the middle cell and the cells in the corners, by its centre:")
-        ranking = study.ranking(measure)
-        rows = [
-            [
-                percent_text(s, 1, fixed=True),
-                n,
-                _change(factor * c),
-                *([_cell(study, n)] if measure == "law_rms" else []),
-            ]
-            for n, c, s in ranking
-            if s >= LEAST
-        ]
-        rest = ", ".join(n for n, _, s in ranking if s < LEAST)
-        blocks += [table(rows, indent="    ")] if rows else []
-        blocks += [f"    less than {percent_text(LEAST, 6)} each: {rest}"] if rows and rest else []
+        blocks += _measure_blocks(study, measure, *WORDS[measure])
     blocks.append(_yield_text(study))
     return "\n".join(blocks)
+
+
+def _measure_blocks(study: Study, measure: str, title: str, factor: float) -> Iterator[str]:
+    """Percentiles of one measure, and its contributors from the largest on."""
+    low, middle, high = (f"{factor * v:.4g}" for v in study.percentiles(measure))
+    yield (
+        f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, "
+        f"half below {middle}, 95 % below {high}"
+    )
+    by_cell = measure == "law_rms"
+    if by_cell:
+        yield "    of the worst of the middle cell and the cells in the corners, by its centre:"
+    ranking = study.ranking(measure)
+    rows = [
+        [percent_text(s, 1, fixed=True), n, _change(factor * c), *([_cell(study, n)] if by_cell else [])]
+        for n, c, s in ranking
+        if s >= LEAST
+    ]
+    rest = ", ".join(n for n, _, s in ranking if s < LEAST)
+    if rows:
+        yield table(rows, indent="    ")
+        if rest:
+            yield f"    less than {percent_text(LEAST, 6)} each: {rest}"
 
 
 def _cell(study: Study, parameter: str) -> str:

@@ -16,7 +16,7 @@ from clacad.base.npy_header import array_head
 from clacad.base.text import printable
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.untrusted_files import BUDGETS
-from clacad.config.mistakes import DesignError, DesignTooLarge, Mistake
+from clacad.config.mistakes import design_error, too_large
 from clacad.sheet.lattice import Lattice
 
 LONGEST_ROW: Final = 1000
@@ -96,20 +96,16 @@ class NumberRows:
         place = None
         if column is not None:
             place = 1 + min(len(line), sum(len(part) + 1 for part in line.split(",")[:column]))
-        raise DesignError(
-            [
-                Mistake(
-                    "CL124",
-                    message,
-                    self.key,
-                    self.path,
-                    row,
-                    place,
-                    allowed=allowed,
-                    hint=hint,
-                    source_line=line,
-                )
-            ]
+        raise design_error(
+            "CL124",
+            message,
+            self.key,
+            self.path,
+            line=row,
+            column=place,
+            allowed=allowed,
+            hint=hint,
+            source_line=line,
         )
 
     def _header(self, line: str) -> None:
@@ -147,7 +143,7 @@ class NumberRows:
             lines.append(line)
             read += 1
             if read > most:
-                raise DesignTooLarge([Mistake("CL124", f"more than {most:,} rows", self.key, self.path, row)])
+                raise too_large("CL124", f"more than {most:,} rows", self.key, self.path, line=row)
             if len(lines) == BLOCK:
                 yield lines
                 lines = []

@@ -16,7 +16,7 @@ from clacad.config.edit_text import changed_keys, to_toml
 from clacad.config.keys import written
 from clacad.config.value_kinds import FORMAT
 from clacad.design.body import BodySpec
-from clacad.design.limits import CheckSpec, TolerancesSpec
+from clacad.design.limit_sections import CheckSpec, TolerancesSpec
 from clacad.design.read import read_changed, read_dict, read_file
 from clacad.design.sections import LatticeSpec, LawSpec, LightSpec, PairSpec
 

@@ -14,7 +14,7 @@ from clacad.config.value_kinds import LARGEST_COUNT, shown
 from clacad.design.combinations import FEATURES, built_sheets, why_not
 from clacad.design.rules import PAIR_RULES, Asked, Rule
 from clacad.design.sections import BODY, LATTICE, LAW, PAIR
-from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta
+from clacad.design.varying import MAGNIFIED, VaryingSpec, gradient_of, needed_eta
 
 SMALLEST_PITCH_M: Final = 1e-7
 """Smallest pitch, metres: 0.1 µm, about a quarter of the shortest visible wavelength."""
@@ -37,34 +37,24 @@ def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
             allowed="[x, y]",
             hint=f'write [{shown(written)}, {shown(written)}], or kind = "square"',
         )
-    if kind != "rectangular" and pitch[0] != pitch[1]:
-        yield Mistake(
-            "CL116",
-            f"a {kind} lattice has one pitch",
-            LATTICE.pitch,
-            found=a.says(LATTICE.pitch),
-            allowed="one length",
-            hint='kind = "rectangular" takes two',
-        )
-    second = a(LATTICE.pitch_2)
-    if second is not None and kind != "rectangular" and second[0] != second[1]:
-        yield Mistake(
-            "CL116",
-            f"a {kind} lattice has one pitch",
-            LATTICE.pitch_2,
-            found=a.says(LATTICE.pitch_2),
-            allowed="one length",
-            hint='kind = "rectangular" takes two',
-        )
-    if second is not None and any(
-        not 0.5 <= one / other <= 2.0 for one, other in zip(second, pitch, strict=True)
-    ):
-        yield Mistake(
-            "CL106",
-            f"{a.says(LATTICE.pitch_2)} is out of range",
-            LATTICE.pitch_2,
-            allowed="half to twice lattice.pitch",
-        )
+    for key, pitches in ((LATTICE.pitch, pitch), (LATTICE.pitch_2, a(LATTICE.pitch_2))):
+        if pitches is not None and kind != "rectangular" and pitches[0] != pitches[1]:
+            yield Mistake(
+                "CL116",
+                f"a {kind} lattice has one pitch",
+                key,
+                found=a.says(key),
+                allowed="one length",
+                hint='kind = "rectangular" takes two',
+            )
+    yield from _pitch_in_range(a, pitch)
+
+
+def _pitch_in_range(a: Asked, pitch: tuple[float, float]) -> Iterator[Mistake]:
+    """Array 2's pitch is half to twice array 1's, which is above the wavelength of light."""
+    if any(not 0.5 <= one / other <= 2.0 for one, other in zip(a(LATTICE.pitch_2) or (), pitch)):
+        message = f"{a.says(LATTICE.pitch_2)} is out of range"
+        yield Mistake("CL106", message, LATTICE.pitch_2, allowed="half to twice lattice.pitch")
     if a.unit is not None and min(pitch) * float(a.unit.metres) < SMALLEST_PITCH_M:
         metres = min(pitch) * float(a.unit.metres)
         yield Mistake(
@@ -316,15 +306,21 @@ def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
             LAW.varying,
             allowed="eta other than 1 in both x and y",
         )
-    if separation is None:
-        if spec.conjugates is not None and a(PAIR.form) == "slab" and a.given(PAIR.thickness):
-            yield Mistake(
-                "CL113",
-                "law.varying.conjugates needs pair.separation",
-                PAIR.separation,
-                allowed="separation = T/n instead of thickness = T",
-            )
-        return
+    if separation is not None:
+        yield from _law_fits_its_planes(a, spec, eta, separation)
+    elif spec.conjugates is not None and a(PAIR.form) == "slab" and a.given(PAIR.thickness):
+        yield Mistake(
+            "CL113",
+            "law.varying.conjugates needs pair.separation",
+            PAIR.separation,
+            allowed="separation = T/n instead of thickness = T",
+        )
+
+
+def _law_fits_its_planes(
+    a: Asked, spec: VaryingSpec, eta: tuple[float, float], separation: float
+) -> Iterator[Mistake]:
+    """The magnification and eta agree, and the gradient of delta is finite."""
     wanted = None if spec.conjugates is None else needed_eta(spec.conjugates, separation)
     if wanted is not None and any(abs(e - w) > MAGNIFIED * abs(w) for e, w in zip(eta, wanted, strict=True)):
         needed = ", ".join(repr(w) for w in wanted)

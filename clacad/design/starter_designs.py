@@ -12,7 +12,7 @@ import tomllib
 from pathlib import Path
 
 from clacad.base.units import LENGTHS, Unit
-from clacad.config.mistakes import DesignError, Mistake
+from clacad.config.mistakes import design_error
 from clacad.config.value_kinds import Refusal, Word, shown
 from clacad.design.sections import ROOT
 
@@ -63,9 +63,7 @@ def template(name: str, kind: str = "slab") -> str:
             hint = (
                 _nearest_of(value) if key == "template" and isinstance(value, str) else ""
             ) or refusal.hint
-            raise DesignError(
-                [Mistake(refusal.code, message, key, allowed=refusal.allowed, hint=hint)]
-            ) from None
+            raise design_error(refusal.code, message, key, allowed=refusal.allowed, hint=hint) from None
     text = files[kind].read_text(encoding="utf-8")
     return _NAME.sub(lambda _: f'name = "{name}"', text, count=1)
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from clacad.base.roots import bisect
+from clacad.base.sign_changes import bisect
 from clacad.base.types import Floats
 from clacad.rendering.screen_measure import ScreenMap, fitted, ghost_shifts, measure
 from clacad.scene import Scene

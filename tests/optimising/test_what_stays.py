@@ -10,7 +10,7 @@ from trust.running import clacad as run
 
 from clacad import Design, DesignError, optimise, prescribe
 from clacad.advice import advise, judge
-from clacad.advice.levers import levers_of
+from clacad.advice.lever_trials import levers_of
 from clacad.optimising import aim as light_in_cells
 from clacad.optimising.face_search import FaceSearch
 from clacad.optimising.search import design_text

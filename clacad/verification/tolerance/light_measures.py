@@ -44,7 +44,7 @@ from clacad.verification.tolerance.misaligned import Errors, telescopelet
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.design.limits import CheckSpec
+    from clacad.design.limit_sections import CheckSpec
 
 
 RAYS = 256
