@@ -20,11 +20,7 @@ from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDE
 from clacad.rendering.compiled.scene_hits import Pad, look_block, new_pad
 from clacad.rendering.compiled.scene_tables import BLOCK, Tables
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.launch import launch_block, launch_ray
-from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
-from clacad.tracing.compiled.straight_path import centres, straight
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     CI,
     CI0,
     CJ,
@@ -39,9 +35,14 @@ from clacad.tracing.compiled.straight_path_slots import (
     SCRATCH,
     X,
     Z,
+    centres,
     lane,
     lanes,
 )
+from clacad.tracing.compiled.launch import launch_block, launch_ray
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
+from clacad.tracing.compiled.straight_path import straight
 from clacad.tracing.compiled.walk import walk_ray
 
 BESIDE, BLACK, SHINES, BEFORE = range(4)

@@ -11,7 +11,19 @@ from clacad.tracing.compiled.array_cells import apex, in_plate, into_array, next
 from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy
 from clacad.tracing.compiled.face import height, lens_roots
 from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import BASE, CELL, DISTANCE, HOME, KIND, PLACE, START, STEP, CellRay, Ray
+from clacad.tracing.compiled.records import (
+    BASE,
+    CELL,
+    DISTANCE,
+    HOME,
+    KIND,
+    MOST_ARRAYS,
+    PLACE,
+    START,
+    STEP,
+    CellRay,
+    Ray,
+)
 from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 
@@ -203,7 +215,7 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
 def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
     """Record the cell and the start of a ray in each of the arrays of body b."""
     array, i, j, x, y, _, _, _, _ = ray
-    for k in range(2 * slot.MOST_ARRAYS):
+    for k in range(2 * MOST_ARRAYS):
         work[STEP + k] = 0.0
     for side in range(2):
         at = int(sheet.faces[2 * b + side, slot.ARRAY])
@@ -294,7 +306,7 @@ def _first_stretch(
 def write_event(sheet: Packed, kind: int, distance: float, work: Floats, event: Floats) -> None:
     """Write what was met, how far, and cell and start for each array."""
     event[KIND], event[DISTANCE] = kind, distance
-    for at in range(slot.MOST_ARRAYS):
+    for at in range(MOST_ARRAYS):
         place = PLACE + 4 * at
         event[place] = work[HOME + 2 * at] + work[STEP + 2 * at]
         event[place + 1] = work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1]

@@ -10,11 +10,7 @@ from clacad.base.compiled import exact, least, multiply_add, pair_product, pair_
 from clacad.base.types import Floats
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import hexagon_steps, locate
-from clacad.tracing.compiled.column import box_span
-from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import Launched
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     CI,
     CJ,
     DX,
@@ -30,6 +26,10 @@ from clacad.tracing.compiled.straight_path_slots import (
     lane,
     lanes,
 )
+from clacad.tracing.compiled.cells import hexagon_steps, locate
+from clacad.tracing.compiled.column import box_span
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Launched
 
 SANE = 1e100
 """Directions with components above this, or all below its inverse, are scaled before use."""

@@ -21,13 +21,7 @@ from clacad.light.sums import ordinary
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import in_zone, kept
-from clacad.tracing.compiled.chunk import blank_row, load_block, queue_undecided, store_block
-from clacad.tracing.compiled.launch import launch_block
-from clacad.tracing.compiled.packing import Packed, pack_array_1
-from clacad.tracing.compiled.records import Outcome
-from clacad.tracing.compiled.straight_path import arrive, copy_row, hold_in_zone
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     BLOCK,
     CI,
     CI0,
@@ -47,9 +41,20 @@ from clacad.tracing.compiled.straight_path_slots import (
     STEEP,
     X,
     Y,
+    arrive,
+    blank_row,
+    copy_row,
+    hold_in_zone,
     lane,
     lanes,
+    load_block,
+    queue_undecided,
+    store_block,
 )
+from clacad.tracing.compiled.cells import in_zone, kept
+from clacad.tracing.compiled.launch import launch_block
+from clacad.tracing.compiled.packing import Packed, pack_array_1
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.optics.surface import EvenPolynomial, Quadric
+from clacad.optics.surface.sag_and_normal import EvenPolynomial, Quadric
 from clacad.sheet.edge_columns import EDGE_NUMBERS
-from clacad.sheet.lattice import runs
+from clacad.tracing.compiled.records import MOST_ARRAYS
 
 if TYPE_CHECKING:
     from clacad.tracing.layout import BodyPlan, FacePlan, Layout
@@ -38,9 +38,6 @@ OUTLINES = {"none": NO_OUTLINE, "circle": CIRCLE, "rectangle": RECTANGLE, "plate
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
 NORMAL, HALF = 11, 17
 OPAQUE, BAFFLE, PLAIN, SHIFT = range(20, 24)
-
-MOST_ARRAYS = 3
-"""Arrays that a packed sheet has room for: two numbers an array from SHIFT, four a pair from BETWEEN."""
 
 BETWEEN = SHIFT + 2 * MOST_ARRAYS
 """Displacement of the second array against the first: residual x and y, then whole lattice steps i and j."""
@@ -217,6 +214,8 @@ def _rows(layout: Layout) -> Ints:
     if lattice.outline is None:
         j = np.arange(lattice.count[1] if lattice.hexagonal else 0, dtype=np.int64)
         return np.stack([-(j // 2), lattice.count[0] - j // 2], axis=-1)
+    from clacad.sheet.lattice import runs
+
     found = [runs(lattice.row(k)[:, 0]) for k in range(lattice.count[1])]
     table: Ints = np.zeros((lattice.count[1], 2 * max(1, *map(len, found))), dtype=np.int64)
     for k, several in enumerate(found):

@@ -8,7 +8,9 @@ import numpy as np
 
 from clacad.base.compiled import making
 from clacad.base.types import Bytes, Cells, Floats, Ints
-from clacad.tracing.compiled.packing import MOST_ARRAYS
+
+MOST_ARRAYS = 3
+"""Arrays that a packed sheet has room for: two numbers an array from SHIFT, four a pair from BETWEEN."""
 
 Vector = tuple[float, float, float]
 

@@ -17,25 +17,8 @@ from clacad.base.types import Floats, Rows
 from clacad.optics.rays import Rays
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import to_array
-from clacad.tracing.compiled.chunk import load_block, queue_undecided, store_block
-from clacad.tracing.compiled.launch import launch_block
-from clacad.tracing.compiled.law_rung import (
-    CLEAR,
-    FAR,
-    MISS,
-    NEAR,
-    arrive_well_inside,
-    miss,
-    near,
-    rows_left,
-    surely_beside,
-    surely_unmet,
-)
-from clacad.tracing.compiled.packing import Packed, pack
-from clacad.tracing.compiled.records import Outcome
-from clacad.tracing.compiled.straight_path import BEHIND_START, copy_row, hold_in_zone
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
+    BEHIND_START,
     BLOCK,
     CI,
     CI0,
@@ -53,9 +36,30 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
+    copy_row,
+    hold_in_zone,
     lane,
     lanes,
+    load_block,
+    queue_undecided,
+    store_block,
 )
+from clacad.tracing.compiled.cells import to_array
+from clacad.tracing.compiled.launch import launch_block
+from clacad.tracing.compiled.law_rung import (
+    CLEAR,
+    FAR,
+    MISS,
+    NEAR,
+    arrive_well_inside,
+    miss,
+    near,
+    rows_left,
+    surely_beside,
+    surely_unmet,
+)
+from clacad.tracing.compiled.packing import Packed, pack
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.layout import Layout, prepared
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.thin import thin_layout, thin_patches

@@ -15,11 +15,7 @@ from clacad.base.compiled import exact, least
 from clacad.base.types import Floats, Rows
 from clacad.optics.rays import Fate
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import in_zone, kept, relocate, sheet_xy
-from clacad.tracing.compiled.face import bend
-from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import Outcome
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     CI,
     CI0,
     CJ,
@@ -39,6 +35,10 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
     lanes,
 )
+from clacad.tracing.compiled.cells import in_zone, kept, relocate, sheet_xy
+from clacad.tracing.compiled.face import bend
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.facets.compiled_hierarchy import LEVEL
 from clacad.tracing.facets.compiled_tile_block import SquareGrid, half_bin, to_level
 from clacad.tracing.facets.squares import (

@@ -15,9 +15,7 @@ import numpy as np
 from clacad.base.compiled import exact, least
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.face import bend
-from clacad.tracing.compiled.records import Ray, Vector
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     DX,
     DY,
     DZ,
@@ -33,6 +31,8 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
     lanes,
 )
+from clacad.tracing.compiled.face import bend
+from clacad.tracing.compiled.records import Ray, Vector
 from clacad.tracing.facets.compiled_tiles import facet_normal, locate_facet
 from clacad.tracing.facets.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
 
