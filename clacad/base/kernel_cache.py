@@ -34,6 +34,7 @@ SOURCES = (
     "**/*compiled*.py",
     "**/compiled/*.py",
     "base/hashing.py",
+    "base/kernel_cache.py",
     "optics/*.py",
     "optics/surface/*.py",
     "sheet/window.py",
