@@ -249,35 +249,25 @@ class Ladder:
 
     def measured(self) -> list[dict[str, Any]]:
         """Run facts: seconds of this run, rung by rung."""
-        return [
-            {
-                "rung": r.rung,
-                "setting": r.setting,
-                "seconds": r.seconds,
-                "prepare_s": r.prepare_s,
-                "rays": r.rays,
-            }
-            for r in self.rows
-        ]
+        names = ("rung", "setting", "seconds", "prepare_s", "rays")
+        return [{name: getattr(row, name) for name in names} for row in self.rows]
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Numbers for the report, without measured times."""
+        names = (
+            "rung",
+            "setting",
+            "model_rms",
+            "model_max",
+            "law_rms",
+            "law_max",
+            "disagree",
+            "rays",
+            "quads",
+        )
         return [
-            {
-                "rung": r.rung,
-                "setting": r.setting,
-                "model_rms": r.model_rms,
-                "model_max": r.model_max,
-                "law_rms": r.law_rms,
-                "law_max": r.law_max,
-                "disagree": r.disagree,
-                "rays": r.rays,
-                "quads": r.quads,
-                "normals": r.normals,
-                "triangles": r.triangles,
-                "forecast_us": us,
-            }
-            for r, us in zip(self.rows, self.forecast, strict=True)
+            {name: getattr(row, name) for name in (*names, "normals", "triangles")} | {"forecast_us": us}
+            for row, us in zip(self.rows, self.forecast, strict=True)
         ]
 
 
