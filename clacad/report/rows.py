@@ -47,6 +47,10 @@ def number(value: float | str | None, unit: str = "") -> str:
     return plainly(value, unit)[0]
 
 
+def _mrads(*angles: float) -> tuple[str, ...]:
+    return tuple(mrad_text(angle, 3, unit="") for angle in angles)
+
+
 @dataclass(frozen=True, eq=False)
 class LightRows:
     """Rows of tables, made from a report and the measurements in addition to its checks.
@@ -92,14 +96,7 @@ class LightRows:
                 "used": f"{found.used} of {found.rays}",
                 "rms": mrad_text(found.rms, unit=""),
                 "parts": [
-                    (
-                        p.name,
-                        mrad_text(p.rms, 3, unit=""),
-                        mrad_text(p.half, 3, unit=""),
-                        mrad_text(p.worst, 3, unit=""),
-                        f"{1e3 * p.share:+.3g}",
-                        p.meaning,
-                    )
+                    (p.name, *_mrads(p.rms, p.half, p.worst), f"{1e3 * p.share:+.3g}", p.meaning)
                     for p in found.parts
                 ],
             }
