@@ -118,11 +118,9 @@ def distance_to_faces(
         np.zeros((n, 2)),
     )
     held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
-    body_of = (
-        np.full(n, held[0])
-        if len(held) == 1
-        else np.searchsorted(levels(window) if between is None else between, points[:, 2])
-    )
+    body_of = np.full(n, held[0])
+    if len(held) != 1:
+        body_of = np.searchsorted(levels(window) if between is None else between, points[:, 2])
     steep = np.abs(facing[:, 2]) < STEEP
     for number in held:
         body = window.bodies[number]

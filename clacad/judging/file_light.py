@@ -302,29 +302,21 @@ def fit_checks(
     found, wanted = ((one.eta_x, one.eta_y) for one in laws)
     shift, wanted_shift = ((one.delta_x, one.delta_y) for one in laws)
     return [
-        kinds[0].judge(
-            eta,
-            limits[0],
-            text.format("eta", *found, *wanted),
-            detail={"measured": found, "exact": wanted},
-            **common,
-        ),
-        kinds[1].judge(
-            delta,
-            limits[1],
-            text.format("delta", *shift, *wanted_shift),
-            detail={"measured": shift, "exact": wanted_shift},
-            **common,
-        ),
+        kind.judge(
+            value, limit, text.format(name, *one, *other), detail={"measured": one, "exact": other}, **common
+        )
+        for kind, limit, name, value, one, other in (
+            (kinds[0], limits[0], "eta", eta, found, wanted),
+            (kinds[1], limits[1], "delta", delta, shift, wanted_shift),
+        )
     ]
 
 
 def _confocality(asked: Inspection, found: FileLight) -> Check:
     limit = asked.design.check.confocality
     if np.isnan(found.shift).all():
-        return FILE_CONFOCALITY.not_run(
-            "too little light gets through the file to say", limit=limit, **asked.common
-        )
+        why = "too little light gets through the file to say"
+        return FILE_CONFOCALITY.not_run(why, limit=limit, **asked.common)
     value = float(np.nanmax(np.abs(found.shift)))
     sentence = (
         f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the"

@@ -69,12 +69,8 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
     """
     if not gathered.stored:
         return None
-    common: dict[str, Any] = {
-        "where": "file",
-        "subject": name,
-        "unit": "rad",
-        "limit_source": other(f"{STEEPER:g} × slope error of its facets"),
-    }
+    source = other(f"{STEEPER:g} × slope error of its facets")
+    common: dict[str, Any] = {"where": "file", "subject": name, "unit": "rad", "limit_source": source}
     if gathered.odd:
         text = f"{gathered.odd} of {gathered.stored} facets have a stored normal that is no unit vector"
         return FILE_NORMALS.check("fail", text, None, **common)
@@ -89,12 +85,9 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
             rms = _rms(window, gathered, body, side, cell)
             room = STEEPER * float(np.nan_to_num(off[cell].slope_rms[face])) + ROOM
             if rms is not None and rms / room > worst / (limit or 1.0):
-                label = f"{window.bodies[body].name} {('front', 'back')[side]}"
+                label = f"{window.bodies[body].name} {('front', 'back')[side]}, cell {index}"
                 worst, limit = rms, room
-                text = (
-                    f"stored normals are up to {mrad_text(rms)} rms off the exact faces ({label}, cell"
-                    f" {index})"
-                )
+                text = f"stored normals are up to {mrad_text(rms)} rms off the exact faces ({label})"
     if worst < 0.0:
         return FILE_NORMALS.check("not run", text, **{**common, "required": False})
     return FILE_NORMALS.check("pass" if worst <= limit else "fail", text, worst, limit, **common)

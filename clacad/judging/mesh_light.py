@@ -117,17 +117,9 @@ def checks_of_light(
     law, exact, passed = _fits(asked, window, gathered, held, present)
     likes = (like_cell(window, np.array(cell, dtype=np.int64), widest=False) for cell in gathered.cells)
     forecasts = np.array([forecast_rms(like, d) for like, d in zip(likes, off, strict=True)])
+    facts, slopes = {"lost": lost.tolist()}, off[0].slope_rms
     evidence = MeshEvidence(
-        found,
-        gathered.cells,
-        rms,
-        light.light.rms,
-        forecasts,
-        off[0].slope_rms,
-        law,
-        exact,
-        {"lost": lost.tolist()},
-        gathered,
+        found, gathered.cells, rms, light.light.rms, forecasts, slopes, law, exact, facts, gathered
     )
     noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
     checks = light_checks(asked, light, rms=to_law.tolist(), cells=gathered.cells, noise=noise)

@@ -74,6 +74,9 @@ def volume_of(window: Window, body: Body) -> Integral | None:
     return body_volume(window, body, depth=11)
 
 
+NO_INTEGRAL = "the outline cuts through lenslets; no integral of the design is at hand"
+
+
 def volume_check(
     asked: Inspection, window: Window, reach: float, chord: float, found: Measure, gathered: CellFacets
 ) -> Check:
@@ -88,20 +91,10 @@ def volume_check(
     integrals = [volume_of(window, body) for body in window.bodies]
     known = [i for i in integrals if i is not None]
     if len(known) < len(integrals):
-        return VOLUME.not_run(
-            "the outline cuts through lenslets; no integral of the design is at hand",
-            required=False,
-            **common,
-        )
+        return VOLUME.not_run(NO_INTEGRAL, required=False, **common)
     if found.facets and found.volume <= 0.0:
-        return VOLUME.check(
-            "fail",
-            f"it encloses {found.volume:.4g}: its facets face inwards",
-            found.volume,
-            0.0,
-            relation=">=",
-            **common,
-        )
+        why = f"it encloses {found.volume:.4g}: its facets face inwards"
+        return VOLUME.check("fail", why, found.volume, 0.0, relation=">=", **common)
     if not any(gathered.facets):
         return VOLUME.not_run("no triangles lie where the design has its cells", **common)
     exact, error = sum(i.value for i in known), sum(i.error for i in known)

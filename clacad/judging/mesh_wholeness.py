@@ -114,12 +114,8 @@ def closed_check(
     common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
     if found.facets == 0:
         return CLOSED.check("fail", "the file holds no triangles", **common)
-    facts: dict[str, Any] = {
-        "facets": found.facets,
-        "walls": gathered.walls,
-        "degenerate": gathered.degenerate,
-        "holds": dict(holds),
-    }
+    facts: dict[str, Any] = {"facets": found.facets, "walls": gathered.walls}
+    facts |= {"degenerate": gathered.degenerate, "holds": dict(holds)}
     if found.closed:
         sentence = f"every edge of {found.facets} facets is met once in each direction"
         if counts is not None:

@@ -179,6 +179,7 @@ def all_trials(
         some = slice(None, None, PIECE_STRIDE if cut else 1)
         for present, onto, move in places:
             off = distance_to_faces(window, here[some] + move, way[some], present, between, told[some])
+            left = robust(off.distance)
             yield Trial(
                 name,
                 factor,
@@ -193,7 +194,7 @@ def all_trials(
                 onto,
                 move,
                 between,
-                robust(off.distance),
+                left,
             )
 
 

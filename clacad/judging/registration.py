@@ -181,12 +181,7 @@ def least_sag(window: Window) -> float:
 # -- result ---------------------------------------------------------------------------------------------
 def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: float) -> Check:
     """Judge whether the part in pose `best` is the mirror image of the design, whose pose is then `twin`."""
-    common: dict[str, Any] = {
-        "where": "file",
-        "subject": subject.name,
-        "relation": "<=",
-        "unit": "design unit",
-    }
+    common: dict[str, Any] = {"where": "file", "subject": subject.name, "unit": "design unit"}
     if twin is None:
         return HANDEDNESS.check("not run", "no mirrored turn fits its box", required=False, **common)
     wrong = twin.residual < BETTER * best.residual and best.residual > AS_WRITTEN * pitch
@@ -250,6 +245,7 @@ def _pose_check(
     """
     limit = design.check.pose * min(tried.lattice.pitch)
     state: State = "pass" if pose.residual <= limit else "fail"
+    pose_in_detail = {name: getattr(pose, name) for name in ("turn", "move", "scale", "unit")}
     sentence = (
         f"{_pose_words(pose, design.unit)}; the exact faces are then {pose.residual:.3g} {design.unit} off"
         " (robust rms)"
@@ -269,13 +265,7 @@ def _pose_check(
         unit=design.unit,
         subject=subject.name,
         limit_source=other(f"{design.check.pose:g} of the pitch"),
-        detail={
-            "turn": pose.turn,
-            "move": pose.move,
-            "scale": pose.scale,
-            "unit": pose.unit,
-            "cells": window.lattice.count,
-        },
+        detail=pose_in_detail | {"cells": window.lattice.count},
     )
 
 

@@ -27,7 +27,7 @@ from clacad.checks.file_kinds import (
 from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.judging.delivery import Inspection
 from clacad.judging.file_light import light_checks
-from clacad.judging.mesh_shape import volume_of
+from clacad.judging.mesh_shape import NO_INTEGRAL, volume_of
 from clacad.judging.step_light import FACE_RAYS, FaceTracer, light_of_cells
 from clacad.optics.surface import Quadric
 from clacad.sheet.feasibility import body_range
@@ -393,12 +393,7 @@ def _volume(
     bodies = _held(window, found)
     parts = [volume_of(window, body) for body in bodies]
     if any(p is None for p in parts):
-        return VOLUME.not_run(
-            "the outline cuts through lenslets; no integral of the design is at hand",
-            required=False,
-            unit="mm³",
-            **common,
-        )
+        return VOLUME.not_run(NO_INTEGRAL, required=False, unit="mm³", **common)
     cube = millimetres(window.unit) ** 3
     want = sum(p.value for p in parts if p is not None) * cube
     error = sum(p.error for p in parts if p is not None) * cube
@@ -423,15 +418,8 @@ def _volume(
         detail["engraved"] = engraved
     if drilled := hole_words(window, found.get("holes", ())):
         sentence += f"; {drilled}"
-    return VOLUME.judge(
-        abs(got + engraved - want),
-        allowed,
-        sentence,
-        unit="mm³",
-        limit_source=source,
-        detail=detail,
-        **common,
-    )
+    off, judged = abs(got + engraved - want), {"limit_source": source, "detail": detail, **common}
+    return VOLUME.judge(off, allowed, sentence, unit="mm³", **judged)
 
 
 def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:

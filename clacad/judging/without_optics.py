@@ -152,15 +152,9 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
     found = measure(read_mesh(subject.path).chunks())
     checks = [
         READABLE.check("pass", f"{found.facets} facets", **common),
-        CLOSED.check(
-            "pass" if found.closed else "fail",
-            (
-                "every edge is met once in each direction"
-                if found.closed
-                else "the surface is not closed or not consistently wound"
-            ),
-            **common,
-        ),
+        CLOSED.check("pass", "every edge is met once in each direction", **common)
+        if found.closed
+        else CLOSED.check("fail", "the surface is not closed or not consistently wound", **common),
     ]
     stated = subject.entry.get("volume")
     if isinstance(stated, (int, float)) and stated > 0.0:

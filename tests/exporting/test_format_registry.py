@@ -49,7 +49,7 @@ OTHER_MEANINGS = {
             "waves/wave_report.py"},  # pictures for people
     "sag": {"explain/look_up.py", "optics/surface/__init__.py",
             "sheet/feasibility/as_rows.py", "checks/design_kinds.py",
-            "verification/stability/measure_cases.py",
+            "verification/stability/__init__.py",
             "verification/tolerance/parameter_sweep.py"},  # the height of a lens, its check and its limit
     "scene": {"cli/export_command.py", "design/sections.py", "scene/model.py", "scene/read.py",
               "scene/rules.py"},  # scene files

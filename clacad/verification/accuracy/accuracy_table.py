@@ -4,9 +4,9 @@ The truth is rung surfaces in float64, which is itself checked against a trace i
 the table therefore has a reference, and the error of the reference is known.
 
 Seconds change from run to run and a report must not. The page therefore shows a forecast of the time from
-the rates below. Times measured in one run go to the run facts, and into the report only on request. Every
-rung traces the few rays of a ladder in numpy: compiling its kernels would take longer than the rest of a
-report. The time to compile the kernels of a table is forecast here, too.
+the rates of rungs (`clacad.tracing.which_path`). Times measured in one run go to the run facts, and into the
+report only on request. Every rung traces the few rays of a ladder in numpy: compiling its kernels would take
+longer than the rest of a report. The time to compile the kernels of a table is forecast here, too.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from clacad.base.text import mrad_text
 from clacad.base.types import Progress, silent
 from clacad.sheet.window import Window
+from clacad.tracing.which_path import COMPILING, MICROSECONDS, Kernel
 from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable, TargetOutOfReach
 
 if TYPE_CHECKING:
@@ -213,14 +214,6 @@ RAYS = 8192
 ORACLE_RAYS = 128
 QUADS = (4, 8, 16, 32)
 
-MICROSECONDS = {"law": 0.05, "thin": 0.25, "surfaces": 0.07, "mesh": 0.16, "mesh, a quad of the side": 0.003}
-"""Forecast of the processor time of one ray in compiled kernels, by rung, µs.
-
-The values are geometric means over traces of 20 000 rays through four shipped designs (plano, window-100mm,
-tilted-biconvex, hexagonal) on one core of an ordinary server. A design may differ from it by a factor of 8,
-because tilted lenses and hexagons cost more; another machine scales all points alike.
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
@@ -249,35 +242,25 @@ class Ladder:
 
     def measured(self) -> list[dict[str, Any]]:
         """Run facts: seconds of this run, rung by rung."""
-        return [
-            {
-                "rung": r.rung,
-                "setting": r.setting,
-                "seconds": r.seconds,
-                "prepare_s": r.prepare_s,
-                "rays": r.rays,
-            }
-            for r in self.rows
-        ]
+        names = ("rung", "setting", "seconds", "prepare_s", "rays")
+        return [{name: getattr(row, name) for name in names} for row in self.rows]
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Numbers for the report, without measured times."""
+        names = (
+            "rung",
+            "setting",
+            "model_rms",
+            "model_max",
+            "law_rms",
+            "law_max",
+            "disagree",
+            "rays",
+            "quads",
+        )
         return [
-            {
-                "rung": r.rung,
-                "setting": r.setting,
-                "model_rms": r.model_rms,
-                "model_max": r.model_max,
-                "law_rms": r.law_rms,
-                "law_max": r.law_max,
-                "disagree": r.disagree,
-                "rays": r.rays,
-                "quads": r.quads,
-                "normals": r.normals,
-                "triangles": r.triangles,
-                "forecast_us": us,
-            }
-            for r, us in zip(self.rows, self.forecast, strict=True)
+            {name: getattr(row, name) for name in (*names, "normals", "triangles")} | {"forecast_us": us}
+            for row, us in zip(self.rows, self.forecast, strict=True)
         ]
 
 
@@ -315,11 +298,6 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
     return Ladder(tuple(rows), tuple(forecast), known)
 
 
-Kernel = Literal["surfaces", "mesh", "float32", "law", "thin"]
-
-SECONDS: dict[Kernel, float] = {"surfaces": 40.0, "mesh": 41.0, "float32": 20.0, "law": 7.0, "thin": 9.0}
-"""Processor seconds to compile each kernel (`tests/benchmarks/kernel_compile.py`)."""
-
 OF_TABLE: tuple[Kernel, ...] = ("surfaces", "mesh", "float32", "law", "thin")
 """Kernels of an accuracy table."""
 
@@ -335,7 +313,7 @@ def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
     """
     if not window.uniform:
         return 0.0
-    return sum(SECONDS[name] for name in kernels if not _kept(window, name))
+    return sum(COMPILING[name] for name in kernels if not _kept(window, name))
 
 
 def _kept(window: Window, kernel: Kernel) -> bool:

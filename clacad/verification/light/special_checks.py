@@ -199,13 +199,9 @@ def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | No
         planes = spec.conjugates
     if planes is not None:
         return ((0.0, 0.0, planes.object), planes.image) if isfinite(planes.image) else None
-    if (
-        spec is not None
-        and spec.f_image is not None
-        and spec.f_image[0] == spec.f_image[1]
-        and isfinite(spec.f_image[0])
-    ):
-        return (0.0, 0.0, -inf), spec.f_image[0]
+    lengths = None if spec is None else spec.f_image
+    if lengths is not None and lengths[0] == lengths[1] and isfinite(lengths[0]):
+        return (0.0, 0.0, -inf), lengths[0]
     return None
 
 
@@ -219,9 +215,8 @@ def image_checks(lit: Lit) -> Iterator[Check]:
     found = image(window, source, ("surfaces",), IMAGE_RAYS)
     (one,) = found.rungs
     if not np.isfinite(one.found.point).all():
-        yield from (
-            kind.not_run("no light of the requested point gets through") for kind in (IMAGE_POINT, SPOT)
-        )
+        why = "no light of the requested point gets through"
+        yield from (kind.not_run(why) for kind in (IMAGE_POINT, SPOT))
         return
     place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
     across = one.found.point[:2] - one.predicted.point[:2]

@@ -275,16 +275,8 @@ def tolerance(
     seed = design.tolerances.seed if seed is None else seed
     count = 1 + ENDS * len(chosen) + (design.tolerances.samples if samples is None else samples)
     text = json.dumps({**named_design(design), "rays": rays, "seed": seed}, sort_keys=True)
-    header = {
-        "kind": "tolerances",
-        "format": FORMAT,
-        "clacad": __version__,
-        "design": design.sha256,
-        "seed": seed,
-        "rays": rays,
-        "parameters": [p.name for p in chosen],
-        "measures": list(MEASURES),
-    }
+    header = {"kind": "tolerances", "format": FORMAT, "clacad": __version__, "design": design.sha256}
+    header |= {"seed": seed, "rays": rays, "parameters": [p.name for p in chosen], "measures": [*MEASURES]}
     rows = worked(make_cases, text, header, count, farm or Farm(), checkpoint, progress)
     study = _study(design, chosen, seed, rays, np.array(rows, dtype=np.float64))
     i, j = (int(v) for v in seen.cell)
