@@ -60,9 +60,7 @@ class Tessellation:
 
     @cached_property
     def single(self) -> Mesh:
-        """Mesh of a sheet of one cell, border and outline included: one telescopelet where cells are not
-        repeated.
-        """
+        """Mesh of a sheet of one cell, border and outline included, where cells are not repeated."""
         need_equal_cells(self.window, "the mesh of one cell for all")
         from clacad.mesh import tessellate
 
@@ -120,9 +118,7 @@ class Meshes:
         return self._made.setdefault(quads, Tessellation(self.window, quads, self._bevel))
 
     def facets(self, quads: int) -> int:
-        """Facets of the whole sheet without expansion: exact, or estimated from a sample of a non-uniform
-        sheet.
-        """
+        """Facets of the whole sheet: exact, or estimated from a sample of a non-uniform sheet."""
         return sum(body.facets_about for body in self.at(quads).mesh.bodies)
 
     @property

@@ -68,9 +68,7 @@ class HeightMap:
         return (self.high - self.low) / 65534.0 or 1.0
 
     def calibration(self, scale: float) -> dict[str, object]:
-        """Data that a machine needs to use the map, in millimetres (`scale` = millimetres per design
-        unit).
-        """
+        """Data that a machine needs to use the map, in millimetres (`scale`: millimetres per design unit)."""
         return {
             "face": self.label,
             "pixel_mm": self.pixel * scale,

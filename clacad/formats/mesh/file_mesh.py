@@ -127,9 +127,7 @@ class Part:
         return found
 
     def welded(self) -> tuple[Floats, Ints]:
-        """Vertices (v, 3) of its facets before placing, equal ones merged, and facets (t, 3) of their
-        numbers.
-        """
+        """Vertices (v, 3) of its facets before placing, equal ones merged, and facets (t, 3) by number."""
         if self.soup is not None:
             return welded(self.corners(0, self.facet_count))
         assert self.vertices is not None
@@ -228,9 +226,7 @@ class FileMesh:
 
     @property
     def expandable(self) -> bool:
-        """Whether its facets are few enough to visit all of them at every placement; always true without
-        repeats.
-        """
+        """Whether its facets are few enough to visit all at every placement; true without repeats."""
         return self.facet_count <= max(MOST_EXPANDED, self.stored_count)
 
     def chunks(self, size: int = CHUNK) -> Iterator[Floats]:
@@ -330,9 +326,7 @@ class FileMesh:
 
 
 def kinds(part: Part) -> list[tuple[Floats, Ints]]:
-    """Group placements of a part by rotation and scale: linear map (3, 3) and row numbers, the commonest
-    first.
-    """
+    """Group placements of a part by rotation and scale: linear map (3, 3), row numbers; commonest first."""
     linear = part.placements[:, :3].reshape(-1, 9)
     if (linear == linear[0]).all():
         return [(linear[0].reshape(3, 3), np.arange(len(linear)))]
@@ -347,9 +341,7 @@ def kinds(part: Part) -> list[tuple[Floats, Ints]]:
 
 
 def kinds_and_ends(part: Part) -> list[tuple[Floats, int, Floats, Floats]]:
-    """Groups as of `kinds` with their counts, and the least and greatest moves (3,) of each; rows are not
-    written out.
-    """
+    """Groups as of `kinds` with counts, least and greatest moves (3,) of each; rows are not written out."""
     if part.places.in_rows:
         return [(np.eye(3), len(part.places), low, high) for _, low, high in part.places.ends()]
     moves = [(linear, part.placements[rows, 3]) for linear, rows in kinds(part)]
@@ -357,9 +349,7 @@ def kinds_and_ends(part: Part) -> list[tuple[Floats, int, Floats, Floats]]:
 
 
 def turned_normals(normals: Floats, place: Floats) -> Floats:
-    """Normals (k, 3, 3) of a part after placing; unit normals stay unit where the map rotates, mirrors and
-    scales.
-    """
+    """Normals (k, 3, 3) of a part after placing; unit normals stay unit."""
     linear = place[:3]
     size = abs(float(np.linalg.det(linear)))
     if size == 0.0:
