@@ -15,7 +15,7 @@ from clacad.formats.mesh.compare_triangles import Promise
 from clacad.formats.placements import Piece, Places
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.need_window import need_equal_cells
-from clacad.sheet.window import Body, Land, Window
+from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
@@ -150,12 +150,8 @@ def one_cell(window: Window) -> Window:
         window.with_cells((1, 1)),
         placements=(CellPlacement(),) * len(window.placements),
         outline=None,
-        land=_without_border(window.land),
+        land=replace(window.land, border=0.0),
     )
-
-
-def _without_border(land: Land) -> Land:
-    return replace(land, border=0.0)
 
 
 def _piece(body: Body, part: BodyMesh, places: Places | None) -> Piece:

@@ -21,11 +21,6 @@ CHUNK = 1 << 16
 MOST_EXPANDED = 100_000_000
 """Facets up to which a file that repeats its parts may be walked as if each of them were written out."""
 
-SURVEYED = 200_000
-"""Facets by which a file too large to walk is located."""
-
-GOLDEN = 0.5 * (5.0**0.5 - 1.0)
-
 ONE_PLACE = np.concatenate([np.eye(3), np.zeros((1, 3))])[None]
 
 
@@ -235,7 +230,7 @@ class FileMesh:
         Raises
         ------
         UnreadableFile
-            Its repeated parts represent more facets than MOST_EXPANDED: examine each part once, or `thinned`.
+            Its repeated parts represent more facets than MOST_EXPANDED: examine each part once.
         """
         if not self.expandable:
             raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")
@@ -248,66 +243,6 @@ class FileMesh:
             raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")
         for part in self.parts:
             yield from part.pairs(size)
-
-    def thinned(self, count: int) -> Floats:
-        """Corners of about `count` facets spread evenly over parts, placements and facets, (k, 3, 3), file
-        unit.
-
-        Nothing is expanded; a mesh of fewer facets is returned whole. The selection is deterministic.
-        """
-        total = self.facet_count
-        if total <= count:
-            return np.concatenate([np.zeros((0, 3, 3)), *self.chunks()])
-        found = []
-        for part in self.parts:
-            every = part.facet_count * len(part.places)
-            many = min(every, int(np.ceil(count * every / total)))
-            k = np.arange(many)
-            # placements in order, facets by the golden ratio: the two sequences have no common stride
-            place = (k * len(part.places)) // max(1, many)
-            share = (k * GOLDEN) % 1.0 if part.repeated else (k + 0.5) / max(1, many)
-            corners = part.picked((share * part.facet_count).astype(np.int64))
-            spots = part.placed_at(place)
-            found.append(np.einsum("kcx,kxy->kcy", corners, spots[:, :3]) + spots[:, None, 3])
-        return np.concatenate(found)
-
-    def survey(self, count: int = SURVEYED) -> Iterator[Floats]:
-        """Chunks from which the pose of a part is found: all facets, or an even selection of a file with too
-        many.
-
-        The selection is `thinned`, with the facets at its extremes in many directions, so that its box and
-        hull are complete.
-        """
-        if self.expandable:
-            yield from self.chunks()
-            return
-        found = np.concatenate([self.thinned(count), self._ends()])
-        for start in range(0, len(found), CHUNK):
-            yield found[start : start + CHUNK]
-
-    def _ends(self) -> Floats:
-        """Facets (k, 3, 3) that contain the farthest corner along each of many directions."""
-        k = np.arange(256)
-        z, turn = 1.0 - (2 * k + 1) / len(k), 2.0 * np.pi * GOLDEN * k
-        around = np.sqrt(1.0 - z * z)
-        signs = np.array(
-            [[x, y, w] for x in (-1, 0, 1) for y in (-1, 0, 1) for w in (-1, 0, 1)], dtype=np.float64
-        )
-        ways = np.concatenate([np.column_stack([around * np.cos(turn), around * np.sin(turn), z]), signs])
-        found = []
-        for part in self.parts:
-            for linear, rows in kinds(part):
-                reach, facet = np.full(len(ways), -np.inf), np.zeros(len(ways), dtype=np.int64)
-                for start in range(0, part.facet_count, CHUNK // 16):
-                    along = (part.corners(start, start + CHUNK // 16) @ linear @ ways.T).max(axis=1)
-                    best = along.argmax(axis=0)
-                    farther = along[best, np.arange(len(ways))] > reach
-                    reach[farther] = along[best, np.arange(len(ways))][farther]
-                    facet[farther] = best[farther] + start
-                place = np.array([int(np.argmax(part.placements[rows, 3] @ way)) for way in ways])
-                spots = part.placements[rows[place]]
-                found.append(np.einsum("kcx,kxy->kcy", part.picked(facet), spots[:, :3]) + spots[:, None, 3])
-        return np.concatenate(found)
 
     def box(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner, (3,) each, file unit."""
