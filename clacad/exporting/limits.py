@@ -35,9 +35,7 @@ if TYPE_CHECKING:
 MOST_FACETS = 50_000_000
 MOST_BYTES = 2_000_000_000
 MOST_CELLS = 10_000_000
-"""Largest number of lenslets of one array; below it, formats that list cells one by one finish within
-minutes.
-"""
+"""Largest number of lenslets of one array; formats that list cells then finish within minutes."""
 QUADS = (64, 32, 16, 8, 4)
 """Facet grids per cell side from which "auto" chooses, finest first."""
 

@@ -1,6 +1,4 @@
-"""Facets per cell side of every format of an export, and the role of each file: as requested, and as
-chosen.
-"""
+"""Facets per cell side of every format, and the role of each file: as requested, and as chosen."""
 
 from __future__ import annotations
 
@@ -97,9 +95,7 @@ def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[
 
 
 MOST_QUADS = 8192
-"""Largest number of facets along a cell side; one array of the corners then takes 0.5 GB, forecasts hold a
-few.
-"""
+"""Largest number of facets along a cell side; one array of the corners then takes 0.5 GB."""
 
 
 def _grid(value: object) -> Quads:
@@ -261,9 +257,7 @@ def default_meshes(design: Design, window: Window, formats: Sequence[str]) -> di
 
 
 def by_default(request: Request, format: str) -> bool:
-    """Whether neither grid nor preview was requested of a mesh format; the light through it then decides
-    both.
-    """
+    """Whether neither grid nor preview was requested of a mesh format; the light then decides both."""
     said = request.quads.get(format) is not None or request.slope_error != "auto"
     return format_of(format).is_mesh and not said and request.role.get(format) is not Role.PREVIEW
 

@@ -105,9 +105,7 @@ def write(
 
 
 def read(path: str, window: Window, place: SheetPlace | None = None) -> dict[str, Any]:
-    """Read in the worker, with OCC if the file is not too large; `place`: one sheet of several in the
-    file.
-    """
+    """Read in the worker, with OCC if the file is not too large; `place`: one of several sheets."""
     from clacad.formats.step.read_back import read_brep, read_step
 
     return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window, place=place)

@@ -58,9 +58,7 @@ def _radius(value: float, mm: float, half: float) -> str:
 
 
 def faces_table(window: Window, allowed: Allowances) -> Canvas:
-    """Every face: radii and conic constants along its own axes, position of its apex in its cell,
-    rotation.
-    """
+    """Every face: radii and conic constants along its axes, apex in its cell, rotation."""
     mm = millimetres(window.unit)
     head = [
         "face",
@@ -113,9 +111,7 @@ def _terms(face: Face, order: str, mm: float) -> str:
 
 
 def sag_table(window: Window) -> Canvas:
-    """Heights of each lens over its apex along its own axes x and y, to the farthest corner of a cell from
-    any apex.
-    """
+    """Heights of each lens over its apex along its axes x and y, to the farthest corner of a cell."""
     mm = millimetres(window.unit)
     curved = structured_faces(window)
     reach = _reach(window)
@@ -153,18 +149,14 @@ def _sag(face: Face, at: float, axis: int, mm: float) -> str:
 
 
 LEAST_CONIC = 1e-12
-"""Conic constants below are rounding errors: they change no lens that fits a sheet by a millionth of a
-wavelength.
-"""
+"""Conic constants below are rounding errors: they change no lens by a millionth of a wavelength."""
 
 MOST_EDGES = 32
 """Edges of a plate that a table lists; a longer boundary is drawn to scale alone."""
 
 
 def plate_tables(design: Design, window: Window) -> list[Canvas]:
-    """Holes of a plate, and the corners of its boundary, about the middle of the cells (mm); none of a plain
-    outline.
-    """
+    """Holes of a plate and corners of its boundary about the middle of the cells (mm), if it is one."""
     plate = window.outline
     if not isinstance(plate, Plate):
         return []

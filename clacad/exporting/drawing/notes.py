@@ -61,9 +61,7 @@ NO_ALLOWANCES = Allowances()
 
 
 def allowances(design: Design) -> Allowances:
-    """Tolerances of a design; the roughness of its lens faces is that of [tolerances] or [body], the larger
-    of the two.
-    """
+    """Tolerances of a design; roughness of its lens faces: the larger of [tolerances] and [body]."""
     spec, mm = design.tolerances, millimetres(design.unit_m)
     return Allowances(
         (spec.thickness[0] * mm, spec.thickness[1] * mm),

@@ -33,9 +33,7 @@ def frame_box(paper: tuple[float, float]) -> tuple[float, float, float, float]:
 
 
 def zone_edges(low: float, high: float, middle: float) -> list[float]:
-    """Ends of the zones along a side of the frame (mm): an even number, in steps of 50 from the middle of
-    the paper.
-    """
+    """Ends of the zones along a side of the frame (mm): an even number, steps of 50 from the middle."""
     half = max(1, round((high - low) / (2.0 * ZONE)))
     return [low, *(middle + ZONE * k for k in range(1 - half, half)), high]
 

@@ -41,9 +41,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """Room for boxes, mm: its size, that of the corner at its lower right that is taken, and the least
-    gap.
-    """
+    """Room for boxes, mm: its size, that of the taken corner at its lower right, and the least gap."""
 
     size: Size
     corner: Size
@@ -161,9 +159,7 @@ def differing_key(design: Design) -> str:
 
 
 def differing_notes(design: Design, window: Window) -> tuple[str, ...]:
-    """Notes that the sheet is non-uniform, by which key, and where all cells are listed; empty for a uniform
-    sheet.
-    """
+    """Notes that a sheet is non-uniform, by which key, and where all cells are listed."""
     if window.uniform:
         return ()
     return (
@@ -275,9 +271,7 @@ class _Trial:
 
     @property
     def cost(self) -> tuple[int, float, float]:
-        """The fewest sheets are best; of those the fullest, and of equally full ones the largest views and
-        type.
-        """
+        """The fewest sheets are best; then the fullest, then the largest views and type."""
         used = sum((x1 - x0) * (y1 - y0) for page in self.pages for x0, y0, x1, y1 in page.values())
         return len(self.pages), max(self.empty, ENOUGH), -used
 

@@ -306,8 +306,7 @@ STEP_DOWN, STEP_OUT = 20.0, 44.0
 """Distance of successive dimension lines, px."""
 
 MOST_PLACES = 4
-"""Largest number of distinct hole distances along an axis that a view dimensions; the table of holes has all.
-"""
+"""Largest number of hole distances along an axis that a view dimensions; the table of holes has all."""
 
 Distance = tuple[float, float, str]
 

@@ -175,9 +175,7 @@ def _saddle_facts(job: Job, saddles: int, scale: float) -> dict[str, Any]:
 
 
 def of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
-    """Row of a mesh with the cost of a non-uniform sheet: each cell is cut and joined to its neighbours
-    separately.
-    """
+    """Row of a mesh with the cost of a non-uniform sheet: each cell is cut and joined separately."""
     if window.uniform:
         return row
     bodies = sum(any(f.change is not None for f in (body.front, body.back)) for body in window.bodies)

@@ -183,9 +183,7 @@ def grey_cell(window: Window, body: Body, face: Face, label: str, levels: int, s
 
 
 def _pixels(map_: HeightMap) -> tuple[Floats, Floats, tuple[float, float]]:
-    """Middles x, y (rows, columns) of the pixels of a cell, from its centre, and their width and height,
-    lengths.
-    """
+    """Middles x, y (rows, columns) of the pixels from the middle of a cell; width and height, lengths."""
     assert map_.face.array is not None
     lattice = map_.window.lattice_of(map_.face.array)
     tile = lattice.tile()

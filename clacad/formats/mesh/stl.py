@@ -24,9 +24,7 @@ from clacad.storage.reading import Overheard, Spending
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 HEADER = 80
 PIECE = 1 << 12
-"""Facets that are checked together: their temporaries stay in the second-level cache, and in memory already
-allocated.
-"""
+"""Facets that are checked together: their temporaries stay in the second-level cache."""
 
 
 class FacetStream(Protocol):

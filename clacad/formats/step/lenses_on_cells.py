@@ -22,9 +22,7 @@ from clacad.formats.step.lens_placements import LensPoints, Measured, measured
 from clacad.sheet.window import Window
 
 SAMPLE = 20_000
-"""Patches, in their placements, whose points are compared with the design; the position of every instance is
-checked.
-"""
+"""Patches, in their placements, with points compared with the design; every instance's position is."""
 
 NEAR = 1e-5
 """Pitches within which a lens counts as on its cell when the pose of the whole part is found."""
@@ -33,9 +31,7 @@ MOVED = 1e-7
 """Pitches from its cell beyond which a lens is reported as off the lattice."""
 
 LOST = 128.0 * 2.0**-52
-"""Relative to the farthest coordinates: more than the rounding of five positions, each of about eight
-roundings.
-"""
+"""Relative to the farthest coordinates: more than the rounding of five positions, of eight each."""
 
 Cell = tuple[int, int]
 
