@@ -47,12 +47,8 @@ def read_text(name: str, what: str = "design") -> str:
             why = f"the file is too large for a {what}"
             raise too_large("CL100", why, path=name, allowed="up to 1 MB") from None
         why = (problem.strerror or str(problem)).lower()
-        raise design_error(
-            "CL100",
-            f"cannot read the {what}: {why}",
-            path=name,
-            hint=_nearest_file(name) if problem.errno == ENOENT else "",
-        ) from problem
+        hint = _nearest_file(name) if problem.errno == ENOENT else ""
+        raise design_error("CL100", f"cannot read the {what}: {why}", path=name, hint=hint) from problem
     except ValueError:
         raise design_error(
             "CL100", f"cannot read the {what}: the name holds a zero byte", path=name.replace("\0", "?")

@@ -120,19 +120,10 @@ def read_table(design_path: str, table: TableSpec, lattice: Lattice, eta: float)
     path = table_path(design_path, table.file)
     most = BUDGETS["cell-table"].items or 0
     if (count := lattice.count[0] * lattice.count[1]) > most:
-        raise too_large(
-            "CL124",
-            f"{count:,} cells are more than the {most:,} that a table may have",
-            KEY,
-            allowed=f"up to {most:,} cells",
-        )
+        why = f"{count:,} cells are more than the {most:,} that a table may have"
+        raise too_large("CL124", why, KEY, allowed=f"up to {most:,} cells")
     if (found := digest(path)) != table.sha256:
-        raise design_error(
-            "CL124",
-            f"{path} is not the table whose sha256 the design states",
-            KEY,
-            found=found,
-            allowed=table.sha256,
-            hint="the name alone takes the table as it is",
-        )
+        why = f"{path} is not the table whose sha256 the design states"
+        hint = "the name alone takes the table as it is"
+        raise design_error("CL124", why, KEY, found=found, allowed=table.sha256, hint=hint)
     return TableFile(path, lattice, KEY, eta).numbers()
