@@ -18,6 +18,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
+from clacad.base.text import size_in
+
 State = Literal["ok", "warn", "fail", "absent"]
 
 LEAST_MEMORY = 2_000_000_000
@@ -360,7 +362,9 @@ def _cache() -> Iterator[Diagnosis]:
         )
         return
     size = sum(path.stat().st_size for path in kept)
-    many = f"{len(kept)} compiled, {size / 1e6:.1f} MB" if kept else "none yet; the first trace compiles them"
+    many = (
+        f"{len(kept)} compiled, {size_in(size, 'MB')}" if kept else "none yet; the first trace compiles them"
+    )
     yield Diagnosis("cache", "kernels", "ok", str(place), many)
 
 
@@ -396,7 +400,7 @@ def _rates() -> Iterator[Diagnosis]:
 
 def _readers() -> Iterator[Diagnosis]:
     """What each reader takes of a file; one that takes more is refused with exit status 3."""
-    from clacad.base.untrusted_files import BUDGETS, MEGABYTE
+    from clacad.base.untrusted_files import BUDGETS
 
     for name, budget in BUDGETS.items():
         said = [budget.files]
@@ -409,6 +413,7 @@ def _readers() -> Iterator[Diagnosis]:
             )
         if budget.memory is not None:
             said.append(
-                f"{budget.memory / MEGABYTE:,.0f} MB of memory and {budget.memory_per_byte} bytes more a byte"
+                f"{size_in(budget.memory, 'MB', ',.0f')} of memory and {budget.memory_per_byte} bytes more a"
+                " byte"
             )
         yield Diagnosis("readers", name, "ok", budget.bytes, "; ".join(said))

@@ -12,7 +12,7 @@ from math import fsum
 import numpy as np
 
 from clacad.base.polygons import polygon_area
-from clacad.base.roots import bisect, sign_changes
+from clacad.base.sign_changes import bisect, sign_changes
 from clacad.base.types import Floats
 from clacad.sheet.lattice import Circle
 from clacad.sheet.window import Body, Face, Window, lens_height, optical_tile

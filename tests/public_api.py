@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from enum import Enum
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +19,13 @@ def called(value: Any) -> str:
     """How a function or a class is called: parameters with their kinds, "=" where one may be left out."""
     words, stars = [], False
     for name, one in inspect.signature(value).parameters.items():
+        options = re.fullmatch(r"Unpack\[(\w+)\]", str(one.annotation))
+        if options is not None:
+            words += [
+                *([] if stars else ["*"]),
+                *(f"{key}=" for key in value.__globals__[options[1]].__annotations__),
+            ]
+            continue
         if one.kind is one.KEYWORD_ONLY and not stars:
             words.append("*")
         stars = stars or one.kind in (one.KEYWORD_ONLY, one.VAR_POSITIONAL)

@@ -159,7 +159,7 @@ def test_every_package_says_what_lives_in_it():
 
 def mathematics() -> list[str]:
     """Files that know numpy and the standard library only."""
-    return [*in_rooms("optics"), "sheet/lattice.py", "base/pairs.py", "base/sobol.py", "base/roots.py"]
+    return [*in_rooms("optics"), "sheet/lattice.py", "base/pairs.py", "base/sobol.py", "base/sign_changes.py"]
 
 
 def test_mathematics_knows_numpy_and_the_standard_library_only():

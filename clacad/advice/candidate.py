@@ -50,9 +50,7 @@ class FormNumbers:
 
 
 def shape_of(form: str, index: float) -> FormNumbers:
-    """Numbers of a form: both faces of biconvex lenses share the power; a slab is n times its separation
-    thick.
-    """
+    """Numbers of a form: faces of biconvex lenses share the power; a slab is n times its separation thick."""
     return FormNumbers(2.0 if form == "biconvex" else 1.0, index if form == "slab" else 0.0)
 
 
@@ -67,23 +65,17 @@ def powers(wish: Wish) -> list[float]:
 
 
 def returning(wish: Wish) -> float:
-    """Width of the light returned to the viewer from one cell, over the pitch: min(1, 1/|η|), the smaller
-    axis.
-    """
+    """Width of the light one cell returns to the viewer, over the pitch: min(1, 1/|η|), the smaller axis."""
     return min(1.0, *(1.0 / abs(eta) for eta in wish.eta))
 
 
 def balanced_pitch(wish: Wish) -> float:
-    """√(λD/min(1, 1/|η|)), millimetres: a pixel appears as large as the diffraction of the light returned
-    from it.
-    """
+    """√(λD/min(1, 1/|η|)), mm: a pixel appears as large as the diffraction of its returned light."""
     return sqrt(wish.wavelength * MILLIMETRES * wish.distance / returning(wish))
 
 
 def sharpest_pitch(wish: Wish, behind: float) -> float:
-    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer, in the
-    meridian blurred more.
-    """
+    """Pitch (mm) at which a point `behind` the sheet is least blurred, in the more blurred meridian."""
     distance, viewer, etas = behind / MILLIMETRES, wish.distance / MILLIMETRES, powers(wish)
     pitches = [derived_numbers.sharpest_pitch(eta, distance, wish.wavelength) for eta in etas]
     blurs = [derived_numbers.sharpest_blur(eta, distance, viewer, wish.wavelength) for eta in etas]
@@ -161,17 +153,14 @@ def upper_pitches(wish: Wish, ratio: float, shape: FormNumbers) -> Iterator[Pitc
 
 
 def _fresnel_pitch(wish: Wish, ratio: float) -> float:
-    """Pitch (millimetres) of Fresnel number `FRESNEL`: (w/2)²/(λ f2), w = p min(1, |η|), f2 = |η| s/|1 −
-    η|.
-    """
+    """Pitch (mm) of Fresnel number `FRESNEL`: (w/2)²/(λ f2), w = p min(1, |η|), f2 = |η| s/|1 − η|."""
     worst = max(abs(eta) / (abs(1.0 - eta) * min(1.0, abs(eta)) ** 2) for eta in powers(wish))
     turned = 1.2 if wish.kind == "hexagonal" else 1.0  # a hexagon's equivalent width is its breadth over √1.2
     return FRESNEL * turned * 4.0 * wish.wavelength * MILLIMETRES * ratio * worst
 
 
 def undistorted_conic(form: str, curved: str, index: float) -> float | None:
-    """Conic constant of lens 2 at which light along the axis of an offset pair leaves by the law, to third
-    order.
+    """Conic of lens 2 at which light along an offset pair's axis obeys the law, to third order.
 
     It meets lens 2 at the height d = δ f1 and leaves at δ/|η| = d/f2, if the slope of the face grows with the
     height as Snell's law requires of a collimating face: tan τ = u + (1 + K) u³/2 at u = d/R2, and its exit
@@ -198,9 +187,7 @@ FORMS: Final[tuple[tuple[Form, Curved], ...]] = (
     ("plano", "outside"),
     ("biconvex", "outside"),
 )
-"""Forms in the order of trial: one piece; plates with protected lenses, then exposed lenses; two-sided
-lenses.
-"""
+"""Forms in the order of trial: one piece; plates with protected, then exposed lenses; two-sided lenses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,8 +239,7 @@ def apertures(wish: Wish) -> tuple[float, ...]:
 def built(
     wish: Wish, variant: Variant, pitch: float, ratio: float, name: str, overrides: Sequence[str] = ()
 ) -> Design:
-    """Design of a variant at a pitch (millimetres) and a separation of `ratio` pitches, rounded to three
-    digits.
+    """Design of a variant at a pitch (mm) and a separation of `ratio` pitches, rounded to three digits.
 
     Raises
     ------
@@ -322,9 +308,7 @@ def _body(wish: Wish, variant: Variant) -> dict[str, Any]:
 
 
 def _holes(wish: Wish, count: int, flange: float) -> dict[str, Any]:
-    """Holes in the centre of the flange, half as wide: one in each corner of a rectangle, or on the circle of
-    a disc.
-    """
+    """Holes in the centre of the flange, half as wide: in each corner, or on the circle of a disc."""
     holes: dict[str, Any] = {"diameter": 0.5 * flange}
     if wish.size.shape == "circle":
         return holes | {"circle": wish.size.size[0] + flange, "count": count}

@@ -15,7 +15,7 @@ from typing import Any
 
 from clacad.advice.hints import changes_text, outcome_text
 from clacad.advice.judged import Judged
-from clacad.advice.levers import (
+from clacad.advice.lever_trials import (
     Changes,
     NoMoreTrials,
     Trials,
@@ -119,8 +119,7 @@ def _each_id(checks: Sequence[Check]) -> list[Check]:
 
 
 def fix(design: Design, progress: Progress | None = None) -> Fixed:
-    """Find the fewest keys that make a design pass; the law, the material, the process and all limits are
-    kept.
+    """Find the fewest keys that make a design pass; law, material, process and all limits are kept.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from math import nan
 from typing import Any, Final
 
 from clacad.advice.judged import Judged
-from clacad.advice.levers import (
+from clacad.advice.lever_trials import (
     Changes,
     NoMoreTrials,
     Trials,

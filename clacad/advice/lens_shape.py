@@ -44,9 +44,7 @@ class CentreErrors:
     eta: float
 
     def lasting(self, design: Design) -> float:
-        """Errors that do not depend on the separation, over the design's limits; below 1 the limits are
-        kept.
-        """
+        """Errors independent of the separation, over the design's limits; below 1 the limits are kept."""
         return max(self.law / design.check.law_rms, self.eta / design.check.eta)
 
     def shrinking(self, design: Design) -> float:
@@ -117,12 +115,10 @@ FARTHEST = 2.0
 
 
 JUDGEMENT, AXIS, FAULTS = 40, 20, 4
-"""Work of judging a design, of its axis ray and of the errors at the centre of its field, in shares of thin
-lenses."""
+"""Work of judging a design, its axis ray and errors at its field's centre, in shares of thin lenses."""
 
 UNEQUAL = 5
-"""Work of judging a non-uniform sheet, in judgements of a uniform one: its outer cells are judged one by
-one."""
+"""Work of judging a non-uniform sheet, in judgements of a uniform one: outer cells are judged singly."""
 
 
 @dataclass
@@ -148,9 +144,7 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Errors at the centre of the field over the design's limits: lasting ones, and those that a separation
-    reduces.
-    """
+    """Errors at the field's centre over the design's limits: lasting ones, and those a separation reduces."""
 
     lasting: float
     shrinking: float
@@ -196,9 +190,7 @@ class LensShapes:
                         yield from ((one, needed) for one in self._for_the_eye(shaped))
 
     def _for_the_eye(self, variant: Variant) -> Iterator[Variant]:
-        """The variant; for a stated eye also with field lenses, and with aimed cells where the process makes
-        steps.
-        """
+        """The variant; for a stated eye also with field lenses, and with aimed cells if steps can be made."""
         yield variant
         if self.wish.viewing is None:
             return
@@ -221,9 +213,7 @@ class LensShapes:
             yield replace(variant, conic=round(conic, 3)), 0.0
 
     def _offset(self, variant: Variant) -> Iterator[tuple[Variant, float]]:
-        """The variant with a conic that keeps the law at the field's centre and along the axis ray, if there
-        is one.
-        """
+        """The variant with a conic that keeps the law at the field's centre and on the axis ray, if any."""
         self.work.done += AXIS
         try:
             x, y = aperture_slope(prescribe(self._design(replace(variant, aperture=1.0))))
@@ -250,9 +240,7 @@ class LensShapes:
         )
 
     def _compared(self, variant: Variant) -> dict[float | None, Faults]:
-        """Faults by conic constant: of the ellipsoid and, unless it suffices, of values near the closed
-        formula's.
-        """
+        """Faults by conic constant: of the ellipsoid and, unless that suffices, near the closed formula's."""
         faults: dict[float | None, Faults] = {None: self._faults(variant)}
         start = undistorted_conic(variant.form, variant.curved, index_of(self.wish))
         if start is None or faults[None].cost <= (0.0, ENOUGH):

@@ -17,7 +17,7 @@ from clacad.advice.lens_shape import Work
 from clacad.advice.trade_offs import Trade, rows_of, sentences, trade_offs
 from clacad.advice.wish import KEYS, Wish, read_wish, workable_material
 from clacad.advice.wish_search import Search, Tried, returned_share
-from clacad.base.text import shown, table
+from clacad.base.text import percent_text, shown, table
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check
 from clacad.checks.light_kinds import VIEWED
@@ -45,9 +45,7 @@ PROCESSES = ("moulding", "diamond-turning", "greyscale", "sla", "two-photon", "n
 
 
 def binding(search: Search) -> Iterator[str]:
-    """Binding limits: the failing checks of the design that fails least, and the reasons of designs not
-    built.
-    """
+    """Binding limits: failing checks of the design that fails least, and reasons of designs not built."""
     yield f"no design was found that passes; {len(search.tried)} were built and judged"
     if search.tried:
         best = min(search.tried, key=lambda t: (len(t.judged.failing), _excess(t)))
@@ -87,9 +85,7 @@ def nearest(search: Search) -> Iterator[str]:
 
 
 def _most_demanding(row: Sequence[tuple[str, Wish]], search: Search, work: Work) -> tuple[str, Tried] | None:
-    """Most demanding wish of a row that comes true, by bisection; the least demanding one comes first in a
-    row.
-    """
+    """Most demanding wish of a row that comes true, by bisection; the least demanding comes first."""
     best, low, high = None, -1, len(row)
     while high - low > 1 and not work.over:
         middle = (low + high) // 2
@@ -201,9 +197,7 @@ def _fault(check: Check) -> str:
 
 
 class NoSuchSheet(ValueError):
-    """No tried design fulfils the wish; the message gives the binding limits and similar wishes that can be
-    fulfilled.
-    """
+    """No tried design fulfils the wish; the message has the binding limits and similar wishes that can be."""
 
     exit_status = 1
 
@@ -246,10 +240,8 @@ class Proposal:
         return (
             f"pitch {one.pitch.value:g} mm: {one.pitch.why}",
             *not_met(self.wish, self.design),
-            (
-                f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
-                " the law is kept as sharply as a pixel looks, or as the limits ask"
-            ),
+            f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
+            " the law is kept as sharply as a pixel looks, or as the limits ask",
             *(
                 []
                 if one.variant.conic is None
@@ -284,7 +276,7 @@ def _for_the_eye(found: Proposal) -> Iterator[str]:
     means = {"": "aligned cells alone", "field lens": "field lenses", "aimed": "cells aimed at the eye"}
     yield (
         f"viewer at {found.wish.viewing:g} mm: {means[found.chosen.variant.eye]} keep"
-        f" {100.0 * float(share or 0.0):.3g} % of its light on the law over the whole sheet"
+        f" {percent_text(float(share or 0.0))} of its light on the law over the whole sheet"
     )
 
 

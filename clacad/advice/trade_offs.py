@@ -9,7 +9,7 @@ from math import atan, degrees, inf
 from clacad.advice.candidate import MILLIMETRES, returning, round_to, sharpest_pitch
 from clacad.advice.judged import Judged, judge
 from clacad.advice.wish import Wish
-from clacad.base.text import digits
+from clacad.base.text import digits, mrad_list
 from clacad.checks.light_kinds import LAW_RMS
 from clacad.design import Design, DesignError
 from clacad.design.sections import LATTICE, PAIR
@@ -112,20 +112,7 @@ def _row(name: str, wish: Wish, judged: Judged) -> Trade:
     )
 
 
-HEAD = (
-    "",
-    "pitch",
-    "separation",
-    "height",
-    "error",
-    "diffraction",
-    "pixel",
-    "field",
-    "seen",
-    "step",
-    "sag",
-    "verdict",
-)
+HEAD = ("", *"pitch separation height error diffraction pixel field seen step sag verdict".split())
 UNITS = ("", "mm", "mm", "mm", "mrad rms", "mrad", "mrad", "+- deg", "mm", "um", "um", "")
 
 
@@ -140,16 +127,9 @@ def _texts(t: Trade) -> tuple[str, ...]:
 
     return (
         t.name,
-        short(t.pitch),
-        short(t.separation),
-        short(t.height),
-        short(1e3 * t.rms),
-        short(1e3 * t.diffraction),
-        short(1e3 * t.pixel),
-        short(degrees(t.field)),
-        short(t.seen),
-        short(1e3 * t.step),
-        short(1e3 * t.sag),
+        *map(short, (t.pitch, t.separation, t.height)),
+        *mrad_list((t.rms, t.diffraction, t.pixel), 3).split(", "),
+        *map(short, (degrees(t.field), t.seen, 1e3 * t.step, 1e3 * t.sag)),
         t.verdict,
     )
 
@@ -166,11 +146,9 @@ def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
             if sharp > fine
             else "both hold between them"
         ),
-        (
-            f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here,"
-            f" which is {own.seen:.3g} mm of the sheet seen from {wish.distance:g} mm, but aberration grows"
-            " as the third power of pitch over separation"
-        ),
+        f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here,"
+        f" which is {own.seen:.3g} mm of the sheet seen from {wish.distance:g} mm, but aberration grows"
+        " as the third power of pitch over separation",
         (
             "steps: none between neighbours"
             if own.step == 0.0

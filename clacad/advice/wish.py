@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from math import degrees, radians
 from typing import Any, Final, Literal
 
-from clacad.base.text import did_you_mean, near
+from clacad.base.text import did_you_mean, near, nm_text
 from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
 from clacad.config.compound_kinds import Several
 from clacad.config.keys import REQUIRED, Key
-from clacad.config.mistakes import DesignError, Mistake
+from clacad.config.mistakes import DesignError, Mistake, design_error
 from clacad.config.quantities import LENGTH_ABOVE_0
 from clacad.config.toml_text import toml_value
 from clacad.config.value_kinds import Refusal, Whole, Word, shown
@@ -154,9 +154,7 @@ class Wish:
 
     @property
     def straight(self) -> bool:
-        """Whether the lens axes are the sheet's normal and no lens is offset: light along it stays on the
-        axis.
-        """
+        """Whether lens axes are the sheet's normal, no lens offset: light along it stays on the axis."""
         return self.delta == (0.0, 0.0) and self.euler[1] == 0.0
 
     @property
@@ -192,7 +190,7 @@ def angle_text(radians_: float) -> str:
 
 def wavelength_text(metres: float) -> str:
     """A wavelength as written: in nanometres where that is exact."""
-    text = f"{1e9 * metres:g} nm"
+    text = nm_text(metres, 6)
     return text if _PAIR["wavelength"].kind.read(text, UNIT) == metres else f"{metres!r} m"
 
 
@@ -217,15 +215,11 @@ def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
             if not part.strip():
                 continue
             if not equals or not key.strip() or not value.strip():
-                raise DesignError(
-                    [
-                        Mistake(
-                            "CL118",
-                            f"{part.strip()!r} is not KEY=VALUE",
-                            path="--for",
-                            allowed="such as 'eta=-1, circle=60 mm, process=moulding'",
-                        )
-                    ]
+                raise design_error(
+                    "CL118",
+                    f"{part.strip()!r} is not KEY=VALUE",
+                    path="--for",
+                    allowed="such as 'eta=-1, circle=60 mm, process=moulding'",
                 )
             found[key.strip()] = written(value.strip())
     return found
@@ -298,9 +292,7 @@ def read_wish(words: Mapping[str, Any]) -> Wish:
 
 
 def workable_material(process: str, wanted: str, wavelength: float) -> str:
-    """The wanted material if the process works it, else the first in the table for the process and wavelength
-    (m).
-    """
+    """The wanted material if the process works it, else the table's first for process and wavelength (m)."""
     rules = profile(process)
     if rules.works(find(wanted)):
         return wanted

@@ -27,40 +27,20 @@ from clacad.advice.candidate import (
 from clacad.advice.judged import Judged, judge
 from clacad.advice.lens_shape import FAULTS, JUDGEMENT, UNEQUAL, LensShapes, Work
 from clacad.advice.wish import Wish
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check
 from clacad.checks.design_kinds import DRAFT, WALL
 from clacad.checks.light_kinds import FIELD, LAW_RMS, VIEWED
 from clacad.design import Design, DesignError
-from clacad.design.limits import CheckSpec
+from clacad.design.limit_sections import CheckSpec
 from clacad.design.process_profiles import profile
 from clacad.design.sections import PAIR
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.verification.light.viewed import thin_share, viewer_of
 
-RATIOS = (
-    3.0,
-    4.0,
-    5.0,
-    6.0,
-    7.0,
-    8.0,
-    9.0,
-    10.0,
-    12.0,
-    14.0,
-    17.0,
-    20.0,
-    24.0,
-    28.0,
-    34.0,
-    40.0,
-    48.0,
-    56.0,
-    68.0,
-    80.0,
-)
+RATIOS = tuple(map(float, "3 4 5 6 7 8 9 10 12 14 17 20 24 28 34 40 48 56 68 80".split()))
 """Trial separations, in pitches."""
 
 STEPS = 6
@@ -76,9 +56,7 @@ UNFILLED = 0.02
 """Largest share of a side that whole cells may leave free; above it, the pitch is chosen to fill the side."""
 
 SURE = 0.95
-"""Share of the limit of `viewed` that thin lenses must reach for a design to be judged; real lenses differ by
-a few per cent.
-"""
+"""Share of the limit of `viewed` that thin lenses must reach; real lenses differ by a few per cent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,9 +110,7 @@ class Search:
         return len(self.tried) >= MOST_JUDGED or self.work.over
 
     def run(self) -> Tried | None:
-        """Try until a design passes without a warning that another could avoid; else the best of those that
-        pass.
-        """
+        """Try until a design passes without an avoidable warning; else the best of those that pass."""
         self.refused += [*impossible(self.wish, self.limit), *self._too_wide()]
         if self.refused:
             return None
@@ -153,9 +129,7 @@ class Search:
         return min(found, key=lambda t: avoidable(t, self.wish), default=None)
 
     def _best_ratio(self, variant: Variant, needed: float) -> Tried | None:
-        """The least separation in pitches at which a variant passes as sharp as a pixel; it has the widest
-        field.
-        """
+        """Least separation in pitches at which a variant, of the widest field, is as sharp as a pixel."""
         start = self._first(variant, needed)
         if start is None:
             return None
@@ -190,9 +164,7 @@ class Search:
         return found
 
     def _nearer(self, variant: Variant, ratio: float, needed: float) -> Tried | None:
-        """Largest smaller separation, in steps of a tenth, that serves a stated eye; None once something else
-        fails.
-        """
+        """Largest smaller separation, in tenths, that serves a stated eye; None once something else fails."""
         while (ratio := round_to(0.9 * ratio, 2)) >= max(needed, RATIOS[0], least_untangled(self.wish)):
             one = self._judged(variant, ratio)
             if one is None or one.good:
@@ -205,9 +177,7 @@ class Search:
         return avoidable(one, self.wish) > avoidable(other, self.wish)
 
     def _first(self, variant: Variant, needed: float) -> int | None:
-        """Start index into `RATIOS`: as large as the law requires, or smaller for a stated eye; None where
-        none serves it.
-        """
+        """Start index into `RATIOS`: as the law requires, smaller for a stated eye; None if none serves."""
         least = max(needed, least_untangled(self.wish))
         wanted = max(least, least_ratio(self.wish, self._sharp(wanted_pitch(self.wish).value)))
         start = next((k for k, ratio in enumerate(RATIOS) if ratio >= wanted), len(RATIOS) - 1)
@@ -254,9 +224,7 @@ class Search:
         ]
 
     def _thin_share(self, variant: Variant, ratio: float) -> tuple[float, str]:
-        """Share of the eye's light that hits its partner, for thin lenses over the whole sheet; 0 and a
-        reason if no sheet.
-        """
+        """Share of the eye's light that hits its partner, thin lenses, all cells; 0 and a reason if none."""
         self.work.done += 1 if self.wish.straight else FAULTS
         bound = self.pitch_at(variant, ratio)
         if bound is None:
@@ -271,17 +239,15 @@ class Search:
 
     def _too_little(self, share: float) -> str:
         return (
-            f"at most {100.0 * share:.3g} % of the light of an eye at {self.wish.distance:g} mm meets its"
-            f" partner lens ({100.0 * self.limit:.3g} % requested)"
+            f"at most {percent_text(share)} of the light of an eye at {self.wish.distance:g} mm meets its"
+            f" partner lens ({percent_text(self.limit)} requested)"
         )
 
     def _built(self, variant: Variant, bound: PitchBound, ratio: float) -> Design:
         return built(self.wish, variant, self._rounded(bound), ratio, self.name, self.overrides)
 
     def _rounded(self, bound: PitchBound) -> float:
-        """A pitch of two digits, not below the bound, or one that fills the sheet; a wished pitch is
-        unchanged.
-        """
+        """A pitch of two digits, not below the bound, or that fills the sheet; a wished pitch as it is."""
         if self.wish.pitch is not None:
             return bound.value
         pitch, side = round_to(bound.value, 2, up=True), min(self.wish.size.size)
@@ -319,16 +285,14 @@ class Search:
         """Known reason why a design cannot pass, found before the full trace; "" where there is none."""
         left = max(window.residual.values(), default=0.0)
         if left > design.check.law_rms:  # fails regardless of the rest of the field
-            return f"along the axis ray {1e3 * left:.3g} mrad are left of the law"
+            return f"along the axis ray {mrad_text(left, 3)} are left of the law"
         if self.wish.viewing is None:
             return ""
         share = thin_share(window, viewer_of(design))
         return self._too_little(share) if share < SURE * self.limit else ""
 
     def pitch_at(self, variant: Variant, ratio: float) -> PitchBound | None:
-        """The pitch that is wished or looks best, or the nearest one that can be made; None where none
-        can.
-        """
+        """The pitch that is wished or looks best, or the nearest that can be made; None where none can."""
         if self.wish.pitch is not None:
             return wanted_pitch(self.wish)
         shape = shape_of(variant.form, index_of(self.wish))
@@ -347,9 +311,7 @@ class Search:
 
 
 def least_untangled(wish: Wish) -> float:
-    """Separation in pitches below which faces tilted by theta, p tan(theta) high in a cell, reach the other
-    array.
-    """
+    """Separation in pitches below which faces tilted by theta, p tan(theta) high, reach the other array."""
     lean = radians(wish.euler[1])
     return abs(tan(lean)) / max(abs(cos(lean)), 1e-9)
 
@@ -374,16 +336,14 @@ def impossible(wish: Wish, limit: float) -> list[str]:
     if wish.viewing is not None and most < limit:
         found.append(
             f"eta = [{wish.eta[0]:g}, {wish.eta[1]:g}]: lens 1 spreads the light of an eye over more than its"
-            f" partner where |eta| > 1, so that at most {100.0 * most:.3g} % obey the law from any distance"
-            f" ({100.0 * limit:.3g} % requested); --set check.viewed={most * 0.9:.2g} asks for what there is"
+            f" partner where |eta| > 1, so that at most {percent_text(most)} obey the law from any distance"
+            f" ({percent_text(limit)} requested); --set check.viewed={most * 0.9:.2g} asks for what there is"
         )
     return found
 
 
 def returned_share(wish: Wish) -> float:
-    """Largest share of the light of an eye that hits its partner: 1/|eta| in each meridian where |eta| >
-    1.
-    """
+    """Largest share of an eye's light that hits its partner: 1/|eta| in each meridian where |eta| > 1."""
     return prod(min(1.0, 1.0 / abs(eta)) for eta in wish.eta)
 
 

@@ -86,9 +86,7 @@ def welded(corners: Floats) -> tuple[Floats, Ints]:
 
 
 def components(count: int, edges: Ints) -> Ints:
-    """Label the components of a graph of `count` nodes and edges (n, 2):
-    least node of each node's component, (count,).
-    """
+    """Least node of each node's component, (count,), in a graph of `count` nodes and edges (n, 2)."""
     label = np.arange(count, dtype=np.int64)
     a, b = edges[:, 0], edges[:, 1]
     while True:

@@ -134,9 +134,7 @@ def making(function: Function) -> Function:
 
 
 def entry(function: Function) -> Function:
-    """Compile a kernel that Python calls, with all its parts, and cache it on disk;
-    it may not allocate arrays.
-    """
+    """Compile a kernel that Python calls, with its parts, and cache it on disk; it allocates no arrays."""
     return cast(Function, keep(numba.njit(_nrt=False, **_PLAIN)(function)))
 
 

@@ -22,9 +22,7 @@ def no_formula(text: str) -> str:
 
 @contextmanager
 def _style(changes: Mapping[str, Any]) -> Iterator[None]:
-    """Apply matplotlib's own defaults and the changes within the block;
-    ignore matplotlibrc of folder and user.
-    """
+    """Apply matplotlib's defaults and the changes within the block; no matplotlibrc is read."""
     matplotlib = without_settings("matplotlib")
     with matplotlib.rc_context():
         matplotlib.rcdefaults()

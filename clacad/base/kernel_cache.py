@@ -34,6 +34,7 @@ SOURCES = (
     "**/*compiled*.py",
     "**/compiled/*.py",
     "base/hashing.py",
+    "base/kernel_cache.py",
     "optics/*.py",
     "optics/surface/*.py",
     "sheet/window.py",
@@ -104,9 +105,7 @@ class SealedFiles:
         return False
 
     def save(self, key: Any, data: Any) -> None:
-        """Save compiled code; a folder that cannot be written causes one warning,
-        and each process compiles again.
-        """
+        """Save compiled code; a folder that cannot be written causes one warning, and compiling each time."""
         path = self.path(key)
         content = numba.core.serialize.dumps((key, data))
         draft = f"{path}.{token_hex(8)}"

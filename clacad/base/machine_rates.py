@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from clacad.base.text import span_text
 from clacad.base.untrusted_files import read_regular
 
 FORMAT = 1
@@ -29,9 +30,7 @@ LEAST = 0.02
 
 MOST_BYTES = 200_000
 UNSEEN = math.log(2.5)
-"""Half width (natural logarithm) of a forecast for a task never run here:
-about how much machines in use differ.
-"""
+"""Half width (natural logarithm) of a forecast for a task never run here: how much machines differ."""
 
 OTHERS_SEEN = math.log(1.7)
 """Half width (natural logarithm) where the machine's speed is known from other tasks only."""
@@ -70,23 +69,6 @@ class Span:
     def __str__(self) -> str:
         """Return the range as text: "12–20 s", "3–5 min"."""
         return span_text(self.low, self.high)
-
-
-def span_text(low: float, high: float) -> str:
-    """Range of seconds as text: at most two digits, in s, min or h.
-
-    >>> span_text(12.3, 20.4), span_text(0.31, 0.62), span_text(200.0, 310.0)
-    ('12–20 s', '0.31–0.62 s', '3.3–5.2 min')
-    """
-    if high < 0.1:
-        return "under 0.1 s"
-    unit, size = next((u, s) for u, s in (("h", 3600.0), ("min", 60.0), ("s", 0.0)) if high >= 2.0 * s)
-    first, last = (_two_digits(value / (size or 1.0)) for value in (low, high))
-    return f"about {last} {unit}" if first == last else f"{first}–{last} {unit}"
-
-
-def _two_digits(value: float) -> str:
-    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
 def total(spans: Sequence[Span]) -> Span:
@@ -187,9 +169,7 @@ def _positive(value: object) -> bool:
 
 
 def processor_seconds() -> float:
-    """Processor seconds of this process and of its ended children:
-    the cost of work on a machine of any load.
-    """
+    """Processor seconds of this process and its ended children: the cost of work at any load."""
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
 

@@ -5,10 +5,12 @@ Lengths of any unit. A polygon is an array (m, 2) of its corners; convex ones ru
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from clacad.base.arrays import distinct
-from clacad.base.types import Bools, Floats, Ints
+if TYPE_CHECKING:
+    from clacad.base.types import Bools, Floats, Ints
 
 
 def polygon_area(points: Floats) -> float:
@@ -56,9 +58,7 @@ def distance_to_rim(polygon: Floats, start: Floats, direction: Floats) -> Floats
 
 
 def clip(subject: Floats, window: Floats) -> Floats:
-    """Clip a convex polygon (m, 2), lengths, by another one,
-    both counter-clockwise (Sutherland and Hodgman).
-    """
+    """Clip a convex polygon (m, 2), lengths, by another, both counter-clockwise (Sutherland and Hodgman)."""
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
         if len(subject) == 0:
             break
@@ -76,8 +76,7 @@ def clip(subject: Floats, window: Floats) -> Floats:
 
 
 def common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
-    """Areas (k,), length², of the intersections of a convex polygon (m, 2), or one (k, m, 2) each, moved to
-    positions (k, 2), with another convex polygon.
+    """Areas (k,) of a convex polygon (m, 2), or (k, m, 2), moved to (k, 2), cut with another; length².
 
     Vectorised `clip` with identical bits: rows with fewer corners than others are padded.
     """
@@ -99,7 +98,7 @@ def common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
         order = np.argsort(~kept, axis=1, kind="stable")[:, : count.max(initial=0)]
         corners = np.take_along_axis(made.reshape(len(places), -1, 2), order[..., None], axis=1)
     areas = np.zeros(len(places))
-    for n in distinct(count[count > 2]):
+    for n in sorted(set(count[count > 2].tolist())):
         here = count == n
         areas[here] = polygon_areas(corners[here, :n])
     return areas

@@ -1,6 +1,7 @@
 """Words and values as text: suggestions for misspelt words, and any value as plain JSON.
 
-Numbers as text for people: values of a design, and a value with the limit it is compared with.
+Numbers as text for people: values of a design, counts, angles, shares, wavelengths, bytes and seconds, and a
+value with the limit it is compared with.
 
 Integers in untrusted text, with at most as many digits as always fit into 64 bits.
 """
@@ -13,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
 from math import ceil, floor, isfinite, isinf, isnan, log10
 from numbers import Real
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 DEEPEST = 64
 """Greatest nesting depth of files and of converted values: it ends self-referencing values."""
@@ -36,11 +37,6 @@ def near(word: str, words: Iterable[str], cutoff: float = 0.6, most: int = 1) ->
     from difflib import get_close_matches
 
     return get_close_matches(word, list(words), n=most, cutoff=cutoff)
-
-
-def count_text(number: float, noun: str) -> str:
-    """Write a count and its noun, plural unless it is 1: "1 piece", "3 pieces"."""
-    return f"{number:g} {noun}" + "s" * (number != 1)
 
 
 def did_you_mean(words: Sequence[str], quote: str = "", before: str = "") -> str:
@@ -118,9 +114,7 @@ def printable(text: str) -> str:
 
 
 ROUNDING = 1e-12
-"""Magnitude below which a number of a design, in a unit near its sizes,
-is the rounding error of an exact 0.
-"""
+"""Magnitude below which a design's number, in a unit near its sizes, is the rounding error of a 0."""
 
 NOTHING = 1e-8
 """Fraction of its limit below which a value is shown as 0; JSON has the exact value."""
@@ -152,6 +146,76 @@ def rounded_up(length: float) -> str:
     """Four digits of a positive length, rounded up, with at least 1e-6 of the length to spare."""
     digit = 10.0 ** (floor(log10(length)) - 3)
     return f"{ceil(length / digit * (1.0 + 1e-6)) * digit:.4g}"
+
+
+def count_text(number: float, noun: str, form: str = "g") -> str:
+    """Write a count and its noun, plural unless it is 1: "1 piece", "3 pieces"; form "," writes "1,234"."""
+    return f"{number:{form}} {noun}" + "s" * (number != 1)
+
+
+def number_text(n: int) -> str:
+    """Write a number of any size: "12,345" or "1.2e+18"."""
+    return f"{n:,}" if n < 10**10 else f"{Decimal(n):.3g}"  # an int may be too large for a float
+
+
+def mrad_text(angle: float, count: int = 4, unit: str = " mrad") -> str:
+    """Write an angle in rad as milliradians with a number of significant digits: "2.65 mrad"."""
+    return f"{1e3 * angle:.{count}g}{unit}"
+
+
+def mrad_list(angles: Iterable[float], count: int = 6) -> str:
+    """Write angles in rad as numbers of milliradians: "2.65, 0"; rounding errors of 0 are 0, see `digits`."""
+    return ", ".join(digits(1e3 * angle, count=count) for angle in angles)
+
+
+def percent_text(share: float, count: int = 3, unit: str = " %", *, fixed: bool = False) -> str:
+    """Write a share of 1 in percent, with a number of significant (fixed: decimal) digits: "12.5 %"."""
+    return f"{100.0 * share:.{count}{'f' if fixed else 'g'}}{unit}"
+
+
+def nm_text(wavelength: float, count: int = 4, *, fixed: bool = False) -> str:
+    """Write metres as nanometres, with a number of significant (fixed: decimal) digits: "532 nm"."""
+    return f"{1e9 * wavelength:.{count}{'f' if fixed else 'g'}} nm"
+
+
+def size_text(n: float | Decimal) -> str:
+    """Write a number of bytes of any size: "999 bytes", "1.50 GB"."""
+    return _size(Decimal(n), "bytes")
+
+
+def short_size_text(n: float) -> str:
+    """Write a number of bytes with the short unit: "999 B", "1.5 GB"."""
+    return _size(float(n), "B")
+
+
+def _size(n: float | Decimal, byte: str) -> str:
+    for unit in (byte, "kB", "MB", "GB", "TB"):
+        if n < 1000:
+            return f"{n:.0f} {unit}" if unit == byte else f"{n:.3g} {unit}"
+        n /= 1000
+    return f"{n:.3g} PB"
+
+
+def size_in(n: float, unit: Literal["MB", "GB"], form: str = ".1f") -> str:
+    """Write a number of bytes in one unit: "0.3 GB"."""
+    return f"{n / {'MB': 1e6, 'GB': 1e9}[unit]:{form}} {unit}"
+
+
+def span_text(low: float, high: float) -> str:
+    """Range of seconds as text: at most two digits, in s, min or h.
+
+    >>> span_text(12.3, 20.4), span_text(0.31, 0.62), span_text(200.0, 310.0)
+    ('12–20 s', '0.31–0.62 s', '3.3–5.2 min')
+    """
+    if high < 0.1:
+        return "under 0.1 s"
+    unit, size = next((u, s) for u, s in (("h", 3600.0), ("min", 60.0), ("s", 0.0)) if high >= 2.0 * s)
+    first, last = (_two_digits(value / (size or 1.0)) for value in (low, high))
+    return f"about {last} {unit}" if first == last else f"{first}–{last} {unit}"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
 class Shown(NamedTuple):

@@ -15,7 +15,7 @@ from importlib import import_module
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.base.text import plain
+from clacad.base.text import percent_text, plain
 from clacad.checks.levers import Lever
 
 if TYPE_CHECKING:
@@ -54,9 +54,7 @@ class LimitSource:
     given: bool = False
 
     def known_to(self, design: Design, check_id: str) -> LimitSource:
-        """Copy that records whether the design file gives the key of the limit, or the key it derives
-        from.
-        """
+        """Copy that records whether the design file gives the limit's key, or the key it derives from."""
         if self.origin not in (Origin.OWN_KEY, Origin.OTHER_KEY):
             return self
         key = check_id if self.origin is Origin.OWN_KEY else self.what
@@ -213,7 +211,7 @@ class CheckKind:
             if limit > 0.0 and used > near:
                 state = "warn"
                 sentence += (
-                    f"; that is {100.0 * used:.3g} % of the limit, and from {100.0 * near:.3g} % on it is a"
+                    f"; that is {percent_text(used)} of the limit, and from {percent_text(near)} on it is a"
                     " warning"
                 )
         return self.check(state, sentence, value, limit, **rest)
@@ -351,8 +349,7 @@ def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
     of limits.
 
     An allowance is idle if no check has its code, or if the checks of that code ran and none of them warned.
-    Checks
-    that were marked before are unchanged.
+    Checks that were marked before are unchanged.
     """
     found = [check for check in _sourced(checks, design) if check.kind is not ALLOWANCE]
     reasons = {allowed.code: allowed.reason for allowed in design.check.allow}

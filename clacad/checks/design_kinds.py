@@ -27,10 +27,7 @@ FOUND_BY = {
         "clacad.verification.design_rules:lengths",
         "clacad.verification.process_rules:making",
     ),
-    "part": (
-        "clacad.verification.process_rules:workable",
-        "clacad.verification.process_rules:sizes",
-    ),
+    "part": ("clacad.verification.process_rules:workable", "clacad.verification.process_rules:sizes"),
 }
 """Functions that compute these checks, by stage, in the order of the report."""
 
@@ -96,8 +93,7 @@ SAG = CheckKind("sag", "CL334", limit="sag", levers=FLATTER).explained(
 )
 
 PITCH = CheckKind("pitch", "CL335", relation=">=", limit="pitch", levers=(COARSER,)).explained(
-    means="Pitch of the lattice against what the process resolves.",
-    do="A larger pitch or a finer process.",
+    means="Pitch of the lattice against what the process resolves.", do="A larger pitch or a finer process."
 )
 
 
@@ -109,21 +105,15 @@ TOOL = CheckKind("tool", "CL336", limit="tool", levers=(FARTHER, COARSER, SEAM))
     formula=(
         "Σ r tan(τ/2) cos β / p, τ the turning angle, β the slopes; r/√(R² − p²/4) for spheres without a seam"
     ),
-    do=(
-        "A smaller nose, larger radii, or a seam that takes the rounding. Making the inverse (a mould) "
-        "turns grooves into ridges."
-    ),
+    do="A smaller nose, larger radii, or a seam that takes the rounding. Making the inverse (a mould) "
+    "turns grooves into ridges.",
 )
 
 WALL = CheckKind("wall", "CL337", limit="wall", levers=(FARTHER, SEAM, FINER, APERTURE)).explained(
-    means=(
-        "Highest vertical wall on the optical side: the step between neighbours of a tilted array, or "
-        "the edge of a seam."
-    ),
-    why=(
-        "Turning leaves no vertical walls, and mouldings stick on them; a ramp in their place is lost to "
-        "light."
-    ),
+    means="Highest vertical wall on the optical side: the step between neighbours of a tilted array, or "
+    "the edge of a seam.",
+    why="Turning leaves no vertical walls, and mouldings stick on them; a ramp in their place is lost to "
+    "light.",
     formula="h ≈ p |tan τ| for a tilt τ across the border, more where the lens is steep",
     do="Less tilt, φ + ψ a multiple of 90°, or a web instead of a seam.",
 )
@@ -145,10 +135,8 @@ SLOPE = CheckKind("slope", "CL361", "rad", limit="slope", levers=FLATTER).explai
 )
 
 VOXEL = CheckKind("voxel", "CL362", relation=">=", limit="voxel", levers=(COARSER, SEAM)).explained(
-    means=(
-        "Narrowest thing to be drawn (a twentieth of the pitch, half a seam, half a baffle's wall) "
-        "against the voxel, pixel or spot."
-    ),
+    means="Narrowest thing to be drawn (a twentieth of the pitch, half a seam, half a baffle's wall) "
+    "against the voxel, pixel or spot.",
     why="A lens of fewer than 20 voxels across is a mosaic; a wall of one voxel may be missing.",
     formula="min(p/20, seam/2, wall/2) ≥ voxel",
     do="A larger pitch, wider seams and walls, or a finer process.",
@@ -158,10 +146,8 @@ LAYER = CheckKind("layer", "CL363", relation=">=", limit="layer", levers=(CLOSER
     means="Number of layers that shape the flatter lens.",
     why="Few layers make stairs: each step is a slope error as large as the lens's own slope.",
     formula="sag/layer ≥ 20",
-    do=(
-        "Steeper lenses (shorter separation or larger pitch), finer layers; or use the print as a "
-        "demonstrator and allow it."
-    ),
+    do="Steeper lenses (shorter separation or larger pitch), finer layers; or use the print as a "
+    "demonstrator and allow it.",
 )
 
 ASPECT = CheckKind("aspect", "CL364", limit="aspect", levers=(FARTHER, SEAM, FINER)).explained(
@@ -180,31 +166,23 @@ UNDERCUT = CheckKind("undercut", "CL365", relation=">=", levers=FLATTER).explain
 
 WORKABLE = CheckKind("workable", "CL325", relation="=", limit="materials").explained(
     means="Whether the process can work the material of the part.",
-    why=(
-        "Single-point diamond turning cuts plastics, infrared crystals and chalcogenides, not ordinary "
-        "glass; a printer hardens resins only."
-    ),
-    do=(
-        "The material or the process that the message names; check.materials lists the materials of "
-        "your workshop in place of the profile."
-    ),
+    why="Single-point diamond turning cuts plastics, infrared crystals and chalcogenides, not ordinary "
+    "glass; a printer hardens resins only.",
+    do="The material or the process that the message names; check.materials lists the materials of "
+    "your workshop in place of the profile.",
 )
 
 PART_HEIGHT = CheckKind("part_height", "CL326", limit="part_height", levers=(CLOSER, THINNER)).explained(
-    means=(
-        "Height of the tallest body, land and steps included, against the tallest part that the process "
-        "makes."
-    ),
+    means="Height of the tallest body, land and steps included, against the tallest part that the process "
+    "makes.",
     why="Stages, build volumes, substrates and moulds end; sag limits the lenses alone.",
     formula="max z − min z of a body",
     do="A shorter separation, a thinner plate, or the process that the message names.",
 )
 
 PART_WIDTH = CheckKind("part_width", "CL327", limit="part_width").explained(
-    means=(
-        "Greater side of the rectangle around the widest body, seen along z, against the widest part "
-        "that the process makes."
-    ),
+    means="Greater side of the rectangle around the widest body, seen along z, against the widest part "
+    "that the process makes.",
     why="Spindles, stages and build plates end.",
     do="A smaller sheet in several pieces, or the process that the message names.",
 )

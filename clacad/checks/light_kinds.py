@@ -43,16 +43,12 @@ FOUND_BY = {
 _FIXED = "fixed: what a field lens is for"
 
 LAW_RMS = CheckKind("law_rms", "CL301", "rad", where="surfaces", limit="law_rms", levers=SHARPER).explained(
-    means=(
-        "Rms angle between the direction of the light and that of the requested law. Rays spread "
-        "evenly over a cell and a cone (Sobol points, seed 0) are traced through the exact surfaces."
-    ),
+    means="Rms angle between the direction of the light and that of the requested law. Rays spread "
+    "evenly over a cell and a cone (Sobol points, seed 0) are traced through the exact surfaces.",
     why="It is the blur and the distortion a viewer sees, in one number.",
     formula="√⟨∠(d', A d)²⟩ over ALIVE rays, A = R M Rᵀ",
-    do=(
-        "A smaller ratio of pitch to separation (aberration falls as its third power), biconic faces, or "
-        'confocal = "best".'
-    ),
+    do="A smaller ratio of pitch to separation (aberration falls as its third power), biconic faces, or "
+    'confocal = "best".',
 )
 
 LAW_BIAS = CheckKind(
@@ -74,10 +70,8 @@ SPREAD = CheckKind("spread", "CL307", "rad", where="surfaces", limit="law_rms", 
 )
 
 ETA = CheckKind("eta", "CL303", "relative", where="surfaces", limit="eta", levers=SHARPER).explained(
-    means=(
-        "η fitted to traced rays near the axis, against the requested η; light of a cell with its own "
-        "η is compared with that one."
-    ),
+    means="η fitted to traced rays near the axis, against the requested η; light of a cell with its own "
+    "η is compared with that one.",
     why="η is the magnification the sheet was made for.",
     formula="max_i |η_i,fit/η_i − 1|",
     do='If the pair is thin-lens designed, take confocal = "exact".',
@@ -91,20 +85,14 @@ DELTA = CheckKind("delta", "CL304", "slope", where="surfaces", limit="delta", le
 )
 
 TILT = CheckKind("tilt", "CL305", "deg", where="surfaces", limit="delta", levers=SHARPER).explained(
-    means=(
-        "Angle by which the lenses are turned. Where η differs between the meridians, light shows a "
-        "turn about the lens axis, which is measured. A tilt of the axis (θ) acts on light as δ does, "
-        "in first order: only the angle equivalent to δ's error is given. With the same η in both "
-        "meridians the check is δ as an angle."
-    ),
-    why=(
-        "Turned meridians lean the horizon, and η and δ hardly show it. Slopes squared would separate "
-        "θ from δ, but aberration is larger."
-    ),
-    formula=(
-        "turn: ½ atan2(J_xy + J_yx, J_xx − J_yy) of the slopes t' = J t + b in the lens frame; lean: "
-        "|Δδ_i|/|1 − η_i|, because δ_eff = δ + (1 − η) τ"
-    ),
+    means="Angle by which the lenses are turned. Where η differs between the meridians, light shows a "
+    "turn about the lens axis, which is measured. A tilt of the axis (θ) acts on light as δ does, "
+    "in first order: only the angle equivalent to δ's error is given. With the same η in both "
+    "meridians the check is δ as an angle.",
+    why="Turned meridians lean the horizon, and η and δ hardly show it. Slopes squared would separate "
+    "θ from δ, but aberration is larger.",
+    formula="turn: ½ atan2(J_xy + J_yx, J_xx − J_yy) of the slopes t' = J t + b in the lens frame; lean: "
+    "|Δδ_i|/|1 − η_i|, because δ_eff = δ + (1 − η) τ",
     do="Check φ + ψ, euler_axes and the sign of θ: for θ > 0, ψ = 0 the axis leans to −y.",
 )
 
@@ -124,10 +112,8 @@ THROUGHPUT = CheckKind(
     limit="throughput",
     levers=(APERTURE, FARTHER, FINER, LESS_SEAM, CLOSER),
 ).explained(
-    means=(
-        "Share of the light that leaves through the partner of the lenslet it entered, over what thin "
-        "lenses would keep."
-    ),
+    means="Share of the light that leaves through the partner of the lenslet it entered, over what thin "
+    "lenses would keep.",
     why="The rest goes into ghosts or walls.",
     formula="ALIVE/launched ÷ V,  V = V_x V_y,  V_0(c) = overlap of the cell's image with its partner",
     do="lattice.aperture steers the field; a smaller field or |η| nearer 1 keeps more.",
@@ -143,10 +129,8 @@ CONFOCALITY = CheckKind(
 ).explained(
     means="How far lens 2 would have to move along the axis to share a focal plane with lens 1.",
     why="A pair that is not confocal has power: every telescopelet focuses or spreads light.",
-    formula=(
-        "|Δz|/s of the worse meridian, from parabasal rays; Φ = −Δz/(f1 f2); between the meridians "
-        "0.002 at most"
-    ),
+    formula="|Δz|/s of the worse meridian, from parabasal rays; Φ = −Δz/(f1 f2); between the meridians "
+    "0.002 at most",
     do='confocal = "exact" solves the thick lenses; for tilted plano pairs less tilt.',
 )
 
@@ -160,20 +144,16 @@ FIELD_FOCUS = CheckKind("field_focus", "CL316", "of f1", where="surfaces, paraba
 PUPIL = CheckKind("pupil", "CL317", "of separation", where="surfaces, parabasal", rule=_FIXED).explained(
     means="How far the place where light meets lens 2 moves with its slope.",
     why="A field lens images lens 1 onto lens 2, so that light of any slope arrives in its partner's cell.",
-    formula=(
-        "max |du/dt|/s, u where the ray through the middle of cell 1 meets lens 2; 0.02 at most "
-        "(without a field lens: 1)"
-    ),
+    formula="max |du/dt|/s, u where the ray through the middle of cell 1 meets lens 2; 0.02 at most "
+    "(without a field lens: 1)",
     do="A smaller gap between the plates (pair.field.gap).",
 )
 
 FIELD_THROUGHPUT = CheckKind(
     "field_throughput", "CL318", "of closed form", relation=">=", where="surfaces", rule=_FIXED, own_rays=True
 ).explained(
-    means=(
-        "Share of the light that keeps to its partner at 0.9 of the full field, along both lens axes, "
-        "over that of thin lenses."
-    ),
+    means="Share of the light that keeps to its partner at 0.9 of the full field, along both lens axes, "
+    "over that of thin lenses.",
     why="The field lens is there for the light of the rim of the field.",
     formula="ALIVE/launched ÷ min(1, 1/|η|), both axes; 0.95 at least",
     do="A conic of the field faces (pair.field.conic), a smaller ratio of pitch to separation.",
@@ -195,40 +175,28 @@ VIEWED = CheckKind(
     own_rays=True,
     levers=(FIELD_LENS, CLOSER, AIM),
 ).explained(
-    means=(
-        "Mean over the whole sheet of the share of one eye's light that leaves through the partner of the"
-        " lenslet it entered. The eye is at check.viewer on the axis; where the design states none, at the"
-        " point that the sheet is aimed at, or 1 m before it. Rays from there over all cells are traced"
-        " through the exact surfaces; in brackets the closed form of thin lenses, cell by cell."
-    ),
-    why=(
-        "A cell's field is ± p (1 + |η|)/(2 s) in slope. A sheet wider than that times the distance shows the"
-        " law in its middle alone. Below its limit a viewer that the design states fails, in `check` and in"
-        " `verify`; an assumed one is warned of."
-    ),
+    means="Mean over the whole sheet of the share of one eye's light that leaves through the partner of the"
+    " lenslet it entered. The eye is at check.viewer on the axis; where the design states none, at the"
+    " point that the sheet is aimed at, or 1 m before it. Rays from there over all cells are traced"
+    " through the exact surfaces; in brackets the closed form of thin lenses, cell by cell.",
+    why="A cell's field is ± p (1 + |η|)/(2 s) in slope. A sheet wider than that times the distance shows the"
+    " law in its middle alone. Below its limit a viewer that the design states fails, in `check` and in"
+    " `verify`; an assumed one is warned of.",
     formula="⟨ALIVE/launched⟩ over the sheet,  a(C) = (C − P_xy)/(−z_P);  limit check.viewed (0.9)",
-    do=(
-        "lattice.aperture = {point = [x, y, z]} with the eye's place, or pair.field_lens = true; or a "
-        "viewer farther away, a smaller sheet, a larger p/s. `clacad explain combinations` lists what aimed "
-        "cells and field lenses can be combined with."
-    ),
+    do="lattice.aperture = {point = [x, y, z]} with the eye's place, or pair.field_lens = true; or a "
+    "viewer farther away, a smaller sheet, a larger p/s. `clacad explain combinations` lists what aimed "
+    "cells and field lenses can be combined with.",
 )
 
 IMAGE_POINT = CheckKind(
     "image_point", "CL314", where="surfaces", rule="width of a cell's image, or 1 % of its distance"
 ).explained(
-    means=(
-        "Distance from where light of the point that the sheet is made to image meets (the point nearest "
-        "to all its rays, traced over all cells) to where the chief rays of the law have it."
-    ),
-    why=(
-        "A cell does not focus: the image of a point is one cell wide, and cells whose light leaves with a "
-        "bias pull it away."
-    ),
-    formula=(
-        "X* = argmin Σ|(1 − d dᵀ)(X − P)|²;  |X* − X_law| ≤ max(w, ζ/100),  w = p |η − s/z − (1 − "
-        "s/z)/(1 + κz)|"
-    ),
+    means="Distance from where light of the point that the sheet is made to image meets (the point nearest "
+    "to all its rays, traced over all cells) to where the chief rays of the law have it.",
+    why="A cell does not focus: the image of a point is one cell wide, and cells whose light leaves with a "
+    "bias pull it away.",
+    formula="X* = argmin Σ|(1 − d dᵀ)(X − P)|²;  |X* − X_law| ≤ max(w, ζ/100),  w = p |η − s/z − (1 − "
+    "s/z)/(1 + κz)|",
     do='pair.offset = "traced"; a smaller sheet, planes farther away.',
 )
 
@@ -238,10 +206,8 @@ SPOT = CheckKind(
     means="Rms distance along x and y at which rays pass the point that is nearest to them all.",
     why="Cells alone leave w/√12; what is beyond them is aberration of lenses used off their vertices.",
     formula="1.5 √(w²/12 + (law_rms ζ)² + (λζ/(p|η|))²)",
-    do=(
-        "A smaller pitch until diffraction is as wide; a longer focal length; other conic constants "
-        "(pair.conic)."
-    ),
+    do="A smaller pitch until diffraction is as wide; a longer focal length; other conic constants "
+    "(pair.conic).",
 )
 
 FIELD = CheckKind(
@@ -263,10 +229,8 @@ FRESNEL_NUMBER = CheckKind(
 ).explained(
     means="Fresnel number of what is lit of a lenslet, along the lens axis where it is least.",
     why="Below 10 diffraction shows; below 1 rays mean nothing.",
-    formula=(
-        "N = (w/2)²/(λ f2); w = p·min(1, |η|) for cells along the lens axes, else √12 times the rms "
-        "distance along the axis of what is lit from its middle: a turned square keeps its own side"
-    ),
+    formula="N = (w/2)²/(λ f2); w = p·min(1, |η|) for cells along the lens axes, else √12 times the rms "
+    "distance along the axis of what is lit from its middle: a turned square keeps its own side",
     do="A larger pitch or a shorter separation.",
 )
 
@@ -285,14 +249,10 @@ RESIDUAL = CheckKind(
 )
 
 ORDERS = CheckKind("orders", "CL320", "rad", where="thin", limit="law_rms").explained(
-    means=(
-        "In coherent light (`light.coherent`): half the step between the directions into which "
-        "identical cells send light."
-    ),
-    why=(
-        "A laser's light leaves in spots of a grating, and the direction of the law falls between two of "
-        "them."
-    ),
+    means="In coherent light (`light.coherent`): half the step between the directions into which "
+    "identical cells send light.",
+    why="A laser's light leaves in spots of a grating, and the direction of the law falls between two of "
+    "them.",
     formula="sin θ' = sin θ + mλ/p, so ± λ/(2p) along each lattice vector",
     do="A larger pitch; or light that is not coherent over a cell, as sunlight is.",
 )

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import mrad_text, short_size_text
 from clacad.cli.command import Command, Overridden, declared, flag, option, overwrite_option, required
-from clacad.cli.console import Console, size, table
+from clacad.cli.console import Console, table
 from clacad.cli.option_values import BadOption, load_counted, parse_angle, picture_kind, words_of
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def target_text(path: Path, target: float, files: Sequence[FileWithin]) -> str:
     """The cheapest file within a target (radians), how to write it, and the others."""
     first, *rest = files
     lines = [
-        f"cheapest file within {1e3 * target:g} mrad: {first}",
+        f"cheapest file within {mrad_text(target, 6)}: {first}",
         f"  clacad export {path} -o DIR {first.options}",
     ]
     return "\n".join(lines + [f"also within it: {one}" for one in rest])
@@ -145,8 +146,8 @@ def accuracy_text(measured: AccuracyTable) -> str:
     lines += [_line(row, id(row) in front) for row in measured.rows]
     reference = measured.reference
     notes = [
-        f"errors in mrad; truth: rung surfaces, itself {1e3 * reference['rms']:.2g} rms, "
-        f"{1e3 * reference['max']:.2g} max from a {reference['digits']:.0f}-digit trace of "
+        f"errors in mrad; truth: rung surfaces, itself {mrad_text(reference['rms'], 2, unit='')} rms, "
+        f"{mrad_text(reference['max'], 2, unit='')} max from a {reference['digits']:.0f}-digit trace of "
         f"{reference['rays']:.0f} rays",
         "seconds: processor time of the trace alone, best of 3; prepare s: compiling, tessellating or "
         "reading, once before the first ray; other fate: share of the rays that end elsewhere than in the "
@@ -173,12 +174,14 @@ def floors_text(floors: Sequence[Floor]) -> str:
             continue
         best = "" if one.best_quads is None else f"{one.best_quads:.3g}"
         facets = "" if one.facets is None else f"{one.facets:.2g}"
-        confirmed = ", ".join(f"{1e3 * f:.3g} {1e3 * t:.3g} at {q}" for q, f, t in one.confirmed)
+        confirmed = ", ".join(
+            f"{mrad_text(f, 3, unit='')} {mrad_text(t, 3, unit='')} at {q}" for q, f, t in one.confirmed
+        )
         lines.append(
             [
                 one.formats,
                 f"{one.normals} normals",
-                f"{1e3 * one.floor:.2g}",
+                mrad_text(one.floor, 2, unit=""),
                 best,
                 facets,
                 confirmed,
@@ -189,7 +192,7 @@ def floors_text(floors: Sequence[Floor]) -> str:
 
 
 def _line(row: AccuracyRow, on_front: bool) -> list[str]:
-    errors = [f"{1e3 * e:.3g}" for e in (row.model_rms, row.model_p95, row.model_max, row.law_rms)]
+    errors = [mrad_text(e, 3, unit="") for e in (row.model_rms, row.model_p95, row.model_max, row.law_rms)]
     return [
         "*" if on_front else "",
         row.rung,
@@ -199,18 +202,13 @@ def _line(row: AccuracyRow, on_front: bool) -> list[str]:
         f"{row.seconds:.3g}",
         f"{row.rays_per_s / 1e6:.3g}",
         f"{row.prepare_s:.2g}",
-        size(row.memory),
-        "" if row.file_bytes is None else size(row.file_bytes),
+        short_size_text(row.memory),
+        "" if row.file_bytes is None else short_size_text(row.file_bytes),
     ]
 
 
 def _rows(name: str, text: str) -> tuple[str, ...]:
-    """Read "F1,F2" as names of rows.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Read "F1,F2" as names of rows."""
     rows = words_of(name, text.upper())
     if not rows:
         raise BadOption(f"{name} {text}: it names no row; give one, such as F3, or leave it out for all")

@@ -12,7 +12,7 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from clacad.cli.command import Parameter, flag, parameters
+from clacad.cli.command import CommandParameter, flag, parameters
 
 PROGRAM = "clacad"
 
@@ -86,12 +86,12 @@ class Given:
             raise BadUsage(f"Got unexpected extra argument(s) ({' '.join(words)})", self.word)
         return request(**values)
 
-    def _value(self, one: Parameter, texts: list[Any]) -> Any:
+    def _value(self, one: CommandParameter, texts: list[Any]) -> Any:
         if one.several:
             return tuple(self._single(one, text) for text in texts)
         return self._single(one, texts[-1])
 
-    def _single(self, one: Parameter, text: Any) -> Any:
+    def _single(self, one: CommandParameter, text: Any) -> Any:
         if one.read is not None:
             return one.read(next((f for f in one.flags if f.startswith("--")), one.metavar), text)
         try:
@@ -100,20 +100,15 @@ class Given:
             raise BadUsage(f"Invalid value for {one.shown}: {error}", self.word) from None
 
 
-def _share(one: Parameter, words: list[str]) -> list[str]:
+def _share(one: CommandParameter, words: list[str]) -> list[str]:
     """Take the words of an argument off the list."""
     count = len(words) if one.several else 1
     taken, words[:] = words[:count], words[count:]
     return taken
 
 
-def _typed(one: Parameter, text: Any) -> Any:
-    """A text as the type of a parameter.
-
-    Raises
-    ------
-    ValueError
-    """
+def _typed(one: CommandParameter, text: Any) -> Any:
+    """A text as the type of a parameter."""
     if one.kind in ("bool", "str"):
         return text
     if one.kind == "Path":
@@ -133,13 +128,13 @@ def _typed(one: Parameter, text: Any) -> Any:
 
 
 def scan(
-    known: Sequence[Parameter], given: Sequence[str], word: str = "", *, up_to_word: bool = False
+    known: Sequence[CommandParameter], given: Sequence[str], word: str = "", *, up_to_word: bool = False
 ) -> Given:
     """Sort the words of the command line into options and others.
 
     Parameters
     ----------
-    known : sequence of Parameter
+    known : sequence of CommandParameter
     given : sequence of str
     word : str
         The command, for messages.
@@ -175,7 +170,7 @@ def _is_option(text: str) -> bool:
     return text.startswith("-") and text != "-"
 
 
-Flags = dict[str, tuple[Parameter, bool]]
+Flags = dict[str, tuple[CommandParameter, bool]]
 
 
 def _take(found: Given, flags: Flags, flag: str, value: str | None, left: list[str]) -> None:

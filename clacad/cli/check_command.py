@@ -8,8 +8,9 @@ from math import atan, degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import percent_text, short_size_text
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option, required
-from clacad.cli.console import Console, show_text, size, table
+from clacad.cli.console import Console, show_text, table
 from clacad.cli.option_values import BadOption, load_counted, load_design
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check(OfDesign):
+class CheckDesign(OfDesign):
     """Derive what would be made, forecast the verdict of verify, find the keys that would make it pass."""
 
     fix: bool = flag(
@@ -31,7 +32,7 @@ class Check(OfDesign):
     overwrite: bool = overwrite_option()
 
 
-def run_check(request: Check, console: Console) -> int:
+def run_check(request: CheckDesign, console: Console) -> int:
     """Derive and judge everything, print it; exit 1 when verify will fail, 3 when nothing could be written.
 
     Keys that would change a failure or a warning are searched for only where they are printed.
@@ -57,12 +58,7 @@ def run_check(request: Check, console: Console) -> int:
 
 
 def _listable(design: Design) -> Design:
-    """The design; with an outline only if its cells, which are then visited one by one, are within the limit.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """The design; one with an outline, whose cells are visited one by one, only within their limit."""
     from clacad.exporting.limits import refuse_uncountable
 
     if design.lattice.outline is not None:
@@ -115,7 +111,7 @@ def verdict(judged: Judged) -> str:
     return "verify will pass" + (f", {'; '.join(notes)}" if notes else "")
 
 
-def _fix(request: Check, console: Console) -> int:
+def _fix(request: CheckDesign, console: Console) -> int:
     """Find the fewest keys that make a design pass, print them, write the design; exit 1 where none do."""
     from clacad.advice import fix
     from clacad.storage.atomic import Stage, translated
@@ -141,7 +137,7 @@ def _fix(request: Check, console: Console) -> int:
     return _show_fixed(fixed, out if fixed.passes else None, console)
 
 
-def _text(request: Check, fixed: Fixed, out: Path) -> tuple[str, bool]:
+def _text(request: CheckDesign, fixed: Fixed, out: Path) -> tuple[str, bool]:
     """Text of the file to write, and whether it is the given one with its keys changed."""
     from clacad.config.edit_text import parse as parse_override
     from clacad.config.edit_text import with_values
@@ -205,8 +201,8 @@ def _page_text(made: Explored, unit: str) -> str:
         ", ".join(f"{degrees(atan(t)):.3g}" for t in two) for two in (found.half_field, found.ghost_onset)
     )
     rows = [
-        ("light to the partner", f"{100 * found.share:.3g} %", "along the middle of the field"),
-        ("", f"{100 * found.share_from_eye:.3g} %", "over the sheet, of what reaches the eye"),
+        ("light to the partner", percent_text(found.share), "along the middle of the field"),
+        ("", percent_text(found.share_from_eye), "over the sheet, of what reaches the eye"),
         ("field, x, y", f"{field} deg", "half width: beyond it no light obeys the law"),
         ("ghosts from, x, y", f"{onset} deg", "off the middle of the field"),
         ("sharpest pitch", f"{found.advised_pitch:.4g} {unit}", "for what is looked at"),
@@ -214,10 +210,10 @@ def _page_text(made: Explored, unit: str) -> str:
     head = f"wrote {made.file}" if made.written else f"would write {made.file}"
     seconds = "" if made.written else "; takes less than a second of processor time"
     left_out = "\n".join(f"not shown: {one}" for one in made.not_shown)
-    return f"{head}: {size(made.bytes)}{seconds}\n{table(rows)}\n{left_out}"
+    return f"{head}: {short_size_text(made.bytes)}{seconds}\n{table(rows)}\n{left_out}"
 
 
 COMMANDS = (
-    Command("check", "make", Check, run_check),
+    Command("check", "make", CheckDesign, run_check),
     Command("explore", "look", Explore, run_explore),
 )

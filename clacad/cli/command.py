@@ -143,7 +143,7 @@ class OfDesign(Overridden):
 
 
 @dataclass(frozen=True)
-class Parameter:
+class CommandParameter:
     """Argument or option as the parser and the help need it.
 
     Parameters
@@ -184,7 +184,7 @@ METAVARS = {"bool": "", "int": "N", "float": "X", "str": "WORD", "Path": "FILE"}
 """Type of a value → its placeholder where the form has none."""
 
 
-def parameters(request: type) -> list[Parameter]:
+def parameters(request: type) -> list[CommandParameter]:
     """Arguments and options of a request, in the order of its fields."""
     return [
         _parameter(one.name, str(one.type), one.default, **one.metadata)
@@ -193,7 +193,7 @@ def parameters(request: type) -> list[Parameter]:
     ]
 
 
-def _parameter(name: str, annotation: str, default: Any, *, form: str, **more: Any) -> Parameter:
+def _parameter(name: str, annotation: str, default: Any, *, form: str, **more: Any) -> CommandParameter:
     kind = annotation.removesuffix(" | None")
     several = kind.endswith(", ...]") and more["read"] is None
     kind = kind.removeprefix("tuple[").removesuffix(", ...]") if several else kind
@@ -201,6 +201,6 @@ def _parameter(name: str, annotation: str, default: Any, *, form: str, **more: A
     pairs = [word.partition("/") for word in words if word.startswith("-")]
     metavar = " ".join(word for word in words if not word.startswith("-")) or METAVARS.get(kind, "WORD")
     opposites = tuple(off for _, _, off in pairs if off)
-    return Parameter(
+    return CommandParameter(
         name, kind, several, tuple(on for on, _, _ in pairs), opposites, metavar, default, **more
     )

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from clacad.base import log
-from clacad.base.machine_rates import Clock, Rates, Span, processor_seconds, processor_seconds_now, span_text
-from clacad.base.text import plain, printable_lines
+from clacad.base.machine_rates import Clock, Rates, Span, processor_seconds, processor_seconds_now
+from clacad.base.text import plain, printable_lines, span_text
 from clacad.base.text import table as table
 
 
@@ -141,15 +141,6 @@ def say(text: str, *, quiet: bool = False) -> None:
     """Print a message on stderr."""
     if not quiet:
         sys.stderr.write(printable_lines(text) + "\n")
-
-
-def size(count: float) -> str:
-    """Bytes with a unit, in three digits."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 1000.0:
-            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.3g} {unit}"
-        count /= 1000.0
-    return f"{count:.3g} TB"
 
 
 def make_writable() -> None:

@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.base.text import short_size_text
 from clacad.cli.command import Command, commands, flag, option
-from clacad.cli.console import Console, show_json, size, table
+from clacad.cli.console import Console, show_json, table
 
 if TYPE_CHECKING:
     from clacad.doctor import Diagnosis
@@ -102,7 +103,7 @@ def _value_text(finding: Diagnosis) -> str:
         return str(value)
     if finding.topic == "kernel":
         return f"{value:.3g} s"
-    return size(value) + ("/s" if finding.name == "writing" else "")
+    return short_size_text(value) + ("/s" if finding.name == "writing" else "")
 
 
 # -- schema --------------------------------------------------------------------------------------------------

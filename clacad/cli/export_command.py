@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.base.text import whole_number
+from clacad.base.text import mrad_text, whole_number
 from clacad.cli.command import Command, OfDesign, declared, dry_run_option, option, required
 from clacad.cli.console import Console, Progress, say
 from clacad.cli.option_values import (
@@ -77,12 +77,7 @@ def run(given: Export, console: Console) -> int:
 
 
 def _request(design: Design, given: Export) -> Request:
-    """The request of an export in numbers.
-
-    Raises
-    ------
-    BadOption, BadRequest
-    """
+    """The request of an export in numbers."""
     from clacad.exporting.quads_and_roles import asked_quads, asked_roles
     from clacad.exporting.request import OPTIONS, Request
 
@@ -143,8 +138,8 @@ def _warn_of(name: str, entry: Mapping[str, Any], limit: float) -> None:
             "too little light gets through it"
             if rms is None
             else (
-                f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit "
-                f"{1e3 * limit:.3g})"
+                f"light through it is forecast to miss the law by {mrad_text(rms, 3)} rms (limit "
+                f"{mrad_text(limit, 3, unit='')})"
             )
         )
         others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
@@ -157,12 +152,7 @@ def _cut(design: Design, request: Request) -> Design:
 
 
 def _refuse_uncountable(design: Design) -> None:
-    """Refuse more lenslets than are ever counted through, before a module is loaded that could.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """Refuse more lenslets than are ever counted through, before a module is loaded that could."""
     from clacad.exporting.limits import refuse_uncountable
 
     refuse_uncountable(design)
@@ -171,12 +161,7 @@ def _refuse_uncountable(design: Design) -> None:
 def _within_target(
     design: Design, given: Export, target: float, request: Request, console: Console
 ) -> Request:
-    """The request with the coarsest facets that meet its target in the files that are no declared previews.
-
-    Raises
-    ------
-    TargetOutOfReach, LimitRefused, BadOption
-    """
+    """The request with the coarsest facets that meet its target in files that are no declared previews."""
     from clacad.exporting.formats.registry import known
     from clacad.exporting.roles import Role
     from clacad.exporting.run import refuse_impossible
@@ -196,9 +181,9 @@ def _within_target(
     normals: Literal["facet", "vertex"] = "facet" if given.normals == "facet" else "vertex"
     chosen = facets_for(made, prescribe(made), target, masters, normals)
     if chosen is None:
-        console.say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose")
+        console.say(f"target {mrad_text(target, 6)}: none of {', '.join(masters)} has facets to choose")
         return request
-    console.say(f"target {1e3 * target:g} mrad: {chosen}")
+    console.say(f"target {mrad_text(target, 6)}: {chosen}")
     _name_cheapest(made, target, chosen.formats, console)
     return replace(request, quads={**request.quads, **dict.fromkeys(chosen.formats, chosen.quads)})
 

@@ -8,7 +8,7 @@ from textwrap import fill, wrap
 from typing import Any
 
 from clacad.cli.arguments import PROGRAM, Common, Start
-from clacad.cli.command import GROUPS, Command, Parameter, parameters
+from clacad.cli.command import GROUPS, Command, CommandParameter, parameters
 
 ABOUT = "Design, make and verify generalized confocal lenslet arrays."
 EPILOG = """Same design, same bytes.
@@ -62,18 +62,18 @@ def _width() -> int:
     return max(min(get_terminal_size().columns, WIDEST), NARROWEST) - 2
 
 
-def _place(one: Parameter) -> str:
+def _place(one: CommandParameter) -> str:
     """An argument in the line of usage."""
     return f"{{{one.metavar}}}" if one.default is MISSING else f"[{one.metavar}]"
 
 
-def _options(known: Iterable[Parameter]) -> Iterator[tuple[str, str]]:
+def _options(known: Iterable[CommandParameter]) -> Iterator[tuple[str, str]]:
     for one in known:
         form = ", ".join(one.flags) + "".join(f" / {flag}" for flag in one.opposites)
         yield f"{form} {one.metavar}".rstrip(), _about(one)
 
 
-def _about(one: Parameter) -> str:
+def _about(one: CommandParameter) -> str:
     """Help of a parameter, with its default and range."""
     notes = [_range(one.least, one.most)]
     if one.default is MISSING:
@@ -84,7 +84,7 @@ def _about(one: Parameter) -> str:
     return f"{one.help}  [{'; '.join(notes)}]" if notes else one.help
 
 
-def _default(one: Parameter) -> Any:
+def _default(one: CommandParameter) -> Any:
     """Default as it would be given; None where the help does not show it."""
     if one.kind == "bool":
         flags = one.flags if one.default else one.opposites

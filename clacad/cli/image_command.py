@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import processor_seconds
+from clacad.base.text import mrad_text, percent_text
 from clacad.cli.command import Command, OfDesign, dry_run_option, option, overwrite_option
 from clacad.cli.console import Console, table
 from clacad.cli.option_values import BadOption, load_counted, picture_kind, read_length, words_of
@@ -123,7 +124,7 @@ def image_text(found: Image, unit: str) -> str:
                 _point(one.found),
                 "" if one.predicted.missing or one.found.missing else f"{one.off:.3g}",
                 "" if one.found.missing else ", ".join(f"{v:.4g}" for v in one.found.spot),
-                f"{100.0 * one.share:.3g} %",
+                percent_text(one.share),
                 "",
             ]
         )
@@ -156,7 +157,7 @@ def _notes(found: Image, unit: str) -> list[str]:
     if found.sampling is not None:
         spot = ", ".join(f"{v:.3g}" for v in found.sampling.smooth.spot)
         notes.append(
-            f"sampling: the law of the cell hit turns light {1e3 * found.sampling.slope:.3g} mrad rms from "
+            f"sampling: the law of the cell hit turns light {mrad_text(found.sampling.slope, 3)} rms from "
             f"the smooth law, whose spot at {_place(found.sampling.smooth.point)} would be {spot} {unit}"
         )
     if found.zone is not None:
@@ -176,7 +177,7 @@ def _notes(found: Image, unit: str) -> list[str]:
 def _instead(found: Image, instead: Middle, unit: str) -> str:
     """Fates of the light, and the light that gets through."""
     one = next(one for one in found.rungs if one.rung == instead.rung)
-    went = ", ".join(f"{100.0 * part:.3g} % {name}" for name, part in sorted(one.fates.items()))
+    went = ", ".join(f"{percent_text(part)} {name}" for name, part in sorted(one.fates.items()))
     if one.astray is not None:
         went += f", most of the ghosts {one.astray} cells from the partner"
     x, y, z = (instead.source + 0.0).tolist()
@@ -188,7 +189,7 @@ def _instead(found: Image, instead: Middle, unit: str) -> str:
     )
     return (
         f"rung {one.rung}: {went}; {what}, through the middles of both lenses, has a share of "
-        f"{100.0 * instead.share:.3g} %: "
+        f"{percent_text(instead.share)}: "
         f'--object="{place}"'
     )
 

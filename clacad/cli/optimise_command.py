@@ -9,6 +9,7 @@ from math import degrees, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.base.text import mrad_text
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console
 from clacad.cli.interrupts import INTERRUPTED
@@ -38,12 +39,7 @@ def _free(option: str, text: str) -> tuple[str, ...]:
 
 
 def _weights(option: str, text: str) -> tuple[tuple[float, float], ...]:
-    """Read ".5:1,1:1" as parts of the field and their weights.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Read ".5:1,1:1" as parts of the field and their weights."""
     found = []
     for one in text.split(","):
         part, colon, weight = one.partition(":")
@@ -116,7 +112,7 @@ def run(request: Optimise, console: Console) -> int:
     ended: list[Optimised] = []
 
     def best_so_far(evaluations: int, rms: float) -> None:
-        progress(f"best so far {1e3 * rms:.3g} mrad", min(0.99, evaluations / ahead["evaluations"]))
+        progress(f"best so far {mrad_text(rms, 3)}", min(0.99, evaluations / ahead["evaluations"]))
 
     def search(private: Path) -> None:
         with console.forecast(TASK, ahead["seconds"]) as span:
@@ -141,12 +137,7 @@ def run(request: Optimise, console: Console) -> int:
 
 @contextmanager
 def _named_as_typed() -> Iterator[None]:
-    """Report mistakes in the words of --free under the name of the option.
-
-    Raises
-    ------
-    DesignError
-    """
+    """Report mistakes in the words of --free under the name of the option."""
     from clacad.design import DesignError
 
     try:

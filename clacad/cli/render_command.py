@@ -98,12 +98,7 @@ def _render_scene(request: Render, console: Console) -> int:
 
 
 def _refuse_design(path: Path) -> None:
-    """Refuse a design file: it has no camera.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Refuse a design file: it has no camera."""
     from clacad.config.toml_text import top_keys
 
     if path.is_file() and "law" in top_keys(str(path)):

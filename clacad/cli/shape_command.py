@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import percent_text
 from clacad.cli.command import (
     Command,
     Overridden,
@@ -27,12 +28,7 @@ TASK = "shape"
 
 
 def _source(option: str, text: str) -> float:
-    """Read a half angle of light as radians.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Read a half angle of light as radians."""
     angle = parse_angle(option, text)
     if not angle < 1.5:
         raise BadOption(f"{option} {text}: {angle:.6g} rad is no half angle of light; allowed: 0 to 1.5 rad")
@@ -40,7 +36,7 @@ def _source(option: str, text: str) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(Overridden):
+class ShapeBeam(Overridden):
     """Write a sheet whose cells send parallel light into a picture or pattern on a screen."""
 
     target: Path = required(
@@ -65,7 +61,7 @@ class Shape(Overridden):
     overwrite: bool = overwrite_option()
 
 
-def run(request: Shape, console: Console) -> int:
+def run(request: ShapeBeam, console: Console) -> int:
     """Write the design, its table and the picture of its light; print the result of the rays."""
     design = _base(request)
     distance = parse_distance("--distance", request.distance, design.unit)
@@ -105,7 +101,7 @@ def run(request: Shape, console: Console) -> int:
     return 0
 
 
-def _base(request: Shape) -> Design:
+def _base(request: ShapeBeam) -> Design:
     """The design to shape: as given, or the slab of the templates, its law and cells as --set has them."""
     from clacad.design import Design, load, template
     from clacad.design.sections import LATTICE
@@ -137,7 +133,7 @@ PROBE = "law.varying={f_image=1e9}"
 """Varying law with a plane, as a shaped sheet has: it is refused where features cannot be combined."""
 
 
-def _written(request: Shape, out: Path) -> tuple[Path, Path, Path]:
+def _written(request: ShapeBeam, out: Path) -> tuple[Path, Path, Path]:
     """Paths of the design, its table and the picture; none of them is a file that is read."""
     paths = (out, out.with_suffix(".cells.csv"), out.with_suffix(".png"))
     given = {path.resolve() for path in (request.target, request.base) if path is not None}
@@ -176,7 +172,7 @@ def _target(path: Path, width: float) -> Target:
 
 
 def _published(
-    design: Design, found: Shaped, paths: tuple[Path, Path, Path], distance: float, request: Shape
+    design: Design, found: Shaped, paths: tuple[Path, Path, Path], distance: float, request: ShapeBeam
 ) -> Rendered:
     """Write design, table and picture; nothing where the sheet cannot be built."""
     from hashlib import sha256
@@ -249,24 +245,16 @@ def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str
     blur, unit = found.blur, design.unit
     return "\n".join(
         [
-            (
-                f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array"
-                f" 2, {found.way:.4g} {unit} aside (rms)"
-            ),
-            (
-                f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
-                f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}"
-            ),
-            (
-                f"  through           {100 * seen.through:.4g} % of the light, through lenses of one"
-                " telescopelet"
-            ),
-            f"  within one blur   {100 * seen.within:.4g} % of all light",
-            (
-                f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as"
-                f" wide as a cell: light comes in {len(found.cells):,} spots; by the lenses"
-                f" {100 * seen.by_lenses:.3g} %"
-            ),
+            f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array"
+            f" 2, {found.way:.4g} {unit} aside (rms)",
+            f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
+            f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
+            f"  through           {percent_text(seen.through, 4)} of the light, through lenses of one"
+            " telescopelet",
+            f"  within one blur   {percent_text(seen.within, 4)} of all light",
+            f"  elsewhere         {percent_text(seen.difference)} of what arrives, against the target as"
+            f" wide as a cell: light comes in {len(found.cells):,} spots; by the lenses"
+            f" {percent_text(seen.by_lenses)}",
         ]
     )
 
@@ -276,4 +264,4 @@ def _pair(two: tuple[float, float]) -> str:
     return f"{x:.3g}" if x == y else f"{x:.3g} x {y:.3g}"
 
 
-COMMANDS = (Command("shape", "make", Shape, run),)
+COMMANDS = (Command("shape", "make", ShapeBeam, run),)

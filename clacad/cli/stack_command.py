@@ -9,8 +9,9 @@ from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import mrad_text, percent_text, short_size_text
 from clacad.cli.command import Command, declared, dry_run_option, flag, option, required
-from clacad.cli.console import Console, size, table
+from clacad.cli.console import Console, table
 from clacad.cli.option_values import (
     BadOption,
     load_counted,
@@ -161,12 +162,7 @@ def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]
 def _stack_request(
     first: Design, gaps: tuple[float, ...], ids: tuple[str, ...] | None, given: StackSheets
 ) -> StackRequest:
-    """The request in numbers; lengths in the first design's unit.
-
-    Raises
-    ------
-    BadOption
-    """
+    """The request in numbers; lengths in the first design's unit."""
     from clacad.stacking import StackRequest
 
     distance = None
@@ -293,7 +289,7 @@ def stack_text(made: Stacked) -> str:
     exact, unit = made.exact, made.unit
     x, y = exact.meridians
     parts = [
-        f"share of the light that obeys all {len(made.designs)} laws: {100.0 * exact.share:.3g} "
+        f"share of the light that obeys all {len(made.designs)} laws: {percent_text(exact.share, unit='')} "
         f"%{_of_meridians(x.share, y.share)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} "
         f"deg ({_thin(made)}); the rest are ghosts, or lost",
         *_spaces(made),
@@ -310,12 +306,12 @@ def stack_text(made: Stacked) -> str:
 def _thin(made: Stacked) -> str:
     """The share through thin lenses: by the same rays, and as the product over the sheets."""
     thin = next((one for one in made.light if one.rung == "thin"), None)
-    by_rays = "" if thin is None else f"thin lenses {100.0 * thin.share:.3g} % by rays, "
-    return f"{by_rays}{100.0 * made.exact.expected_share:.3g} % as the product of what each thin sheet passes"
+    by_rays = "" if thin is None else f"thin lenses {percent_text(thin.share)} by rays, "
+    return f"{by_rays}{percent_text(made.exact.expected_share)} as the product of what each thin sheet passes"
 
 
 def _of_meridians(x: float | None, y: float | None) -> str:
-    return "" if x is None or y is None else f" ({100.0 * x:.3g} % in x, {100.0 * y:.3g} % in y)"
+    return "" if x is None or y is None else f" ({percent_text(x)} in x, {percent_text(y)} in y)"
 
 
 def _lit(made: Stacked) -> str:
@@ -372,9 +368,9 @@ def _spaces(made: Stacked) -> Iterable[str]:
 def _sheets_text(sheets: Iterable[dict[str, Any]]) -> str:
     rows = [["sheet", "design", "from / mm", "to / mm", ""]]
     for one in sheets:
-        note = f"passes {100.0 * one['share']:.3g} % of what came so far" if "share" in one else ""
+        note = f"passes {percent_text(one['share'])} of what came so far" if "share" in one else ""
         if "bytes" in one:
-            parts = [f"{name} about {size(count)}" for name, count in one["bytes"].items()]
+            parts = [f"{name} about {short_size_text(count)}" for name, count in one["bytes"].items()]
             note = ", ".join(parts) or "written already"
         rows.append([one["id"], one["design"], *(f"{z:.6g}" for z in one["span"]), note])
     return table(rows)
@@ -402,8 +398,8 @@ def _rungs_text(made: Stacked) -> str:
         cells = [one.rung, f"{one.share:.4f}"]
         for name, form in (("share", ".4f"), ("measured_space", ".6g"), ("scatter", ".3g")):
             cells += ["" if (v := getattr(m, name)) is None else format(v, form) for m in (x, y)]
-        error = "truth" if one.rung == "surfaces" else f"{1e3 * one.error:.3g}"
-        rows.append([*cells, error, f"{100.0 * one.strays:.3g} %", f"{one.seconds:.2g}"])
+        error = "truth" if one.rung == "surfaces" else mrad_text(one.error, 3, unit="")
+        rows.append([*cells, error, percent_text(one.strays), f"{one.seconds:.2g}"])
     return table(rows)
 
 

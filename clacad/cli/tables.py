@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from clacad.base.machine_rates import span_text
-from clacad.base.text import bound, shown
-from clacad.cli.console import size, table
+from clacad.base.text import bound, count_text, mrad_text, short_size_text, shown, span_text
+from clacad.cli.console import table
 
 MARKS = {"pass": "ok", "fail": "FAIL", "warn": "warn", "not run": "not run"}
 
@@ -37,7 +36,7 @@ def verdicts_text(verdicts: Iterable[Any]) -> str:
         light = (
             ""
             if one.rms is None or one.limit is None
-            else f"{1e3 * one.rms:.3g} of {1e3 * one.limit:.3g} mrad rms"
+            else f"{mrad_text(one.rms, 3, unit='')} of {mrad_text(one.limit, 3)} rms"
         )
         lines.append([one.name, one.role.value, one.word, light])
     return table(lines)
@@ -66,9 +65,9 @@ def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
             [
                 row["format"],
                 "" if row["facets"] is None else f"{row['facets']:,}",
-                ("" if row["exact"] else "about ") + size(row["bytes"]),
+                ("" if row["exact"] else "about ") + short_size_text(row["bytes"]),
                 span_text(low, high),
-                f"up to {size(row['memory'][1])}",
+                f"up to {short_size_text(row['memory'][1])}",
                 "; ".join(word for word in (grid, row.get("note", "")) if word),
             ]
         )
@@ -82,7 +81,12 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
     """The files of a manifest: name, bytes, hash, comparisons with the design, role."""
     files = list(files)
     lines = [
-        [entry["name"], size(entry["bytes"]), entry["sha256"][:16], "agrees: " + ", ".join(entry["checks"])]
+        [
+            entry["name"],
+            short_size_text(entry["bytes"]),
+            entry["sha256"][:16],
+            "agrees: " + ", ".join(entry["checks"]),
+        ]
         for entry in files
     ]
     roles = [
@@ -106,7 +110,7 @@ def holds_text(entry: Mapping[str, Any]) -> str:
     instanced = entry.get("mode") == "instanced"
     if entry["format"] == step.WORD and "solids" in entry:
         solids, faces = int(entry["solids"]), int(entry["faces"])
-        words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
+        words = f"{count_text(solids, 'solid', ',')} with {faces:,} faces"
         if instanced:
             return (
                 f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells "
@@ -123,7 +127,7 @@ def holds_text(entry: Mapping[str, Any]) -> str:
     if "objects" not in entry:
         return ""
     objects, bodies = int(entry["objects"]), " and ".join(map(str, entry["bodies"]))
-    words = f"{objects} object{'s' * (objects != 1)} ({bodies})"
+    words = f"{count_text(objects, 'object', 'd')} ({bodies})"
     if not instanced:
         return f"{words}, one mesh each"
     return f"{words}, each one cell repeated {int(entry['instances']):,} times (--fused: one mesh each)"
@@ -135,11 +139,11 @@ def role_text(entry: Mapping[str, Any], limit: float | None, facets: int | None,
     parts = [f"{role} (declared)" if entry.get("role_declared") else role]
     if "forecast_law_rms" in entry:
         rms = entry["forecast_law_rms"]
-        bound = "" if limit is None else f" (limit {1e3 * limit:.3g})"
+        bound = "" if limit is None else f" (limit {mrad_text(limit, 3, unit='')})"
         parts.append(
             "too little light gets through to measure the law"
             if rms is None
-            else f"light through it misses the law by {1e3 * rms:.3g} mrad rms{bound}"
+            else f"light through it misses the law by {mrad_text(rms, 3)} rms{bound}"
         )
     others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
     if others:
@@ -156,7 +160,10 @@ def _master_text(entry: Mapping[str, Any]) -> str:
         return "no number of quads up to 1024 makes it a master"
     if entry.get("quads") is not None and entry["quads"] >= entry["master_quads"]:
         return "fine enough for a master"
-    return f"a master needs {entry['master_quads']} quads a cell side, about {size(entry['master_bytes'])}"
+    return (
+        f"a master needs {entry['master_quads']} quads a cell side, about "
+        f"{short_size_text(entry['master_bytes'])}"
+    )
 
 
 def check_text(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.cli.command import Command, OfDesign, option, overwrite_option, required
 from clacad.cli.console import Console, table
 from clacad.cli.option_values import load_counted, parse_slopes, words_of
@@ -148,25 +150,32 @@ def tolerance_text(study: Study) -> str:
             f"{study.cell[1]}), the worst of {study.tried} tried"
         )
     for measure in RANKED:
-        title, factor = WORDS[measure]
-        low, middle, high = (f"{factor * v:.4g}" for v in study.percentiles(measure))
-        blocks.append(
-            f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, "
-            f"half below {middle}, 95 % below {high}"
-        )
-        if measure == "law_rms":
-            blocks.append("    of the worst of the middle cell and the cells in the corners, by its centre:")
-        ranking = study.ranking(measure)
-        rows = [
-            [f"{100 * s:.1f} %", n, _change(factor * c), *([_cell(study, n)] if measure == "law_rms" else [])]
-            for n, c, s in ranking
-            if s >= LEAST
-        ]
-        rest = ", ".join(n for n, _, s in ranking if s < LEAST)
-        blocks += [table(rows, indent="    ")] if rows else []
-        blocks += [f"    less than {100 * LEAST:g} % each: {rest}"] if rows and rest else []
+        blocks += _measure_blocks(study, measure, *WORDS[measure])
     blocks.append(_yield_text(study))
     return "\n".join(blocks)
+
+
+def _measure_blocks(study: Study, measure: str, title: str, factor: float) -> Iterator[str]:
+    """Percentiles of one measure, and its contributors from the largest on."""
+    low, middle, high = (f"{factor * v:.4g}" for v in study.percentiles(measure))
+    yield (
+        f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, "
+        f"half below {middle}, 95 % below {high}"
+    )
+    by_cell = measure == "law_rms"
+    if by_cell:
+        yield "    of the worst of the middle cell and the cells in the corners, by its centre:"
+    ranking = study.ranking(measure)
+    rows = [
+        [percent_text(s, 1, fixed=True), n, _change(factor * c), *([_cell(study, n)] if by_cell else [])]
+        for n, c, s in ranking
+        if s >= LEAST
+    ]
+    rest = ", ".join(n for n, _, s in ranking if s < LEAST)
+    if rows:
+        yield table(rows, indent="    ")
+        if rest:
+            yield f"    less than {percent_text(LEAST, 6)} each: {rest}"
 
 
 def _cell(study: Study, parameter: str) -> str:
@@ -194,8 +203,9 @@ def _yield_text(study: Study) -> str:
     if nominal:
         text += f"\nthe sheet as designed already misses: {', '.join(nominal)}"
     if len(study.measures):
-        text += f"\nyield {100 * share:.1f} % of {len(study.measures)} sheets "
-        text += f"(95 %: {100 * low:.1f} to {100 * high:.1f})"
+        text += f"\nyield {percent_text(share, 1, fixed=True)} of {len(study.measures)} sheets "
+        least, most = (percent_text(end, 1, fixed=True, unit="") for end in (low, high))
+        text += f"(95 %: {least} to {most})"
     return text
 
 
@@ -241,7 +251,7 @@ def _light(found: Sweep) -> str:
 
 
 def _optics(row: dict[str, Any]) -> list[str]:
-    angles = [f"{1e3 * row[name]:.4g}" for name in ("law_rms", "law_bias", "blur")]
+    angles = [mrad_text(row[name], unit="") for name in ("law_rms", "law_bias", "blur")]
     return [*angles, f"{row['throughput']:.3f}", f"{row['eta_x']:.5g}, {row['eta_y']:.5g}", *_beam(row)]
 
 

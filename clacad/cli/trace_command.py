@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from clacad.base.text import mrad_text, short_size_text
 from clacad.cli.command import (
     Command,
     OfDesign,
@@ -22,7 +23,7 @@ from clacad.cli.command import (
     overwrite_option,
     required,
 )
-from clacad.cli.console import Console, Progress, size, table
+from clacad.cli.console import Console, Progress, table
 from clacad.cli.option_values import (
     BadOption,
     load_counted,
@@ -88,12 +89,7 @@ def run_trace(request: Trace, console: Console) -> int:
 
 @contextmanager
 def _mesh_is_input(request: Trace) -> Iterator[None]:
-    """Within the block a mesh that cannot be read, or of another sheet, is bad input.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Within the block a mesh that cannot be read, or of another sheet, is bad input."""
     from clacad.storage.errors import OverBudget, UnreadableFile
 
     try:
@@ -117,12 +113,7 @@ def _cost(request: Trace, rays: int, faces: int) -> tuple[str, float]:
 
 
 def _refuse_options(request: Trace) -> None:
-    """Refuse options with unknown words, or of another rung.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Refuse options with unknown words, or of another rung."""
     if request.rung not in ("law", "thin", "surfaces", "mesh"):
         raise BadOption(f"--rung {request.rung}: it is one of law, thin, surfaces, mesh")
     if request.normals not in ("facet", "vertex"):
@@ -138,7 +129,7 @@ def _refuse_options(request: Trace) -> None:
     if request.mesh is not None and not request.mesh.is_file():
         raise BadOption(f"{request.mesh}: there is no such file")
     if request.effects:
-        from clacad.effects import registry
+        from clacad import effects as registry
 
         unknown = [name for name in request.effects if name not in registry.NAMES]
         if unknown:
@@ -146,12 +137,7 @@ def _refuse_options(request: Trace) -> None:
 
 
 def _options(window: Any, request: Trace) -> dict[str, Any]:
-    """Arguments of `trace` besides window and rays; a mesh is made, or read, here.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Arguments of `trace` besides window and rays; a mesh is made, or read, here."""
     _refuse_options(request)
     options: dict[str, Any] = dict(rung=request.rung, effects=request.effects)
     if request.rung == "mesh":
@@ -255,8 +241,8 @@ def run_wave(request: Wave, console: Console) -> int:
 def _forecast_text(ahead: dict[str, float]) -> str:
     return (
         f"{ahead['rays']:.0f} x {ahead['rays']:.0f} rays, a grid of {ahead['points']:.0f} points a side, "
-        f"about {ahead['seconds']:.2g} s of processor time, {size(ahead['bytes'])} of memory; nothing is "
-        "written"
+        f"about {ahead['seconds']:.2g} s of processor time, {short_size_text(ahead['bytes'])} of memory; "
+        "nothing is written"
     )
 
 
@@ -333,12 +319,7 @@ def _show_sheets(scene: Scene, request: Effects, console: Console) -> int:
 
 
 def _planned(plan: Callable[[], T]) -> T:
-    """The plan; a request that has none is bad input.
-
-    Raises
-    ------
-    NoPlan
-    """
+    """The plan; a request that has none is bad input."""
     try:
         return plan()
     except ValueError as error:
@@ -369,7 +350,7 @@ def plan_text(plan: Plan) -> str:
     return "\n".join(
         [
             f"rung {plan.rung}: {plan.rung_why}",
-            f"what matters: {1e3 * plan.angle:.3g} mrad, {plan.radiance:.2%} of the light; {kind} bounds "
+            f"what matters: {mrad_text(plan.angle, 3)}, {plan.radiance:.2%} of the light; {kind} bounds "
             "of what each effect changes:",
             table(rows),
             f"predicted time: {plan.cost:.3g} x the bare trace",

@@ -140,12 +140,7 @@ def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:
 
 
 def _rays(design: Design, request: Verify, target: float) -> int:
-    """Rays for a target; refused at once where a file's format cannot hold it.
-
-    Raises
-    ------
-    TargetOutOfReach
-    """
+    """Rays for a target; refused at once where a file's format cannot hold it."""
     from clacad.exporting.formats.registry import kind_ending
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.choose_setting import floor_of, out_of_reach

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from clacad.base import units
-from clacad.base.text import did_you_mean, near
+from clacad.base.text import count_text, did_you_mean, near
 from clacad.base.units import Unit
 from clacad.config.keys import REQUIRED, attributes_of, keys_of, written
 from clacad.config.value_kinds import JsonSchema, Kind, Refusal, not_this, shown
@@ -47,9 +47,7 @@ class Several:
                 "CL104", not_this(value, "a list"), value, self.allowed(unit), self._listed(value, unit)
             )
         if len(value) != len(self.names):
-            raise Refusal(
-                "CL108", f"has {len(value)} value{'s' * (len(value) != 1)}", value, self.allowed(unit)
-            )
+            raise Refusal("CL108", f"has {count_text(len(value), 'value')}", value, self.allowed(unit))
         return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
 
     def write(self, value: Any, unit: Unit) -> Any:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from clacad.base import units
-from clacad.base.text import did_you_mean, near
+from clacad.base.text import did_you_mean, mrad_text, near
 from clacad.base.units import Unit
 from clacad.config.compound_kinds import ListOf, WordOr
 from clacad.config.keys import REQUIRED, Key
@@ -279,7 +279,7 @@ def _stated(value: Any, key: Key) -> Any:
     kind = key.kind
     if isinstance(kind, Quantity) and kind.family == "angle" and not kind.degrees:
         degrees = f"{math.degrees(value):g}"
-        return f"{degrees} deg" if math.radians(float(degrees)) == value else f"{value * 1000:g} mrad"
+        return f"{degrees} deg" if math.radians(float(degrees)) == value else mrad_text(value, 6)
     return kind.write(value, _METRE)
 
 

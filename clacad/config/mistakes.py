@@ -197,9 +197,7 @@ def _one(
     path: str,
     overrides: Sequence[tuple[KeyPath, str]],
 ) -> Mistake:
-    """Mistake with its position: the last override that set its key,
-    else the key or the value in the file.
-    """
+    """Mistake with its position: the last override that set its key, else its key or value in the file."""
     if mistake.line is not None or mistake.path == "--set":
         return mistake
     key = split_key(mistake.key)
@@ -445,3 +443,13 @@ class DesignTooLarge(DesignError):
     """A design or scene file is refused because it exceeds the size limit, regardless of its content."""
 
     exit_status = 3
+
+
+def design_error(code: str, message: str, key: str = "", path: str = "", **more: Any) -> DesignError:
+    """Error with one mistake, for the caller to raise; arguments as of `Mistake`."""
+    return DesignError([Mistake(code, message, key, path, **more)])
+
+
+def too_large(code: str, message: str, key: str = "", path: str = "", **more: Any) -> DesignTooLarge:
+    """Error of a file beyond a limit of size, as `design_error`."""
+    return DesignTooLarge([Mistake(code, message, key, path, **more)])

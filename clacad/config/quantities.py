@@ -13,9 +13,7 @@ from clacad.base.units import Unit
 from clacad.config.value_kinds import JsonSchema, Refusal, not_this, shown
 
 SMALLEST_M: Final = 1e-12
-"""Smallest length except 0, metres: smaller ones are typing errors,
-and results would leave the range of floats.
-"""
+"""Smallest length except 0, metres: smaller ones are typing errors, and would leave the range of floats."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,15 +16,19 @@ from typing import Any, Final, NoReturn
 
 from clacad.base.text import DEEPEST, beyond_64_bits, did_you_mean, near, plain
 from clacad.base.untrusted_files import BUDGETS, read_regular
-from clacad.config.mistakes import DesignError, DesignTooLarge, Mistake, Place, find, syntax_place
+from clacad.config.mistakes import (
+    DesignError,
+    Mistake,
+    Place,
+    design_error,
+    find,
+    syntax_place,
+    too_large,
+)
 from clacad.config.value_kinds import kind_of
 
 LARGEST_FILE: Final = BUDGETS["design"].bytes
 MOST_MARKS: Final = BUDGETS["design"].items or 0
-
-
-def _refuse(mistake: Mistake) -> NoReturn:
-    raise DesignError([mistake])
 
 
 def read_text(name: str, what: str = "design") -> str:
@@ -41,41 +45,31 @@ def read_text(name: str, what: str = "design") -> str:
     except OSError as problem:
         if problem.errno == EFBIG:
             why = f"the file is too large for a {what}"
-            raise DesignTooLarge([Mistake("CL100", why, path=name, allowed="up to 1 MB")]) from None
+            raise too_large("CL100", why, path=name, allowed="up to 1 MB") from None
         why = (problem.strerror or str(problem)).lower()
-        _refuse(
-            Mistake(
-                "CL100",
-                f"cannot read the {what}: {why}",
-                path=name,
-                hint=_nearest_file(name) if problem.errno == ENOENT else "",
-            )
-        )
+        hint = _nearest_file(name) if problem.errno == ENOENT else ""
+        raise design_error("CL100", f"cannot read the {what}: {why}", path=name, hint=hint) from problem
     except ValueError:
-        _refuse(
-            Mistake(
-                "CL100", f"cannot read the {what}: the name holds a zero byte", path=name.replace("\0", "?")
-            )
-        )
+        raise design_error(
+            "CL100", f"cannot read the {what}: the name holds a zero byte", path=name.replace("\0", "?")
+        ) from None
     if sum(map(raw.count, (b"\n", b"=", b":"))) > MOST_MARKS:
         why = f"too many lines and keys for a {what}"
-        raise DesignTooLarge([Mistake("CL100", why, path=name, allowed=f"up to {MOST_MARKS:,}")])
+        raise too_large("CL100", why, path=name, allowed=f"up to {MOST_MARKS:,}")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         line = raw.count(b"\n", 0, problem.start) + 1
         column = problem.start - raw.rfind(b"\n", 0, problem.start)
-        _refuse(
-            Mistake(
-                "CL100",
-                "the file is not UTF-8 text",
-                path=name,
-                line=line,
-                column=column,
-                found=f"byte 0x{raw[problem.start]:02x}",
-                hint="save it as UTF-8",
-            )
-        )
+        raise design_error(
+            "CL100",
+            "the file is not UTF-8 text",
+            path=name,
+            line=line,
+            column=column,
+            found=f"byte 0x{raw[problem.start]:02x}",
+            hint="save it as UTF-8",
+        ) from problem
 
 
 def _nearest_file(name: str) -> str:
@@ -105,7 +99,7 @@ def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
     try:
         data = json.loads(text) if is_json else tomllib.loads(text)
     except RecursionError:
-        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
+        raise design_error("CL100", f"nested more than {DEEPEST} deep", path=name) from None
     except ValueError as problem:
         slip = re.sub(
             r"exceeds the limit.*integer string conversion.*",
@@ -122,9 +116,9 @@ def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
             syntax_place(problem, text),
         )
     if not isinstance(data, dict):
-        _refuse(Mistake("CL104", f"a {what} is a table, not {kind_of(data)}", path=name, line=1, column=1))
+        raise design_error("CL104", f"a {what} is a table, not {kind_of(data)}", path=name, line=1, column=1)
     if too_deep(data):
-        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
+        raise design_error("CL100", f"nested more than {DEEPEST} deep", path=name)
     twins = find(text, name).twins if is_json else []
     if twins:
         _refuse_syntax(f"not a {what}: a key that is there twice", name, text, twins[0])
@@ -179,20 +173,16 @@ def _syntax_hint(line: str) -> str:
 
 
 def _refuse_deep_keys(text: str, name: str) -> None:
-    """Refuse dotted keys of more than 64 parts before parsing:
-    parsing time grows as the square of the parts.
-    """
+    """Refuse dotted keys of more than 64 parts before parsing, whose time grows as their square."""
     for number, line in enumerate(text.split("\n"), 1):
         if line.count(".", 0, 100_000) > DEEPEST and re.match(r"\s*\[*\s*(?:[^.=#\"'\[\]]*\.){65}", line):
-            _refuse(
-                Mistake(
-                    "CL100",
-                    f"a key nested more than {DEEPEST} deep",
-                    path=name,
-                    line=number,
-                    column=1,
-                    source_line=line,
-                )
+            raise design_error(
+                "CL100",
+                f"a key nested more than {DEEPEST} deep",
+                path=name,
+                line=number,
+                column=1,
+                source_line=line,
             )
 
 
@@ -222,9 +212,9 @@ def given_table(data: object, what: str = "design") -> dict[str, Any]:
     """
     given = plain(data, float)
     if not isinstance(given, dict):
-        _refuse(Mistake("CL104", f"a {what} is a table, not {kind_of(given)}"))
+        raise design_error("CL104", f"a {what} is a table, not {kind_of(given)}")
     if too_deep(given):
-        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep"))
+        raise design_error("CL100", f"nested more than {DEEPEST} deep")
     return given
 
 

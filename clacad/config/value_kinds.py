@@ -122,9 +122,7 @@ class WrittenAsRead:
 
 @dataclass(frozen=True, slots=True)
 class Whole(WrittenAsRead):
-    """A whole number from `least` to `most`, at most 2⁶³ − 1, the range of an index;
-    sizes are checked later.
-    """
+    """A whole number from `least` to `most`, at most 2⁶³ − 1, an index's range; sizes are checked later."""
 
     what: str
     least: int = 1
@@ -198,9 +196,7 @@ class Flag(WrittenAsRead):
 
 @dataclass(frozen=True, slots=True)
 class Text(WrittenAsRead):
-    """A text of limited length; `plain` allows only characters that are safe in file names,
-    `pattern` is a full match.
-    """
+    """A text of limited length; `plain`: only characters safe in file names; `pattern`: a full match."""
 
     what: str
     longest: int

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import floor, sqrt
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from clacad.base.text import count_text
 from clacad.base.units import Unit
 from clacad.config.compound_kinds import ListOf, OneOf, Record, Several, each
 from clacad.config.keys import REQUIRED, key
@@ -49,7 +50,7 @@ class Points:
         if not isinstance(value, list):
             raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit))
         if not self.least <= len(value) <= self.most:
-            count = f"has {len(value)} point{'s' * (len(value) != 1)}"
+            count = f"has {count_text(len(value), 'point')}"
             shown = value if len(value) < self.least else [*value[:2], "…"]
             raise Refusal("CL108", count, shown, self.allowed(unit))
         return tuple(each(((n, _Point(self.bulges), item) for n, item in enumerate(value)), unit))
@@ -110,8 +111,7 @@ VERTICES: Final = Points(2, MOST_VERTICES, bulges=True)
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """Outer shape of the sheet: a circle of diameter size[0], a rectangle size[0] by size[1], or a closed
-    polygon.
+    """Outer shape of the sheet: a circle of diameter size[0], a rectangle size[0] by size[1], or a polygon.
 
     For a polygon, `points` are the corners (x, y, bulge of the side that begins there), lengths; `size` is
     that of the box centred on the origin that contains it. The shape "dxf" is a drawing that could not be
@@ -157,9 +157,7 @@ OUTLINE: Final = OneOf(
 
 
 def _box(points: Iterable[Vertex]) -> Pair2:
-    """Sides of the smallest box centred on the origin that contains a polygon of straight and round sides
-    (lengths).
-    """
+    """Sides (lengths) of the smallest centred box that contains a polygon of straight and round sides."""
     from clacad.sheet.plate import Plate
 
     across, along = Plate(tuple(points)).reach
@@ -167,8 +165,7 @@ def _box(points: Iterable[Vertex]) -> Pair2:
 
 
 def filling_count(kind: str, pitch: tuple[float, float], size: tuple[float, float]) -> tuple[int, int]:
-    """Cells along the two lattice vectors that fill an outline; cells that extend beyond it are left out
-    later.
+    """Cells along the two lattice vectors that fill an outline; cells beyond it are left out later.
 
     A cell wholly inside a width w lies within ±w/2, so floor(w/p) columns centred on the origin miss none.
     Rows of a

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final
 from clacad.base.text import printable
 from clacad.base.untrusted_files import BUDGETS, require_regular
 from clacad.config.keys import REQUIRED, key
-from clacad.config.mistakes import DesignError, DesignTooLarge, Mistake
+from clacad.config.mistakes import design_error, too_large
 from clacad.config.toml_text import folder_of, outside
 from clacad.config.value_kinds import Text
 
@@ -62,15 +62,11 @@ def table_path(design_path: str, file: str) -> str:
         except OSError as problem:
             why = f"cannot be read: {(problem.strerror or str(problem)).lower()}"
     if why:
-        raise DesignError(
-            [
-                Mistake(
-                    "CL124",
-                    f"the table {printable(file)} {why}",
-                    KEY,
-                    allowed="the name of a CSV or NPZ file in the design's folder",
-                )
-            ]
+        raise design_error(
+            "CL124",
+            f"the table {printable(file)} {why}",
+            KEY,
+            allowed="the name of a CSV or NPZ file in the design's folder",
         )
     return path
 
@@ -85,9 +81,7 @@ def digest(path: str) -> str:
     """
     size, most = os.stat(path).st_size, BUDGETS["cell-table"].bytes
     if size > most:
-        raise DesignTooLarge(
-            [Mistake("CL124", f"the table has {size:,} bytes", KEY, path, allowed=f"up to {most:,} bytes")]
-        )
+        raise too_large("CL124", f"the table has {size:,} bytes", KEY, path, allowed=f"up to {most:,} bytes")
     made = sha256()
     with open(path, "rb") as stream:
         while block := stream.read(1 << 20):
@@ -126,27 +120,10 @@ def read_table(design_path: str, table: TableSpec, lattice: Lattice, eta: float)
     path = table_path(design_path, table.file)
     most = BUDGETS["cell-table"].items or 0
     if (count := lattice.count[0] * lattice.count[1]) > most:
-        raise DesignTooLarge(
-            [
-                Mistake(
-                    "CL124",
-                    f"{count:,} cells are more than the {most:,} that a table may have",
-                    KEY,
-                    allowed=f"up to {most:,} cells",
-                )
-            ]
-        )
+        why = f"{count:,} cells are more than the {most:,} that a table may have"
+        raise too_large("CL124", why, KEY, allowed=f"up to {most:,} cells")
     if (found := digest(path)) != table.sha256:
-        raise DesignError(
-            [
-                Mistake(
-                    "CL124",
-                    f"{path} is not the table whose sha256 the design states",
-                    KEY,
-                    found=found,
-                    allowed=table.sha256,
-                    hint="the name alone takes the table as it is",
-                )
-            ]
-        )
+        why = f"{path} is not the table whose sha256 the design states"
+        hint = "the name alone takes the table as it is"
+        raise design_error("CL124", why, KEY, found=found, allowed=table.sha256, hint=hint)
     return TableFile(path, lattice, KEY, eta).numbers()

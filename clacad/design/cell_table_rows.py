@@ -16,7 +16,7 @@ from clacad.base.npy_header import array_head
 from clacad.base.text import printable
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.untrusted_files import BUDGETS
-from clacad.config.mistakes import DesignError, DesignTooLarge, Mistake
+from clacad.config.mistakes import design_error, too_large
 from clacad.sheet.lattice import Lattice
 
 LONGEST_ROW: Final = 1000
@@ -25,9 +25,7 @@ BLOCK: Final = 1 << 16
 
 
 class RowBlock(NamedTuple):
-    """Several rows: their numbers (n, columns), their text,
-    and the number of the first in the file (from 1).
-    """
+    """Several rows: numbers (n, columns), text, and the number of the first in the file (from 1)."""
 
     numbers: Floats
     lines: list[str]
@@ -98,20 +96,16 @@ class NumberRows:
         place = None
         if column is not None:
             place = 1 + min(len(line), sum(len(part) + 1 for part in line.split(",")[:column]))
-        raise DesignError(
-            [
-                Mistake(
-                    "CL124",
-                    message,
-                    self.key,
-                    self.path,
-                    row,
-                    place,
-                    allowed=allowed,
-                    hint=hint,
-                    source_line=line,
-                )
-            ]
+        raise design_error(
+            "CL124",
+            message,
+            self.key,
+            self.path,
+            line=row,
+            column=place,
+            allowed=allowed,
+            hint=hint,
+            source_line=line,
         )
 
     def _header(self, line: str) -> None:
@@ -149,7 +143,7 @@ class NumberRows:
             lines.append(line)
             read += 1
             if read > most:
-                raise DesignTooLarge([Mistake("CL124", f"more than {most:,} rows", self.key, self.path, row)])
+                raise too_large("CL124", f"more than {most:,} rows", self.key, self.path, line=row)
             if len(lines) == BLOCK:
                 yield lines
                 lines = []
@@ -205,10 +199,8 @@ ETA: Final = "eta"
 NOT_HERE: Final = (
     (
         "eta_",
-        (
-            "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be"
-            " confocal in both"
-        ),
+        "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be"
+        " confocal in both",
     ),
 )
 LARGEST: Final = 1e6
@@ -219,9 +211,7 @@ ARRAY: Final = "delta"
 
 
 class CellNumbers(NamedTuple):
-    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2) or None;
-    0 and the law's η for cells that an outline leaves out.
-    """
+    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2) or None; 0 and the law's η for left-out cells."""
 
     deltas: Floats
     etas: Floats | None
@@ -316,9 +306,7 @@ class TableFile:
         return " less j // 2, as hexagons are counted" if self.lattice.hexagonal else ""
 
     def _whole(self, made: Floats) -> Floats:
-        """Numbers of every cell, 0 and the law's η for cells that are not kept;
-        refuse a kept cell without numbers.
-        """
+        """Numbers of every cell, 0 and the law's η where it is not kept; refuse a kept one without any."""
         missing = np.isnan(made[..., 0])
         for j in np.flatnonzero(missing.any(axis=0)).tolist():
             kept = self.lattice.row(j)

@@ -24,7 +24,7 @@ from fractions import Fraction
 from typing import Any, Final
 
 from clacad.base import units
-from clacad.base.text import whole_number
+from clacad.base.text import count_text, whole_number
 from clacad.base.untrusted_files import BUDGETS, read_regular
 from clacad.config.mistakes import DesignTooLarge, Mistake
 from clacad.config.quantities import SMALLEST_M
@@ -314,7 +314,7 @@ def _one_loop(entities: list[Entity], name: str) -> list[Vertex]:
         x, y, r = circles[0]
         raise Unfit(
             "CL141",
-            f"{name}: {len(circles)} circle{'s' * (len(circles) > 1)} next to the outline",
+            f"{name}: {count_text(len(circles), 'circle')} next to the outline",
             "one closed outline; holes are stated in the design",
             f"body.holes = [{{diameter = {2 * r:g}, at = [[{x:g}, {y:g}]]}}], and the outline alone on a"
             f" layer {LAYER}",

@@ -74,9 +74,7 @@ class PerPower(WrittenAsRead):
     power: int
 
     def read(self, value: object, unit: Unit) -> float:
-        """Return the coefficient in 1/unit^power, design units;
-        refuse a text without a unit, or with another unit.
-        """
+        """Return the coefficient in 1/unit^power, design units; refuse a text without its unit."""
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise Refusal("CL104", not_this(value, "a number"), value, self.allowed(unit))
         try:

@@ -16,13 +16,12 @@ from clacad.config.edit_text import changed_keys, to_toml
 from clacad.config.keys import written
 from clacad.config.value_kinds import FORMAT
 from clacad.design.body import BodySpec
-from clacad.design.limits import CheckSpec, TolerancesSpec
+from clacad.design.limit_sections import CheckSpec, TolerancesSpec
 from clacad.design.read import read_changed, read_dict, read_file
 from clacad.design.sections import LatticeSpec, LawSpec, LightSpec, PairSpec
 
 _LATER = ("tolerances", "light")
-"""Sections younger than the first canonical texts, absent from them where nothing differs from the
-defaults."""
+"""Sections younger than the first canonical texts, absent from them where all values are defaults."""
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -112,9 +111,7 @@ class Design:
 
     @property
     def law(self) -> Law:
-        """The requested law of refraction; a varying law:
-        that of the sheet's centre (table: no offset, and `law.eta`).
-        """
+        """The requested law; of a varying one at the sheet's centre (table: no offset, and `law.eta`)."""
         from clacad.optics.law import Law
 
         phi, theta, psi = self.law_spec.euler
@@ -142,9 +139,7 @@ class Design:
 
     @property
     def viewing_places(self) -> tuple[float | None, float | None]:
-        """Distances from the sheet to the eye before array 1 and to the object behind, metres;
-        None where not given.
-        """
+        """Distances from sheet to eye before array 1 and object behind it, metres; None if not given."""
         metres = self._unit.metres
         viewer, distance = (None if v is None else v * metres for v in (self.check.viewer, self.check.object))
         return viewer, distance
@@ -211,8 +206,7 @@ class Design:
         return Design(**read_changed(self.given, self.path, changed_keys(changes, value)))
 
     def with_cells(self, cells: tuple[int, int]) -> Design:
-        """Return the design with another number of cells, centred, without an outline, corners, holes or
-        pins.
+        """Return the design with other numbers of cells, centred, without outline, corners, holes or pins.
 
         Parameters
         ----------

@@ -7,9 +7,10 @@ are limits for checking a design, not promises of any machine.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf, pi, radians
-from typing import TYPE_CHECKING
+from math import radians
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clacad.optics.material.material import Material
@@ -81,144 +82,69 @@ class ProcessProfile:
         return not self.materials or material.kind in self.materials or material.name in self.materials
 
 
-_PROFILES = (
-    ProcessProfile(
-        "none",
-        0.0,
-        0.0,
-        0.0,
-        inf,
-        0.0,
-        0.0,
-        0.0,
-        inf,
-        0.0,
-        0.5 * pi,
-        0.0,
-        0.0,
-        inf,
-        True,
-        inf,
-        inf,
-        (),
-        "geometry only",
-    ),
-    ProcessProfile(
-        "diamond-turning",
-        0.5e-3,
-        50e-6,
-        50e-6,
-        2e-3,
-        100e-6,
-        50e-6,
-        25e-6,
-        1e-6,
-        radians(5.0),
-        radians(45.0),
-        0.0,
-        0.0,
-        1.0,
-        False,
-        0.1,
-        0.2,
-        ("plastic", "crystal", "chalcogenide"),
-        "single-crystal tool nose radii of 25 to 50 micrometres, clearance angles of 5 to 15 degrees and"
-        " servo strokes of a few millimetres; no vertical walls (slow tool servo: Micromachines 13, 1564"
-        " (2022)); spindles that swing 300 millimetres, which is a square of 200; plastics, infrared"
-        " crystals, chalcogenides and non-ferrous metals are cut, ordinary glass breaks and wears the tool",
-    ),
-    ProcessProfile(
-        "two-photon",
-        2e-6,
-        1e-6,
-        2e-6,
-        0.5e-3,
-        5e-6,
-        5e-6,
-        0.0,
-        inf,
-        0.0,
-        0.5 * pi,
-        0.5e-6,
-        1e-6,
-        10.0,
-        True,
-        8e-3,
-        0.1,
-        ("resin",),
-        "voxels of 0.2 to 0.5 micrometres laterally and about 1 micrometre along the axis; objective working"
-        " distances of a few hundred micrometres; parts up to 8 millimetres high on a stage of 100"
-        " (commercial printers); photoresists and resins only",
-    ),
-    ProcessProfile(
-        "greyscale",
-        100e-6,
-        1e-6,
-        5e-6,
-        100e-6,
-        5e-6,
-        10e-6,
-        0.0,
-        5e-6,
-        radians(15.0),
-        radians(60.0),
-        1e-6,
-        0.1e-6,
-        1.0,
-        False,
-        12e-3,
-        0.2,
-        ("resin", "plastic", "elastomer", "Fused silica", "LITHOSIL-Q", "Silicon", "Germanium"),
-        "laser spots of about 1 micrometre, grey levels of about 0.1 micrometre, walls that come out at 75"
-        " degrees at best and resist films of up to about 100 micrometres; substrates up to 200 millimetres"
-        " wide and 12 thick; the part is the resist, a cast or embossed copy of it, or etched from it into"
-        " silica, silicon or germanium",
-    ),
-    ProcessProfile(
-        "moulding",
-        0.8e-3,
-        0.1e-3,
-        20e-6,
-        5e-3,
-        50e-6,
-        0.1e-3,
-        20e-6,
-        10e-6,
-        radians(1.0),
-        radians(60.0),
-        0.0,
-        0.0,
-        2.0,
-        False,
-        25e-3,
-        0.3,
-        ("plastic", "elastomer", "chalcogenide", "P-BK7", "P-SK57", "P-LASF47", "P-SF68"),
-        "least wall of about 0.8 mm for filling acrylic; draft of 1 degree for release; the insert is diamond"
-        " machined; thicker parts sink as they cool; thermoplastics, silicone, and glasses made for moulding",
-    ),
-    ProcessProfile(
-        "sla",
-        0.5e-3,
-        0.2e-3,
-        0.1e-3,
-        50e-3,
-        0.3e-3,
-        0.1e-3,
-        0.0,
-        inf,
-        0.0,
-        0.5 * pi,
-        50e-6,
-        25e-6,
-        10.0,
-        True,
-        0.185,
-        0.145,
-        ("Acrylate resin",),
-        "pixels and layers of 25 to 50 micrometres; the thinnest self-supporting wall of about 0.2 mm; "
-        "build volume 145 x 145 x 185 mm (Formlabs Form 3); acrylate resins only",
-    ),
+_LIMITS = """
+part         none  diamond-turning  two-photon  greyscale  moulding  sla
+edge         0     0.5e-3           2e-6        100e-6     0.8e-3    0.5e-3
+neck         0     50e-6            1e-6        1e-6       0.1e-3    0.2e-3
+radius       0     50e-6            2e-6        5e-6       20e-6     0.1e-3
+sag          inf   2e-3             0.5e-3      100e-6     5e-3      50e-3
+pitch        0     100e-6           5e-6        5e-6       50e-6     0.3e-3
+clearance    0     50e-6            5e-6        10e-6      0.1e-3    0.1e-3
+tool         0     25e-6            0           0          20e-6     0
+wall         inf   1e-6             inf         5e-6       10e-6     inf
+draft        0     5                0           15         1         0
+slope        90    45               90          60         60        90
+voxel        0     0                0.5e-6      1e-6       0         50e-6
+layer        0     0                1e-6        0.1e-6     0         25e-6
+aspect       inf   1                10          1          2         10
+undercut     1     0                1           0          0         1
+part_height  inf   0.1              8e-3        12e-3      25e-3     0.185
+part_width   inf   0.2              0.1         0.2        0.3       0.145
+"""
+"""Fields of `ProcessProfile` by process; draft and slope in degrees."""
+
+_WORKS: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "diamond-turning": ("plastic", "crystal", "chalcogenide"),
+    "two-photon": ("resin",),
+    "greyscale": ("resin", "plastic", "elastomer", "Fused silica", "LITHOSIL-Q", "Silicon", "Germanium"),
+    "moulding": ("plastic", "elastomer", "chalcogenide", "P-BK7", "P-SK57", "P-LASF47", "P-SF68"),
+    "sla": ("Acrylate resin",),
+}
+"""Kinds and names of materials that each process works."""
+
+_SOURCES = (
+    "geometry only",
+    "single-crystal tool nose radii of 25 to 50 micrometres, clearance angles of 5 to 15 degrees and"
+    " servo strokes of a few millimetres; no vertical walls (slow tool servo: Micromachines 13, 1564"
+    " (2022)); spindles that swing 300 millimetres, which is a square of 200; plastics, infrared"
+    " crystals, chalcogenides and non-ferrous metals are cut, ordinary glass breaks and wears the tool",
+    "voxels of 0.2 to 0.5 micrometres laterally and about 1 micrometre along the axis; objective working"
+    " distances of a few hundred micrometres; parts up to 8 millimetres high on a stage of 100"
+    " (commercial printers); photoresists and resins only",
+    "laser spots of about 1 micrometre, grey levels of about 0.1 micrometre, walls that come out at 75"
+    " degrees at best and resist films of up to about 100 micrometres; substrates up to 200 millimetres"
+    " wide and 12 thick; the part is the resist, a cast or embossed copy of it, or etched from it into"
+    " silica, silicon or germanium",
+    "least wall of about 0.8 mm for filling acrylic; draft of 1 degree for release; the insert is diamond"
+    " machined; thicker parts sink as they cool; thermoplastics, silicone, and glasses made for moulding",
+    "pixels and layers of 25 to 50 micrometres; the thinnest self-supporting wall of about 0.2 mm; "
+    "build volume 145 x 145 x 185 mm (Formlabs Form 3); acrylate resins only",
 )
+
+
+def _profiles() -> Iterator[ProcessProfile]:
+    (_, *names), *rows = (line.split() for line in _LIMITS.split("\n")[1:-1])
+    for name, source, *texts in zip(names, _SOURCES, *(texts for _, *texts in rows), strict=True):
+        limits: dict[str, Any] = {row[0]: float(text) for row, text in zip(rows, texts, strict=True)}
+        angles = {key: radians(limits[key]) for key in ("draft", "slope")}
+        undercut = bool(limits["undercut"])
+        yield ProcessProfile(
+            **{**limits, **angles, "undercut": undercut}, name=name, materials=_WORKS[name], source=source
+        )
+
+
+_PROFILES = tuple(_profiles())
 
 
 def profiles() -> tuple[ProcessProfile, ...]:

@@ -42,9 +42,7 @@ def values_of(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Read a design's keys as written, some of them changed;
-    return the fields of a `Design`, see `Design.replace`.
-    """
+    """Read a design's keys as written, some changed; return fields of a `Design`, see `Design.replace`."""
     return _read(override.with_changes(given, changes, override.put_dotted, ""), (), None, path)
 
 

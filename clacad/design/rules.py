@@ -144,10 +144,7 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
     form = a(PAIR.form)
     if form in (None, "plates"):
         return
-    for key, forms in (
-        (PAIR.curved, ("plano",)),
-        (LATTICE.seam_depth, ("plano", "slab")),
-    ):
+    for key, forms in ((PAIR.curved, ("plano",)), (LATTICE.seam_depth, ("plano", "slab"))):
         if a.given(key) and form not in forms:
             yield Mistake(
                 "CL114",
@@ -164,14 +161,20 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
             allowed='only with pair.form = "biconvex"',
             hint="leave it out",
         )
-    if form == "slab" and a(PAIR.confocal) == "thin":
+    if form == "slab":
+        yield from _keys_of_two_bodies(a)
+
+
+def _keys_of_two_bodies(a: Asked) -> Iterator[Mistake]:
+    """Refuse keys of a slab that need two bodies."""
+    if a(PAIR.confocal) == "thin":
         yield Mistake(
             "CL114",
             f"{a.says(PAIR.confocal)} does not belong to a slab",
             PAIR.confocal,
             allowed='"exact": a slab is afocal by construction; or "best": radii for the least error',
         )
-    if form == "slab" and a(TOLERANCES.separation):
+    if a(TOLERANCES.separation):
         yield Mistake(
             "CL114",
             "tolerances.separation does not belong to a slab: its separation is its thickness",
@@ -179,7 +182,7 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
             allowed=TOLERANCES.thickness,
             hint="leave it out",
         )
-    if form == "slab" and a(BODY.baffle):
+    if a(BODY.baffle):
         yield Mistake(
             "CL114",
             "a slab has no room for a baffle between its faces",
@@ -396,9 +399,7 @@ def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) 
 
 
 def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
-    """A tilt needs a biconvex pair; separate foci need cells along the lens axes;
-    keys of a field lens need one.
-    """
+    """A tilt needs a biconvex pair; separate foci need cells along the lens axes; its keys need a lens."""
     if a.given(PAIR.field) and a(PAIR.field_lens) is False:
         yield Mistake(
             "CL113",

@@ -3,8 +3,8 @@
 Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; the Euler angles are kept
 in degrees, as written, so that 90 degrees stays exact. `clacad explain pair.web` prints what a key means.
 
-The module also lists all keys of a design file, those of `clacad.design.body` and `clacad.design.limits`
-included: `PAIR.separation` is the path "pair.separation".
+The module also lists all keys of a design file, those of `design.body` and `design.limit_sections` included:
+`PAIR.separation` is the path "pair.separation".
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quan
 from clacad.config.value_kinds import LARGEST_COUNT, Flag, Text, Whole, Word
 from clacad.design.body import OUTLINE, BodySpec, Outline
 from clacad.design.faces import CONIC, FaceSpec, SearchRecord
-from clacad.design.limits import CheckSpec, TolerancesSpec
+from clacad.design.limit_sections import CheckSpec, TolerancesSpec
 from clacad.design.varying import VARYING, Planes, VaryingSpec
 
 if TYPE_CHECKING:
@@ -222,9 +222,7 @@ OF_RECIPES: Final = tuple(name for name, one in keys_of(PairSpec).items() if one
 
 @dataclass(frozen=True, slots=True)
 class AimedAt:
-    """Position of the viewer that a sheet is aimed at: a point of the sheet frame, lengths;
-    z < 0 before array 1.
-    """
+    """Viewer's position a sheet is aimed at: a point of the sheet frame, lengths; z < 0 before array 1."""
 
     point: tuple[float, float, float] = key(Several(LENGTH, ("x", "y", "z")), "where the viewer is", REQUIRED)
 

@@ -15,12 +15,10 @@ from clacad.design.combinations import FEATURES, built_sheets, why_not
 from clacad.design.face_list_rules import FACE_LIST_RULES
 from clacad.design.rules import PAIR_RULES, Asked, Rule
 from clacad.design.sections import BODY, LATTICE, LAW, PAIR
-from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta
+from clacad.design.varying import MAGNIFIED, VaryingSpec, gradient_of, needed_eta
 
 SMALLEST_PITCH_M: Final = 1e-7
-"""Smallest pitch, metres: 0.1 µm is about a quarter of the shortest visible wavelength,
-too small for a lens.
-"""
+"""Smallest pitch, metres: 0.1 µm, about a quarter of the shortest visible wavelength."""
 
 MOST_CUT: Final = 1_000_000
 """Greatest number of rows or columns that are tested one by one against an outline: one or two seconds."""
@@ -40,34 +38,24 @@ def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
             allowed="[x, y]",
             hint=f'write [{shown(written)}, {shown(written)}], or kind = "square"',
         )
-    if kind != "rectangular" and pitch[0] != pitch[1]:
-        yield Mistake(
-            "CL116",
-            f"a {kind} lattice has one pitch",
-            LATTICE.pitch,
-            found=a.says(LATTICE.pitch),
-            allowed="one length",
-            hint='kind = "rectangular" takes two',
-        )
-    second = a(LATTICE.pitch_2)
-    if second is not None and kind != "rectangular" and second[0] != second[1]:
-        yield Mistake(
-            "CL116",
-            f"a {kind} lattice has one pitch",
-            LATTICE.pitch_2,
-            found=a.says(LATTICE.pitch_2),
-            allowed="one length",
-            hint='kind = "rectangular" takes two',
-        )
-    if second is not None and any(
-        not 0.5 <= one / other <= 2.0 for one, other in zip(second, pitch, strict=True)
-    ):
-        yield Mistake(
-            "CL106",
-            f"{a.says(LATTICE.pitch_2)} is out of range",
-            LATTICE.pitch_2,
-            allowed="half to twice lattice.pitch",
-        )
+    for key, pitches in ((LATTICE.pitch, pitch), (LATTICE.pitch_2, a(LATTICE.pitch_2))):
+        if pitches is not None and kind != "rectangular" and pitches[0] != pitches[1]:
+            yield Mistake(
+                "CL116",
+                f"a {kind} lattice has one pitch",
+                key,
+                found=a.says(key),
+                allowed="one length",
+                hint='kind = "rectangular" takes two',
+            )
+    yield from _pitch_in_range(a, pitch)
+
+
+def _pitch_in_range(a: Asked, pitch: tuple[float, float]) -> Iterator[Mistake]:
+    """Array 2's pitch is half to twice array 1's, which is above the wavelength of light."""
+    if any(not 0.5 <= one / other <= 2.0 for one, other in zip(a(LATTICE.pitch_2) or (), pitch)):
+        message = f"{a.says(LATTICE.pitch_2)} is out of range"
+        yield Mistake("CL106", message, LATTICE.pitch_2, allowed="half to twice lattice.pitch")
     if a.unit is not None and min(pitch) * float(a.unit.metres) < SMALLEST_PITCH_M:
         metres = min(pitch) * float(a.unit.metres)
         yield Mistake(
@@ -128,10 +116,8 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
         "CL117",
         f"{a.says(LATTICE.outline)} holds no cell of {count[0]} x {count[1]}",
         LATTICE.outline,
-        allowed=(
-            f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to the"
-            " middle"
-        ),
+        allowed=f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to"
+        " the middle",
         hint=(
             ""
             if kind == "hexagonal" or all(n % 2 for n in count)
@@ -149,10 +135,8 @@ def count_or_outline(a: Asked) -> Iterator[Mistake]:
             "CL103",
             "missing key lattice.count",
             LATTICE.count,
-            allowed=(
-                f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline,"
-                " which is then filled"
-            ),
+            allowed=f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline,"
+            " which is then filled",
         )
         return
     outline, pitch, kind = a(LATTICE.outline), a(LATTICE.pitch), a(LATTICE.kind)
@@ -183,10 +167,8 @@ def outline_is_simple(a: Asked) -> Iterator[Mistake]:
                 "CL141",
                 f"{key} is no outline: {why}",
                 key,
-                allowed=(
-                    "corners of a closed polygon in order, the first not repeated, whose sides meet at"
-                    " corners alone"
-                ),
+                allowed="corners of a closed polygon in order, the first not repeated, whose sides meet at"
+                " corners alone",
             )
 
 
@@ -228,10 +210,8 @@ def plate_has_a_border(a: Asked) -> Iterator[Mistake]:
             "CL114",
             f"body.corners does not belong to a {shape}",
             BODY.corners,
-            allowed=(
-                "a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border"
-                " alone"
-            ),
+            allowed="a rectangular plate: body.outline or lattice.outline = {rectangle = ...}, or body.border"
+            " alone",
             hint="give a polygon's corners themselves: [x, y, bulge] bends a side",
         )
     if a(BODY.pins) and a(PAIR.form) == "slab":
@@ -255,10 +235,8 @@ def _one_way_to_place(hole: dict[str, Any], n: int, shape: str) -> Iterator[Mist
             "CL112" if ways else "CL103",
             f"body.holes[{n}] says {'two ways' if ways else 'nothing'} of where its holes are",
             key,
-            allowed=(
-                "exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from"
-                " both sides"
-            ),
+            allowed="exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from"
+            " both sides",
         )
     elif ways == ["circle"] and "count" not in hole:
         yield Mistake(
@@ -329,15 +307,21 @@ def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
             LAW.varying,
             allowed="eta other than 1 in both x and y",
         )
-    if separation is None:
-        if spec.conjugates is not None and a(PAIR.form) == "slab" and a.given(PAIR.thickness):
-            yield Mistake(
-                "CL113",
-                "law.varying.conjugates needs pair.separation",
-                PAIR.separation,
-                allowed="separation = T/n instead of thickness = T",
-            )
-        return
+    if separation is not None:
+        yield from _law_fits_its_planes(a, spec, eta, separation)
+    elif spec.conjugates is not None and a(PAIR.form) == "slab" and a.given(PAIR.thickness):
+        yield Mistake(
+            "CL113",
+            "law.varying.conjugates needs pair.separation",
+            PAIR.separation,
+            allowed="separation = T/n instead of thickness = T",
+        )
+
+
+def _law_fits_its_planes(
+    a: Asked, spec: VaryingSpec, eta: tuple[float, float], separation: float
+) -> Iterator[Mistake]:
+    """The magnification and eta agree, and the gradient of delta is finite."""
     wanted = None if spec.conjugates is None else needed_eta(spec.conjugates, separation)
     if wanted is not None and any(abs(e - w) > MAGNIFIED * abs(w) for e, w in zip(eta, wanted, strict=True)):
         needed = ", ".join(repr(w) for w in wanted)
@@ -360,9 +344,7 @@ def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
 
 
 def focus_has_planes(a: Asked) -> Iterator[Mistake]:
-    """At least one plane must be finite; both meridians need power;
-    two pitch ratios must lie along the cells.
-    """
+    """A plane must be finite; both meridians need power; two pitch ratios must lie along the cells."""
     planes, eta, euler = a(PAIR.focus), a(LAW.eta), a(LAW.euler)
     if planes is None or eta is None:
         return

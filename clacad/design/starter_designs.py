@@ -12,7 +12,7 @@ import tomllib
 from pathlib import Path
 
 from clacad.base.units import LENGTHS, Unit
-from clacad.config.mistakes import DesignError, Mistake
+from clacad.config.mistakes import design_error
 from clacad.config.value_kinds import Refusal, Word, shown
 from clacad.design.sections import ROOT
 
@@ -63,25 +63,19 @@ def template(name: str, kind: str = "slab") -> str:
             hint = (
                 _nearest_of(value) if key == "template" and isinstance(value, str) else ""
             ) or refusal.hint
-            raise DesignError(
-                [Mistake(refusal.code, message, key, allowed=refusal.allowed, hint=hint)]
-            ) from None
+            raise design_error(refusal.code, message, key, allowed=refusal.allowed, hint=hint) from None
     text = files[kind].read_text(encoding="utf-8")
     return _NAME.sub(lambda _: f'name = "{name}"', text, count=1)
 
 
 def figure_of(name: str) -> str:
-    """Return the paper's figure of a template: "Fig. 5", "sheet" for a paper template without figure,
-    "" for others.
-    """
+    """Return the paper's figure of a template: "Fig. 5", "sheet" for the paper's others, else ""."""
     found = re.match(r"fig(\d+[a-z]?)", name)
     return f"Fig. {found[1]}" if found else "sheet" if name.startswith("paper-") else ""
 
 
 def differences(name: str) -> str:
-    """Return the values of a template that differ from paper-base: "law.eta = [-0.5, -0.5]";
-    name and notes are ignored.
-    """
+    """Values of a template that differ from paper-base, "law.eta = [-0.5, -0.5]"; not name and notes."""
     own, base = (tomllib.loads(_files()[kind].read_text(encoding="utf-8")) for kind in (name, "paper-base"))
     found = [
         f"{section}.{key} = {shown(value)}"

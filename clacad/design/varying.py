@@ -166,8 +166,7 @@ def needed_eta(planes: Conjugates, separation: float) -> Pair2 | None:
 
 
 def gradient_of(spec: VaryingSpec, eta: Pair2, separation: float) -> Gradient | None:
-    """K, 1/length: lens axes by lens axes for f_image and conjugates, by sheet axes as given; None for a
-    table.
+    """K, 1/length: lens axes by lens axes for f_image and conjugates, by sheet axes as given; or None.
 
     Parameters
     ----------

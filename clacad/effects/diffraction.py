@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.arrays import distinct
+from clacad.base.text import nm_text
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.effects.engine.block import FaceCrossing, RayBlock, uniform
@@ -46,9 +47,7 @@ LOBES = 64
 
 
 COST = 7.0
-"""Time of the compiled trace with diffraction over without: slit and angle are drawn per ray, outside the
-kernel.
-"""
+"""Time of the compiled trace with diffraction over without: slit and angle are drawn per ray, in numpy."""
 
 
 def effect(window: Window, setting: Setting) -> Effect:
@@ -154,7 +153,7 @@ def bound(situation: Situation) -> Bound:
     angle = hypot(*(wave / (mean * window.unit)))
     why = (
         f"lit slits of {mean[0] * millimetres(window.unit):.3g} by {mean[1] * millimetres(window.unit):.3g}"
-        f" mm spread {wave * 1e9:.0f} nm light by {angle:.2g} rad"
+        f" mm spread {nm_text(wave, 0, fixed=True)} light by {angle:.2g} rad"
     )
     return Bound(angle, 0.0, why, COST)
 

@@ -87,8 +87,7 @@ def largest_turn(ratio: float, m: float, reach: float, aim: float, ghosts: bool)
     """Largest |1 − m|/|m| |x − u|/s for light within `reach` of the field's middle.
 
     x − u = (1 − m) x − s τ, |x| ≤ p/2, τ the slope off the pair's own undeviated slope t0; for light that
-    stays with
-    its partner |u − u0| ≤ p/2 too.
+    stays with its partner |u − u0| ≤ p/2 too.
     """
     half = 0.5 * ratio
     x = half if ghosts else min(half, (half + reach) / abs(m))

@@ -47,9 +47,7 @@ def bound(situation: Situation) -> Bound:
 
 
 def measured(situation: Situation) -> tuple[float, float]:
-    """Light that split paths add: forward with the scene's contrast, back with the brightness of the
-    camera's side.
-    """
+    """Light that split paths add: forward with the scene's contrast, back with that of the camera's side."""
     extra, own = light_with(situation, NAME), light_with(situation, FRESNEL)
     n = max(len(situation.met), 1)
     back = extra.direction[:, 2] < 0.0

@@ -15,6 +15,7 @@ from math import expm1, hypot, pi, sqrt
 
 import numpy as np
 
+from clacad.base.text import nm_text
 from clacad.base.types import Floats, Ints
 from clacad.effects.engine.block import FaceCrossing, RayBlock, bend, lens_slopes, normal
 from clacad.effects.engine.camera_light import radiance_change, turned_angles
@@ -94,7 +95,7 @@ def bound(situation: Situation) -> Bound:
     lost = haze(window, setting.roughness, min(lines)) if lines else 0.0
     angle = hypot(*blur(window, setting.slope_rms))
     why = (
-        f"{setting.roughness * 1e9:.3g} nm of roughness take {lost:.2g} of the light, "
+        f"{nm_text(setting.roughness, 3)} of roughness take {lost:.2g} of the light, "
         f"{setting.slope_rms:.2g} rad of slope error blur by {angle:.2g} rad"
     )
     return Bound(angle, lost, why, COST)

@@ -7,15 +7,15 @@ passes of the effects (`engine.passes`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from clacad.base.types import Rung
+from clacad.effects import declared
 from clacad.effects.engine.passes import trace_with
-from clacad.effects.registry import declared
 from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
 from clacad.sheet.window import Window
-from clacad.tracing.trace import ONLY_BARE, SheetTracer
+from clacad.tracing.trace import ONLY_BARE, Precision, SheetTracer
 from clacad.tracing.which_path import Path
 
 if TYPE_CHECKING:
@@ -26,18 +26,24 @@ if TYPE_CHECKING:
     from clacad.tracing.facets.triangle_soup import AnyMesh
 
 
+class TraceOptions(TypedDict, total=False):
+    """How rays are traced; the fields of the same names of `clacad.Tracer`."""
+
+    mesh: AnyMesh | int | None
+    normals: Normals
+    threads: int | None
+    path: Path | None
+    precision: Precision
+    continuous: bool
+
+
 def trace(
     window: Window,
     rays: Rays | OneRay,
     rung: Rung = "surfaces",
     effects: Sequence[str | Effect] = (),
     record: bool = False,
-    mesh: AnyMesh | int | None = None,
-    normals: Normals = "facet",
-    threads: int | None = None,
-    path: Path | None = None,
-    precision: Literal["float64", "float32"] = "float64",
-    continuous: bool = False,
+    **options: Unpack[TraceOptions],
 ) -> TraceResult:
     """Trace rays through a window.
 
@@ -46,19 +52,46 @@ def trace(
 
     Parameters
     ----------
-    window : Window
+    window, rung, effects
+        As in `clacad.Tracer`.
     rays : Rays, or one ray as (origin, direction)
         Sheet frame, window units, in front of the sheet; ``((0, 0, -1), (0.01, 0, 1))`` is one ray.
+    record : bool
+        Keep `hits` and `directions` at every face.
+    mesh, normals, threads, path, precision, continuous
+        As in `clacad.Tracer`; by keyword.
+
+    Returns
+    -------
+    TraceResult
+        Every ray has exactly one fate; only INVALID rows may contain NaN. The implementation changes no fate
+        and no cell, and directions by at most 1.4e-15.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `clacad.Tracer`; rays that are none are a TypeError.
+    """
+    if effects:
+        return Tracer(window, rung, effects, **options)(rays, record)
+    return SheetTracer(window, rung, **options)(rays, record)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracer:
+    """One window and rung, laid out once, called with rays as often as needed, from any thread.
+
+    Parameters
+    ----------
+    window : Window
     rung : "law", "thin", "surfaces" or "mesh"
         Homogeneous sheet; ideal lenslets; exact Snell at the surfaces; Snell at the facets.
     effects : sequence of names or `clacad.effects.Effect`
         Physics added to the geometry; an empty sequence costs nothing.
-    record : bool
-        Keep `hits` and `directions` at every face.
     mesh : Mesh, int, TriangleSoup, path or None
         For rung "mesh" only: the sheet's own mesh, its number of quads a cell side, triangles from any
-        source, or a file of them (STL, 3MF, PLY, OBJ, GLB). None: the sheet's own mesh of 16 quads a cell
-        side, as in scenes.
+        source, or a file of them (STL, 3MF, PLY, OBJ, GLB), which is read at once. None: the sheet's own mesh
+        of 16 quads a cell side, as in scenes.
     normals : "facet" or "vertex"
         Rung "mesh" only: normals of the facets, or the exact normals at the vertices, interpolated.
     threads : int or None
@@ -77,41 +110,13 @@ def trace(
         Rung "law" only, for a sheet whose law varies: use the law at the very point met instead of the law of
         the cell hit. The difference is the error due to the finite cell size.
 
-    Returns
-    -------
-    TraceResult
-        Every ray has exactly one fate; only INVALID rows may contain NaN. The implementation changes no fate
-        and no cell, and directions by at most 1.4e-15.
-
     Raises
     ------
     TypeError
-        A design in place of the window, or an argument that is not rays; the message names the function to
-        call.
+        A design in place of the window, or an unknown option; the message names the function to call.
     ValueError
         An unknown word, a precision or a mesh that the rung does not have, a mesh of other bodies, a sheet
         that cannot be meshed, or a wavelength outside a material's data.
-    """
-    if effects:
-        return Tracer(window, rung, effects, mesh, normals, threads, path, precision, continuous)(
-            rays, record
-        )
-    return SheetTracer(window, rung, mesh, normals, threads, path, precision, continuous)(rays, record)
-
-
-@dataclass(frozen=True, eq=False)
-class Tracer:
-    """One window and rung, laid out once, called with rays as often as needed, from any thread.
-
-    Parameters
-    ----------
-    window, rung, effects, mesh, normals, threads, path, precision, continuous
-        As in `clacad.trace`. A file of triangles is read here; later changes of the file have no effect.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As `clacad.trace`.
 
     Notes
     -----
@@ -131,7 +136,7 @@ class Tracer:
     normals: Normals = "facet"
     threads: int | None = None
     path: Path | None = None
-    precision: Literal["float64", "float32"] = "float64"
+    precision: Precision = "float64"
     continuous: bool = False
     bare: SheetTracer = field(init=False, repr=False)
 
@@ -140,16 +145,8 @@ class Tracer:
         normals = self.normals
         if self.rung != "mesh" and any(_rung_of(effect) == "mesh" for effect in self.effects):
             normals = "facet"  # they are those of the effect's facets
-        bare = SheetTracer(
-            self.window,
-            self.rung,
-            self.mesh,
-            normals,
-            self.threads,
-            self.path,
-            self.precision,
-            self.continuous,
-        )
+        options = {f.name: getattr(self, f.name) for f in fields(SheetTracer) if f.init}
+        bare = SheetTracer(**options | {"normals": normals})
         if self.precision == "float32" and self.effects:
             raise ValueError(ONLY_BARE)
         object.__setattr__(self, "bare", bare)

@@ -15,14 +15,14 @@ from math import inf, pi
 from pathlib import Path
 from string import ascii_letters
 
-from clacad.base.text import did_you_mean, near, table, whole_number
+from clacad import effects as registry
+from clacad.base.text import did_you_mean, near, nm_text, table, whole_number
 from clacad.base.units import LENGTHS, Unit
 from clacad.checks.check import kinds
 from clacad.config.mistakes import CODES as IN_DESIGNS
 from clacad.design.combinations import BUILT, ITSELF, matrix
 from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.design.sections import DESIGN, PAIR, ROOT, SECTIONS
-from clacad.effects import registry
 from clacad.explain.design_mistakes import MISTAKES, Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.exporting.formats.format import Format
@@ -32,8 +32,7 @@ from clacad.optics.material.material import Material
 from clacad.topology.complex_parts import CODES as BODIES
 
 SHOWN = (550e-9, 4e-6, 10.6e-6)
-"""Wavelengths, metres, at which an index is printed where it is known: the eye's, the middle and the far
-infrared."""
+"""Wavelengths, metres, at which known indices are printed: the eye's, the middle and far infrared."""
 
 
 def named_things() -> Iterator[Entry]:
@@ -47,9 +46,7 @@ def named_things() -> Iterator[Entry]:
 
 
 def _combinations() -> Entry:
-    """Features that combine with non-uniform sheets: a matrix, from the table by which the reader refuses
-    the others.
-    """
+    """Features that combine with non-uniform sheets: a matrix, from the table of the reader's refusals."""
     (_, *sheets), *rows = matrix()
     codes: dict[str, str] = {}
     lines = [["", *(sheet.rpartition(".")[2] for sheet in sheets)]]
@@ -207,7 +204,7 @@ def _material(one: Material) -> Entry:
     means = [
         ", ".join(f"n = {one.index(wave):.4f} at {_wave(wave)}" for wave in waves),
         f"V_d = {abbe:.1f}" if abbe is not None else "V_d is not published",
-        f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm",
+        f"known from {1e9 * short:.0f} to {nm_text(long, 0, fixed=True)}",
         "density not published" if one.density_kg_m3 is None else f"{one.density_kg_m3:g} kg/m³",
         "dn/dT not published" if thermal.dn_dt is None else _dn_dt(*thermal.dn_dt),
         (
@@ -236,7 +233,7 @@ def _dn_dt(change: float, wave: float) -> str:
 
 
 def _wave(metres: float) -> str:
-    return f"{1e9 * metres:.0f} nm" if metres < 1e-6 else f"{1e6 * metres:g} µm"
+    return nm_text(metres, 0, fixed=True) if metres < 1e-6 else f"{1e6 * metres:g} µm"
 
 
 __all__ = ["Entry", "Unexplained", "entries", "explain"]
@@ -287,8 +284,7 @@ def _see(key: str) -> str:
 
 
 def explain(text: str, more: Sequence[Entry] = ()) -> Entry:
-    """Look up a code ("CL337", "337"), a check ("wall"), a word ("moire"), a process, effect or material, a
-    key ("pair.web").
+    """Look up a code ("CL337", "337"), check ("wall"), word, process, effect, material or key ("pair.web").
 
     The former name of a check finds the check; its title then states the present name.
 

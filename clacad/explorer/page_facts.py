@@ -23,8 +23,7 @@ from clacad.sheet.window import Window
 LAW, SHEET, VIEW = "Law", "Sheet", "View"
 
 FILLS = 0.8
-"""Part of the half field within which the whole sheet lies at the start, where the design names no place of
-the eye."""
+"""Part of the half field that holds the whole sheet at the start, where the design names no eye."""
 
 MARGIN = 1.3
 """Angle of view at the start over the angle the sheet takes."""
@@ -64,9 +63,7 @@ class Slider:
 
     @property
     def step(self) -> float:
-        """Of the handle: of a thousand places where ratios are equal, else a four-hundredth of the range,
-        rounded.
-        """
+        """Of the handle: of a thousand places where ratios are equal, else of 400 in the range, rounded."""
         if self.log:
             return 1.0
         return float(f"{(self.high - self.low) / 400.0:.0e}")
@@ -249,9 +246,7 @@ PRESETS: tuple[tuple[str, Mapping[str, float]], ...] = (
 
 
 def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str, Any]:
-    """All that the page's script needs, as plain JSON; lengths in the design's unit, wavelength and `unitM`
-    in metres.
-    """
+    """All the page's script needs, as plain JSON; in the design's unit, wavelength and `unitM` in metres."""
     need_equal_cells(window, "the page of sliders", "`clacad verify -o` writes a page that shows it")
     lattice, aperture = window.lattice, design.lattice.aperture
     assert not isinstance(aperture, AimedAt)  # a non-uniform sheet

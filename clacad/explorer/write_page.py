@@ -83,9 +83,7 @@ def first_verdict(window: Window, eye: float, distance: float) -> FirstVerdict:
 
 
 def share_from_eye(window: Window, eye: tuple[float, float, float]) -> float:
-    """Mean over the sheet of the share of the light that meets its partner, of the light that reaches an eye
-    (x, y, z), lengths.
-    """
+    """Mean over the sheet of the share of an eye's (x, y, z) light that meets its partner; lengths."""
     lattice = window.lattice
     wide, tall = lattice.count[0] * lattice.a1[0], lattice.count[1] * lattice.a2[1]
     at = (np.arange(GRID) + 0.5) / GRID - 0.5

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import Rates, Span, total
-from clacad.exporting.formats.format import ChosenMesh, Forecast
+from clacad.exporting.formats.format import ChosenMesh, Forecast, RoughSheet
 from clacad.exporting.formats.registry import format_of, formats
 from clacad.exporting.limits import MOST_FACETS, QUADS, refuse_cells, refuse_other_cells, refuse_over_limits
 from clacad.exporting.request import DEFAULTS, Request
 from clacad.exporting.roles import Role
-from clacad.exporting.rough_sizes import RoughSheet
 from clacad.sheet.need_window import CellsDiffer
 from clacad.storage.errors import LimitRefused
 
@@ -42,10 +41,7 @@ ROUGH = 2.0
 
 
 def forecast(
-    meshes: Meshes,
-    words: Sequence[str],
-    quads: int | Mapping[str, int],
-    asked: Request = DEFAULTS,
+    meshes: Meshes, words: Sequence[str], quads: int | Mapping[str, int], asked: Request = DEFAULTS
 ) -> list[Forecast]:
     """Forecast each format.
 
@@ -126,7 +122,7 @@ def outlook(window: Window, design: Design | None = None) -> list[dict[str, Any]
     """Forecast the common formats for `check`: what an export with default settings would cost.
 
     With a design, the facet grids are those that the export chooses, which takes a mesh of one cell. Without
-    one, nothing is meshed or generated, and the grids are coarse. Sizes are rough (`rough_sizes`);
+    one, nothing is meshed or generated, and the grids are coarse. Sizes are rough (`RoughSheet`);
     `export --dry-run` reports closer sizes. Each row is `Forecast.to_dict()` with "refused": None, or the
     sentence of the refusal.
     """

@@ -172,9 +172,7 @@ class Grader:
 
     @cached_property
     def _constants(self) -> tuple[float, float]:
-        """Error of facets times quads per cell side, and error of height steps over quads per cell side
-        (radians).
-        """
+        """Error of facets times quads a cell side, error of height steps over quads a cell side (radians)."""
         coarse, fine = (self._excess(quads) for quads in (PROBE, FINE))
         if FINE * fine <= PROBE * coarse:
             return FINE * fine, 0.0

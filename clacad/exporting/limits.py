@@ -18,6 +18,8 @@ from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.base.text import number_text, size_text
+from clacad.exporting.formats.format import STREAM_FACET, stream_bytes
 from clacad.exporting.formats.registry import format_of, formats
 from clacad.storage.errors import BadRequest, ExportError, LimitRefused, NotPossible
 from clacad.storage.worker import MEMORY_SHARE, free_memory
@@ -33,9 +35,7 @@ if TYPE_CHECKING:
 MOST_FACETS = 50_000_000
 MOST_BYTES = 2_000_000_000
 MOST_CELLS = 10_000_000
-"""Largest number of lenslets of one array; below it, formats that list cells one by one finish within
-minutes.
-"""
+"""Largest number of lenslets of one array; formats that list cells then finish within minutes."""
 QUADS = (64, 32, 16, 8, 4)
 """Facet grids per cell side from which "auto" chooses, finest first."""
 
@@ -95,7 +95,7 @@ def refuse_cells(n1: int, n2: int) -> None:
     if n1 * n2 > MOST_CELLS:
         side = isqrt(MOST_CELLS)
         raise LimitRefused(
-            f"{count_text(n1 * n2)} lenslets ({n1} x {n2}) are more than the {count_text(MOST_CELLS)} that"
+            f"{number_text(n1 * n2)} lenslets ({n1} x {n2}) are more than the {number_text(MOST_CELLS)} that"
             f" are written; use lattice.count up to [{side}, {side}], or export a part with"
             f" cells=({min(n1, 100)}, {min(n2, 100)})"
         )
@@ -104,13 +104,11 @@ def refuse_cells(n1: int, n2: int) -> None:
 def _refuse_facets(
     format: str, facets: int, quads: int, count: tuple[int, int], at_least: bool = True
 ) -> None:
-    """Refuse an STL of more facets or bytes than the limits; `count`: cells each way, for the suggested
-    remedy.
-    """
-    size = 84 + 50 * facets
+    """Refuse an STL of more facets or bytes than the limits; `count`: cells each way, for the remedy."""
+    size = stream_bytes(facets)
     if facets <= MOST_FACETS and size <= MOST_BYTES:
         return
-    most = min(MOST_FACETS, MOST_BYTES // 50)
+    most = min(MOST_FACETS, MOST_BYTES // STREAM_FACET)
     coarser = isqrt(max(0, quads * quads * most // facets))
     part = max(1, isqrt(count[0] * count[1] * most // facets))
     ways = [f"cells=({part}, {part})"]
@@ -119,8 +117,8 @@ def _refuse_facets(
     else:
         ways.append("format 3mf or step, which repeat one cell")
     raise LimitRefused(
-        f"{format}: {'at least ' if at_least else ''}{count_text(facets)} facets, {size_text(size)} at"
-        f" {quads} quads a cell side, are more than {count_text(MOST_FACETS)} facets or"
+        f"{format}: {'at least ' if at_least else ''}{number_text(facets)} facets, {size_text(size)} at"
+        f" {quads} quads a cell side, are more than {number_text(MOST_FACETS)} facets or"
         f" {size_text(MOST_BYTES)}; use {' or '.join(ways)} (or force it)"
     )
 
@@ -141,7 +139,7 @@ def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> 
     except ValueError as error:
         short = re.sub(r"\d{16,}", lambda long: f"{Decimal(long[0]):.3g}", str(error))
         raise LimitRefused(f"a slope error of {slope_error:g} rad is out of reach: {short}") from error
-    if not force and facets_at_least(window, quads) * 50 > MOST_BYTES:
+    if not force and facets_at_least(window, quads) * STREAM_FACET > MOST_BYTES:
         stream = next(one.word for one in formats() if one.family == "stream")
         _refuse_facets(stream, facets_at_least(window, quads), quads, window.lattice.count)
     return quads
@@ -170,8 +168,8 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
         held = row.facets if row.stored is None else row.stored
         if family == "welded" and held is not None and held > MOST_WELDED:
             raise LimitRefused(
-                f"{row.format}: {count_text(held)} facets with shared vertices are more than"
-                f" {count_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or"
+                f"{row.format}: {number_text(held)} facets with shared vertices are more than"
+                f" {number_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or"
                 " force it)"
             )
         if row.bytes > MOST_BYTES:
@@ -215,7 +213,7 @@ def refuse_many_places(window: Window, word: str, listed: int, what: str, most: 
         bodies = len(window.bodies)
         side = isqrt((most - 1000 * bodies) // bodies)
         raise LimitRefused(
-            f"{word}: {count_text(listed)} {what} are more than the {count_text(most)} that are read back;"
+            f"{word}: {number_text(listed)} {what} are more than the {number_text(most)} that are read back;"
             f" use {way} or --cells {side}x{side}"
         )
 
@@ -241,21 +239,6 @@ def free_disk(folder: Path) -> int:
         return shutil.disk_usage(place).free
     except OSError:
         return 1 << 62
-
-
-def count_text(n: int) -> str:
-    """Number as text: 12,345 or 1.2e18."""
-    return f"{n:,}" if n < 10**10 else f"{Decimal(n):.3g}"  # an int may be too large for a float
-
-
-def size_text(n: int | float | Decimal) -> str:
-    """Bytes as text: 1.5 GB."""
-    n = Decimal(n)
-    for unit in ("bytes", "kB", "MB", "GB", "TB", "PB"):
-        if n < 1000 or unit == "PB":
-            return f"{n:.0f} {unit}" if unit == "bytes" else f"{n:.3g} {unit}"
-        n /= 1000
-    raise AssertionError("unreachable: the loop ends with PB")
 
 
 class Refusals:

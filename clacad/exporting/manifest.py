@@ -17,7 +17,7 @@ from clacad.base.units import millimetres
 from clacad.exporting.request import Request
 from clacad.optics.surface import Quadric
 from clacad.sheet.volume_and_extent import Integral, body_volume
-from clacad.sheet.window import Surface, Window
+from clacad.sheet.window import Window
 from clacad.storage.atomic import Stage, canonical_json, file_hash, owns, read_manifest
 from clacad.storage.staging import flush
 from clacad.storage.worker import Worker
@@ -167,7 +167,11 @@ def _window(design: Design, window: Window) -> dict[str, Any]:
         if key in recipe:
             recipe[key] = _scaled(recipe[key], scale)
     if "R" in recipe:
-        recipe["kappa"] = [s.kappa / scale for s in _lenses(window) if isinstance(s, Quadric)]
+        recipe["kappa"] = [
+            face.surface.kappa / scale
+            for face in window.faces
+            if face.array is not None and isinstance(face.surface, Quadric)
+        ]
     return {
         "form": window.form,
         "recipe": recipe,
@@ -181,10 +185,6 @@ def _window(design: Design, window: Window) -> dict[str, Any]:
         "length_unit": "mm",
         "z_range": [z * scale for z in window.z_range],
     }
-
-
-def _lenses(window: Window) -> list[Surface]:
-    return [face.surface for face in window.faces if face.array is not None]
 
 
 def _scaled(value: Any, scale: float) -> Any:

@@ -1,6 +1,4 @@
-"""Facets per cell side of every format of an export, and the role of each file: as requested, and as
-chosen.
-"""
+"""Facets per cell side of every format, and the role of each file: as requested, and as chosen."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from clacad.base.text import did_you_mean, near
 from clacad.exporting import limits
 from clacad.exporting.formats import registry
-from clacad.exporting.formats.format import ChosenMesh
+from clacad.exporting.formats.format import STREAM_FACET, ChosenMesh, stream_bytes
 from clacad.exporting.formats.registry import format_of
 from clacad.exporting.light_forecast import FINE, POWERS, Grader
 from clacad.exporting.request import DEFAULTS, AskedQuads, AskedRole, Quads
@@ -73,9 +71,7 @@ def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
 
 @dataclass(frozen=True, slots=True)
 class _Asked(Generic[T]):
-    """Per-format option: its name, its value's reader, the formats that have it, and what other formats
-    lack.
-    """
+    """Per-format option: its name, its value's reader, the formats that have it, what other formats lack."""
 
     name: str
     read: Callable[[object], T]
@@ -84,9 +80,7 @@ class _Asked(Generic[T]):
 
 
 def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[str, T]:
-    """Value of each exported format, in export order: one for all formats that have the option, or as
-    named.
-    """
+    """Value of each exported format in export order: one for all formats that have the option, or named."""
     if asked is None:
         return {}
     if not isinstance(asked, Mapping):
@@ -101,9 +95,7 @@ def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[
 
 
 MOST_QUADS = 8192
-"""Largest number of facets along a cell side; one array of the corners then takes 0.5 GB, forecasts hold a
-few.
-"""
+"""Largest number of facets along a cell side; one array of the corners then takes 0.5 GB."""
 
 
 def _grid(value: object) -> Quads:
@@ -161,14 +153,14 @@ class Sizes:
         row = self._drawn(format, drawn)
         facets = self.facets(format, quads)
         if format_of(format).family == "stream":
-            return row.bytes + 50 * (facets - self.facets(format, drawn))
+            return row.bytes + STREAM_FACET * (facets - self.facets(format, drawn))
         return int(row.places + (row.bytes - row.places) * facets / max(1, self.facets(format, drawn)))
 
     def fits(self, format: str, quads: int) -> bool:
         """Whether a file of a format is within the limits of facets and bytes."""
         facets = self.facets(format, quads)
         if format_of(format).family == "stream":
-            return facets <= limits.MOST_FACETS and 84 + 50 * facets <= limits.MOST_BYTES
+            return facets <= limits.MOST_FACETS and stream_bytes(facets) <= limits.MOST_BYTES
         return facets <= limits.MOST_WELDED and self.bytes(format, quads) <= limits.MOST_BYTES
 
     def finest(self, format: str) -> int:
@@ -265,9 +257,7 @@ def default_meshes(design: Design, window: Window, formats: Sequence[str]) -> di
 
 
 def by_default(request: Request, format: str) -> bool:
-    """Whether neither grid nor preview was requested of a mesh format; the light through it then decides
-    both.
-    """
+    """Whether neither grid nor preview was requested of a mesh format; the light then decides both."""
     said = request.quads.get(format) is not None or request.slope_error != "auto"
     return format_of(format).is_mesh and not said and request.role.get(format) is not Role.PREVIEW
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 from clacad.exporting.roles import Role
 from clacad.storage.errors import BadRequest
@@ -108,12 +108,7 @@ class Request:
     """
 
     formats: tuple[str, ...] = _declared(
-        ("step", "stl"),
-        Option(
-            "--format",
-            "Formats, separated by commas: {formats}.",
-            "F,G",
-        ),
+        ("step", "stl"), Option("--format", "Formats, separated by commas: {formats}.", "F,G")
     )
     slope_error: float | Literal["auto"] = _declared(
         "auto",
@@ -134,31 +129,15 @@ class Request:
         ),
     )
     step: Literal["auto", "fused", "instanced"] = _declared(
-        "auto",
-        Option(
-            "--step",
-            "auto, fused or instanced.",
-            words=("auto", "fused", "instanced"),
-        ),
+        "auto", Option("--step", "auto, fused or instanced.", words=("auto", "fused", "instanced"))
     )
     cells: tuple[int, int] | None = _declared(
-        None,
-        Option(
-            "--cells",
-            "A x B cells of the design, centred; default all.",
-            "AxB",
-        ),
+        None, Option("--cells", "A x B cells of the design, centred; default all.", "AxB")
     )
     overwrite: bool = _declared(False, Option("--overwrite", "Replace files of another origin."))
     force: bool = _declared(False, Option("--force", "Pass the limits on facets, bytes and memory."))
     step_schema: Literal["ap242", "ap214"] = _declared(
-        "ap242",
-        Option(
-            "--step-schema",
-            "STEP: ap242 or ap214.",
-            words=("ap242", "ap214"),
-            rare=True,
-        ),
+        "ap242", Option("--step-schema", "STEP: ap242 or ap214.", words=("ap242", "ap214"), rare=True)
     )
     pcurves: bool = _declared(
         True,
@@ -179,23 +158,11 @@ class Request:
         ),
     )
     gpu_instancing: bool = _declared(
-        False,
-        Option(
-            "--gpu-instancing",
-            "GLB: one node for all cells of a body.",
-            rare=True,
-        ),
+        False, Option("--gpu-instancing", "GLB: one node for all cells of a body.", rare=True)
     )
     grey_levels: int = _declared(
         64,
-        Option(
-            "--grey-levels",
-            "GDSII: layers from lowest to highest.",
-            "N",
-            least=2,
-            most=256,
-            rare=True,
-        ),
+        Option("--grey-levels", "GDSII: layers from lowest to highest.", "N", least=2, most=256, rare=True),
     )
     role: Mapping[str, Role] = _declared(
         dict,
@@ -207,13 +174,7 @@ class Request:
         ),
     )
     paper: Literal["a4", "a3", "a2"] = _declared(
-        "a3",
-        Option(
-            "--paper",
-            "Drawing: sheets of a4, a3 or a2.",
-            words=("a4", "a3", "a2"),
-            rare=True,
-        ),
+        "a3", Option("--paper", "Drawing: sheets of a4, a3 or a2.", words=("a4", "a3", "a2"), rare=True)
     )
     fused: bool = _declared(
         False,
@@ -253,6 +214,21 @@ class Request:
         asked = {name: value for name, value in rare.items() if value != getattr(DEFAULTS, name)}
         roles = {"role": {name: str(role) for name, role in self.role.items()}} if self.role else {}
         return plain | asked | roles
+
+
+class MoreOptions(TypedDict, total=False):
+    """Fields of `Request` that `clacad.export` takes by keyword only and hands on unchanged."""
+
+    cells: tuple[int, int] | None
+    overwrite: bool
+    force: bool
+    step_schema: Literal["ap242", "ap214"]
+    pcurves: bool
+    saddle_bevel: float
+    gpu_instancing: bool
+    grey_levels: int
+    paper: Literal["a4", "a3", "a2"]
+    fused: bool
 
 
 OPTIONS: Mapping[str, Option] = {one.name: one.metadata["option"] for one in fields(Request)}

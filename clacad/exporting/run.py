@@ -10,8 +10,9 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from inspect import Parameter, Signature, signature
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from clacad.base import log
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
@@ -26,8 +27,8 @@ from clacad.exporting.formats.table import CELL_TABLE
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import Refusals, refuse_idle_fused, require_possible
 from clacad.exporting.manifest import FileRecord, Job, Manifest, carried_over, document
-from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
-from clacad.exporting.request import DEFAULTS, Request
+from clacad.exporting.quads_and_roles import asked_quads, asked_roles, chosen_quads, with_prospects
+from clacad.exporting.request import DEFAULTS, OPTIONS, MoreOptions, Request
 from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes
 from clacad.storage.atomic import MANIFEST, Stage, read_manifest, require_folder, safe_name, translated
@@ -253,10 +254,7 @@ def in_all(rows: Sequence[Forecast]) -> Span:
     rates = Rates.here()
     quads = {row.quads for row in rows if row.quads is not None}
     return total(
-        [
-            rates.span(PREPARE, prepare_seconds(quads)),
-            *(rates.span(r.task, r.modelled) for r in rows),
-        ]
+        [rates.span(PREPARE, prepare_seconds(quads)), *(rates.span(r.task, r.modelled) for r in rows)]
     )
 
 
@@ -303,9 +301,7 @@ def _with_role(record: FileRecord, row: Forecast) -> FileRecord:
 
 
 def _used(worker: Worker) -> float:
-    """Processor seconds so far, the worker's included; elapsed seconds where the system does not report
-    them.
-    """
+    """Processor seconds so far, the worker's included; elapsed seconds on systems that do not report them."""
     pid = worker.pid
     return time.process_time() + (0.0 if pid is None else seconds_of(pid, time.monotonic()))
 
@@ -350,21 +346,13 @@ def export(
     design: Design,
     out: str | os.PathLike[str],
     formats: Sequence[str] = DEFAULTS.formats,
-    slope_error: float | Literal["auto"] = "auto",
+    slope_error: float | Literal["auto"] = DEFAULTS.slope_error,
     quads: AskedQuads = None,
-    step: Literal["auto", "fused", "instanced"] = "auto",
-    cells: tuple[int, int] | None = None,
-    overwrite: bool = False,
-    force: bool = False,
-    progress: Progress | None = None,
-    step_schema: Literal["ap242", "ap214"] = "ap242",
-    pcurves: bool = True,
-    saddle_bevel: float = 0.0,
-    gpu_instancing: bool = False,
-    grey_levels: int = 64,
+    step: Literal["auto", "fused", "instanced"] = DEFAULTS.step,
+    *,
     role: AskedRole = None,
-    paper: Literal["a4", "a3", "a2"] = "a3",
-    fused: bool = False,
+    progress: Progress | None = None,
+    **options: Unpack[MoreOptions],
 ) -> Manifest:
     """Write a design's files into a folder. Each is read back and compared before all are published together.
 
@@ -373,10 +361,12 @@ def export(
     design : Design
     out : path
         Folder; made if missing. Nothing is written outside it.
-    formats, slope_error, quads, step, …, paper, fused
-        The options of `clacad.exporting.request.Request`, one by one.
+    formats, slope_error, quads, step, role
+        As in `clacad.exporting.request.Request`, which gives units and defaults of all options.
     progress : callable or None
         Called with a stage's name and the share done.
+    cells, overwrite, force, step_schema, pcurves, saddle_bevel, gpu_instancing, grey_levels, paper, fused
+        More options of `Request`, by keyword.
 
     Returns
     -------
@@ -389,25 +379,24 @@ def export(
         Nothing was published; the message gives the reason and a remedy.
     ExportIncomplete
         Some formats failed; the others were published.
+    TypeError
+        An option is unknown.
     """
-    from clacad.exporting.quads_and_roles import asked_quads, asked_roles
-    from clacad.exporting.request import Request
-
-    request = Request(
-        formats=tuple(formats),
-        slope_error=slope_error,
-        quads=asked_quads(quads, formats),
-        step=step,
-        cells=cells,
-        overwrite=overwrite,
-        force=force,
-        step_schema=step_schema,
-        pcurves=pcurves,
-        saddle_bevel=saddle_bevel,
-        gpu_instancing=gpu_instancing,
-        grey_levels=grey_levels,
-        role=asked_roles(role, formats),
-        paper=paper,
-        fused=fused,
-    )
+    grids, roles = asked_quads(quads, formats), asked_roles(role, formats)
+    request = Request(tuple(formats), slope_error, grids, step, role=roles, **options)
     return run_export(design, os.fspath(out), request, progress)
+
+
+def _signature_of_export() -> Signature:
+    """Parameters of `export` with every option and its default, for help and completion."""
+    plain = signature(export)
+    known = {name: one for name, one in plain.parameters.items() if name != "options"}
+    known |= {
+        name: Parameter(name, Parameter.KEYWORD_ONLY, default=getattr(DEFAULTS, name), annotation=kind)
+        for name, kind in Request.__annotations__.items()
+        if name not in known
+    }
+    return plain.replace(parameters=[known[name] for name in ("design", "out", *OPTIONS, "progress")])
+
+
+export.__dict__["__signature__"] = _signature_of_export()

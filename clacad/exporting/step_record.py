@@ -88,9 +88,7 @@ def _facts(
 
 
 def _stated(error: float) -> float | None:
-    """An error of fitted geometry (mm) as the manifest states it: two digits, rounded up; None where all is
-    exact.
-    """
+    """Error of fitted geometry (mm) as in the manifest: two digits, rounded up; None where all is exact."""
     if error == 0.0:
         return None
     digit = 10.0 ** (floor(log10(error)) - 1)
@@ -107,9 +105,7 @@ def write(
 
 
 def read(path: str, window: Window, place: SheetPlace | None = None) -> dict[str, Any]:
-    """Read in the worker, with OCC if the file is not too large; `place`: one sheet of several in the
-    file.
-    """
+    """Read in the worker, with OCC if the file is not too large; `place`: one of several sheets."""
     from clacad.formats.step.read_back import read_brep, read_step
 
     return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window, place=place)

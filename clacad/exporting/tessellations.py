@@ -15,7 +15,7 @@ from clacad.formats.mesh.compare_triangles import Promise
 from clacad.formats.placements import Piece, Places
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.need_window import need_equal_cells
-from clacad.sheet.window import Body, Land, Window
+from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
@@ -60,9 +60,7 @@ class Tessellation:
 
     @cached_property
     def single(self) -> Mesh:
-        """Mesh of a sheet of one cell, border and outline included: one telescopelet where cells are not
-        repeated.
-        """
+        """Mesh of a sheet of one cell, border and outline included, where cells are not repeated."""
         need_equal_cells(self.window, "the mesh of one cell for all")
         from clacad.mesh import tessellate
 
@@ -120,9 +118,7 @@ class Meshes:
         return self._made.setdefault(quads, Tessellation(self.window, quads, self._bevel))
 
     def facets(self, quads: int) -> int:
-        """Facets of the whole sheet without expansion: exact, or estimated from a sample of a non-uniform
-        sheet.
-        """
+        """Facets of the whole sheet: exact, or estimated from a sample of a non-uniform sheet."""
         return sum(body.facets_about for body in self.at(quads).mesh.bodies)
 
     @property
@@ -150,12 +146,8 @@ def one_cell(window: Window) -> Window:
         window.with_cells((1, 1)),
         placements=(CellPlacement(),) * len(window.placements),
         outline=None,
-        land=_without_border(window.land),
+        land=replace(window.land, border=0.0),
     )
-
-
-def _without_border(land: Land) -> Land:
-    return replace(land, border=0.0)
 
 
 def _piece(body: Body, part: BodyMesh, places: Places | None) -> Piece:

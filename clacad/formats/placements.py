@@ -119,9 +119,7 @@ class Placements:
             yield turn, moves.min(axis=0), moves.max(axis=0)
 
     def near(self, low: Floats, high: Floats) -> Ints:
-        """Numbers, ascending, of all placements whose moves lie between low and high (2,) in x and y; may
-        include others.
-        """
+        """Numbers, ascending, of all placements with moves between low and high (2,) in x and y, or more."""
         if not self.unturned or not len(self):
             return np.arange(len(self))
         across, along = self.outer[:, :2, 3], self.inner[:, :2, 3]
@@ -161,9 +159,7 @@ def fill(lattice: Lattice, first: Ints, steps: Ints) -> bool:
 
 
 def turns(placements: Floats) -> Iterator[tuple[Floats, Floats]]:
-    """Every rotation among placements (k, 3, 4), as a placement without a move, with the moves (m, 3) of its
-    placements.
-    """
+    """Every rotation among placements (k, 3, 4), as a placement without a move, with its moves (m, 3)."""
     for rows in by_turn(placements):
         turn = np.concatenate([placements[rows[0], :, :3], np.zeros((3, 1))], axis=1)
         yield turn, placements[rows, :, 3]
@@ -274,9 +270,7 @@ def _few(count: int) -> None:
 
 
 FLAT_LIMIT = 50_000
-"""Number of positions up to which components of 3MF are written in one level, which every tested reader
-understands.
-"""
+"""Positions up to which components of 3MF are written in one level, which every tested reader understands."""
 
 
 @dataclass(frozen=True, eq=False)

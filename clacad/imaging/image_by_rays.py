@@ -99,9 +99,9 @@ class Sampling:
     Parameters
     ----------
     slope : float, radians
-            Rms angle between the directions of the two laws, for the launched light.
-        smooth : BestPoint
-            Of this light by the smooth law: the limit of infinitely many cells.
+        Rms angle between the directions of the two laws, for the launched light.
+    smooth : BestPoint
+        Of this light by the smooth law: the limit of infinitely many cells.
     """
 
     slope: float
@@ -138,36 +138,19 @@ class Image:
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, for JSON."""
+        zone, sampling, instead = self.zone, self.sampling, self.instead
         return {
             "object": self.source.tolist(),
             "width": None if self.width is None else list(self.width),
-            "zone": (
-                None
-                if self.zone is None
-                else {
-                    "width": list(self.zone.width),
-                    "f_number": list(self.zone.f_number),
-                    "moire": list(self.zone.moire),
-                }
-            ),
-            "sampling": (
-                None
-                if self.sampling is None
-                else {
-                    "slope": self.sampling.slope,
-                    "found": self.sampling.smooth.point.tolist(),
-                    "spot": list(self.sampling.smooth.spot),
-                }
-            ),
-            "instead": (
-                None
-                if self.instead is None
-                else {
-                    "object": self.instead.source.tolist(),
-                    "rung": self.instead.rung,
-                    "share": self.instead.share,
-                }
-            ),
+            "zone": zone and {key: list(getattr(zone, key)) for key in ("width", "f_number", "moire")},
+            "sampling": sampling
+            and {
+                "slope": sampling.slope,
+                "found": sampling.smooth.point.tolist(),
+                "spot": list(sampling.smooth.spot),
+            },
+            "instead": instead
+            and {"object": instead.source.tolist(), "rung": instead.rung, "share": instead.share},
             "rungs": [
                 {
                     "rung": one.rung,
@@ -211,6 +194,17 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
     """
     need_window(window, "image", ", (0, 0, -300)")
     place = np.asarray(source, dtype=np.float64)
+    _refuse(window, source, place, rungs, rays)
+    sent, which = sent_to(window, place, rays)
+    cells = window.lattice.cells()[np.unique(which)]
+    found = tuple(_on(window, rung, place, sent, cells) for rung in rungs)
+    dark = [one.rung for one in found if one.share < LITTLE]
+    instead = _middle(window, place, dark[-1]) if dark else None
+    return Image(place, found, _width(window, place), _sampling(window, sent), zone_of(window), instead)
+
+
+def _refuse(window: Window, source: Sequence[float], place: Floats, rungs: Sequence[Rung], rays: int) -> None:
+    """Refuse a source that is no point before the sheet, unknown rungs, and too few rays."""
     if place.shape != (3,) or np.isnan(place).any() or not np.isfinite(place[:2]).all():
         raise ValueError(f"the object is {source!r}, not three numbers x, y, z")
     if not place[2] < min(window.z_range[0], 0.0):
@@ -225,12 +219,6 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
         raise ValueError('no rung is named; there are "law", "thin" and "surfaces"')
     if wrong:
         raise ValueError(f'rung is {wrong[0]!r}, not "law", "thin" or "surfaces"')
-    sent, which = sent_to(window, place, rays)
-    cells = window.lattice.cells()[np.unique(which)]
-    found = tuple(_on(window, rung, place, sent, cells) for rung in rungs)
-    dark = [one.rung for one in found if one.share < LITTLE]
-    instead = _middle(window, place, dark[-1]) if dark else None
-    return Image(place, found, _width(window, place), _sampling(window, sent), zone_of(window), instead)
 
 
 def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
@@ -243,9 +231,7 @@ def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
 
 
 def sent_to(window: Window, source: Floats, rays: int) -> tuple[Rays, Ints]:
-    """Rays from a source (3,) to points spread evenly over the sheet, and which of its kept cells (rays,)
-    each aims at.
-    """
+    """Rays from a source (3,) to points spread evenly over the sheet, and the kept cell (rays,) of each."""
     kept = window.lattice.cells()
     which = np.linspace(0, len(kept), rays, endpoint=False).astype(np.int64)
     cells = kept[which]

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.text import percent_text
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.imaging.image_by_rays import lens_plane, sent_to
 from clacad.imaging.target import Target
@@ -263,10 +264,10 @@ def _draw(figure: Any, seen: Rendered, name: str, unit: str) -> None:
     panels[2].imshow(seen.seen - seen.target, cmap="RdBu_r", vmin=-most, vmax=most, **both)
     titles = (
         "requested, as wide as a cell",
-        f"by rays: {100 * seen.within:.4g} % within one blur",
+        f"by rays: {percent_text(seen.within, 4)} within one blur",
         (
-            f"by rays less requested: {100 * seen.difference:.3g} % elsewhere,\nof which lenses alone make"
-            f" {100 * seen.by_lenses:.3g}"
+            f"by rays less requested: {percent_text(seen.difference)} elsewhere,\nof which lenses alone make"
+            f" {percent_text(seen.by_lenses, unit='')}"
         ),
     )
     for panel, title in zip(panels, titles, strict=True):

@@ -21,12 +21,10 @@ from clacad.solid.marks import pockets
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, FacetFace, facet_face, on_land
 
 CHORD = 0.75
-"""Mean height of a chord over a second-order surface across a facet, over the height at the facet's
-middle."""
+"""Mean height of a chord over a second-order surface across a facet, over that at the facet's middle."""
 
 SLIVER = 1e-4
-"""Twice a facet's area over the square of its longest edge, below which the facet's own normal is
-unreliable."""
+"""Twice a facet's area over its longest edge squared, below which its own normal is unreliable."""
 
 UNIT_ROOM = 1e-3
 """Largest deviation from 1 of the length of a stored normal."""
@@ -62,8 +60,7 @@ class CellFacets:
         inward.
     repeats : mapping
         Key → list of (number of a chosen cell, (3,) shift). The facets of this cell are its own and those of
-        the
-        other cell, shifted; so an instanced file needs the facets of one cell.
+        the other cell, shifted; so an instanced file needs the facets of one cell.
     chord : float
         Volume (length³) that all facets of the file add to the exact body of a non-uniform sheet; see
         `chord_volume`.
@@ -93,17 +90,13 @@ class CellFacets:
         return np.concatenate(found) if found else np.empty((0, 3, 3))
 
     def corner_normals(self, body: int, side: int, cell: int) -> Floats | None:
-        """Normals (k, 3, 3) stored for the corners of `corners`, in the same order; None where the file has
-        none.
-        """
+        """Normals (k, 3, 3) stored for the corners of `corners`, in order; None if the file has none."""
         cells = [cell, *(source for source, _ in self.repeats.get((body, side, cell), []))]
         found = [normals for c in cells for normals in self.normals.get((body, side, c), [])]
         return np.concatenate(found) if found else None
 
     def source(self, cell: int) -> int:
-        """The chosen cell of which `cell` is a pure copy, displaced by whole pitches; `cell` itself if it is
-        no copy.
-        """
+        """The chosen cell of which `cell` is a copy displaced by whole pitches; itself if it is no copy."""
         keys = [key for key in (*self.facets, *self.repeats) if key[2] == cell]
         sources = {source for key in keys for source, _ in self.repeats.get(key, [])}
         alone = all(key not in self.facets and len(self.repeats[key]) == 1 for key in keys)
@@ -132,12 +125,9 @@ class Gatherer:
     """Collects the facets of the chosen cells from the chunks of a file.
 
     A facet belongs to the body whose height range contains its centroid. It belongs to the front if its
-    outward
-    normal points to −z and to the back if to +z. Its cell is the one its centroid lies over, in the grid of
-    that
-    face's own array. Facets on bevels at saddles that a file states belong to no face; nor do the floors of
-    letters
-    engraved in the border, at the depth and in the room that the design has for them.
+    outward normal points to −z and to the back if to +z. Its cell is the one its centroid lies over, in the
+    grid of that face's own array. Facets on bevels at saddles that a file states belong to no face; nor do
+    the floors of letters engraved in the border, at the depth and in the room that the design has for them.
     """
 
     def __init__(self, window: Window, cells: Iterable[Cell], bevel: float = 0.0) -> None:
@@ -270,9 +260,7 @@ def telescopelet(
 
 
 def _faceted(window: Window, found: CellFacets, key: Key, place: Floats, onto_design: bool) -> FacetFace:
-    """Facets of one side of a body over the chosen cell at `place` (2,), including shifted facets of its
-    copies.
-    """
+    """Facets of one side of a body over the chosen cell at `place` (2,), with those shifted of its copies."""
     number, side, cell = key
     source = found.source(cell)
     if source != cell:
@@ -323,9 +311,7 @@ def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:
 
 
 def onto_face(window: Window, face: Face, corners: Floats, place: Floats) -> Floats:
-    """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`; unchanged where it
-    has none.
-    """
+    """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`, where it has any."""
     moved = corners.copy()
     z = exact_height(face, on_land(window, face, corners), corners - [*place, 0.0])
     moved[..., 2] = np.where(np.isfinite(z), z, corners[..., 2])

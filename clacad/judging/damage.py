@@ -1,8 +1,7 @@
 """Damage to a part: drilled holes, engraved steps, dents, with their position and size.
 
 A hole in a closed mesh has walls. Walls of the design lie only on the borders of its cells and around its
-rim;
-walls elsewhere are damage. Connected walls are one feature.
+rim; walls elsewhere are damage. Connected walls are one feature.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.text import count_text
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.base.vectors import doubled_normals
@@ -89,7 +89,7 @@ class DamageFeature:
         if not self.cells:
             return f"{what}, next to the cells"
         some = ", ".join(str(c) for c in self.cells[:6]) + (" …" if len(self.cells) > 6 else "")
-        return f"{what}, in {len(self.cells)} cell{'s' if len(self.cells) > 1 else ''}: {some}"
+        return f"{what}, in {count_text(len(self.cells), 'cell', 'd')}: {some}"
 
     def to_dict(self, unit_m: float) -> dict[str, Any]:
         """JSON-ready numbers; lengths in mm."""
@@ -179,9 +179,7 @@ def _made_walls(window: Window, corners: Floats, noise: float) -> Floats:
 
 
 def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArray[np.bool_]:
-    """Which points (n, 2) are farther than `room` inside the rim of a body and from the borders of its kept
-    cells.
-    """
+    """Points (n, 2) farther than `room` inside the rim of a body and from the borders of its kept cells."""
     x0, x1, y0, y1 = body_extent(window, body)
     if isinstance(window.outline, Circle):
         middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])

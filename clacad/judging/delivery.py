@@ -132,9 +132,7 @@ class Subject:
         return self.name.endswith(AGAIN) or not is_there(self.path)
 
     def hashed(self, heard: Overheard | None = None) -> Subject:
-        """Copy with its hash, if the file exists and has none yet; `heard` is the hash computed while
-        reading.
-        """
+        """Copy with its hash, if the file exists and has none; `heard`: the hash computed while reading."""
         if self.sha256 or self.missing:
             return self
         return replace(self, sha256=file_hash(self.path) if heard is None else heard.hexdigest())
@@ -364,12 +362,7 @@ def same_design(design: Design, manifest: Mapping[str, Any]) -> Check:
         if same
         else f"the files were made from another text than this design ({name!r}); they are judged by this one"
     )
-    return DESIGN.check(
-        "pass" if same else "warn",
-        sentence,
-        required=False,
-        subject="manifest.json",
-    )
+    return DESIGN.check("pass" if same else "warn", sentence, required=False, subject="manifest.json")
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,9 +2,8 @@
 damage.
 
 Only corners of facets are compared: they were measured or written, while a mesh has no data between them.
-Deviations
-are along the normals of the exact faces and averaged over bins. The noise averages out and is reported
-separately.
+Deviations are along the normals of the exact faces and averaged over bins. The noise averages out and is
+reported separately.
 """
 
 from __future__ import annotations
@@ -60,8 +59,7 @@ class FaceMap:
         Such as "array1 front".
     folded, count : (bins, bins)
         Mean deviation (length, weighted by area) over the bounding box of a cell, all cells on top of each
-        other,
-        x first, NaN in empty bins; and the effective number of equally weighted corners.
+        other, x first, NaN in empty bins; and the effective number of equally weighted corners.
     noise : float, length
         Rms of single corners about their bin's mean.
     cells : (n1, n2)
@@ -104,9 +102,7 @@ class FaceMap:
         )
 
     def _against(self, limit: float) -> list[tuple[Floats, float]]:
-        """Rms and peaks of the cells (n1, n2), each with its limit for a cell; empty for fewer than four
-        cells.
-        """
+        """Rms and peaks of the cells (n1, n2), each with a cell's limit; empty for fewer than four cells."""
         known = np.isfinite(self.cells)
         if known.sum() < 4:
             return []

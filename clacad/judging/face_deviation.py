@@ -21,8 +21,7 @@ STEEP = 0.3
 """Facets whose |n_z| is below this belong to walls and edges, not to faces."""
 
 INWARD = 1e-6
-"""Least displacement of a corner towards its facet's middle, over that distance, to determine the corner's
-cell."""
+"""Least displacement of a corner to its facet's middle, over that distance, to find the corner's cell."""
 
 MOST_INWARD = 0.2
 """Largest such displacement, over the distance to the facet's middle."""
@@ -31,8 +30,7 @@ ROOM = 2e-4
 """Displacement in pitches where the facet is large enough.
 
 Fitted poses and coordinates rounded to float32 leave corners on the wrong side of a border; where the border
-has a
-step, the wrong cell is far off.
+has a step, the wrong cell is far off.
 """
 
 
@@ -51,8 +49,7 @@ def drawn_in(window: Window, inward: Floats, noise: float = 0.0) -> Floats:
 
 
 WIDE = 8.0
-"""Least height of a facet over its longest edge, in multiples of the noise, for its direction to be
-reliable."""
+"""Least height of a facet over its longest edge, in multiples of the noise, for a reliable direction."""
 
 
 def believed(corners: Floats, noise: float) -> NDArray[np.bool_]:
@@ -121,11 +118,9 @@ def distance_to_faces(
         np.zeros((n, 2)),
     )
     held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
-    body_of = (
-        np.full(n, held[0])
-        if len(held) == 1
-        else np.searchsorted(levels(window) if between is None else between, points[:, 2])
-    )
+    body_of = np.full(n, held[0])
+    if len(held) != 1:
+        body_of = np.searchsorted(levels(window) if between is None else between, points[:, 2])
     steep = np.abs(facing[:, 2]) < STEEP
     for number in held:
         body = window.bodies[number]
@@ -191,8 +186,7 @@ class Deviation:
 
     slope : (faces, n, 2) slopes along lens x, y
         Facet slope minus exact slope at the same n points of the cell; NaN where a facet or a lens is
-        missing, 0
-        for a plane or a face that is not in the file.
+        missing, 0 for a plane or a face that is not in the file.
     distance : (faces,) lengths
         Largest distance along the normal.
     met : (faces,)
@@ -219,9 +213,7 @@ class Deviation:
 
 
 def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINTS) -> Deviation:
-    """Compare the facets of a telescopelet with the exact faces at `places` points spread evenly over the
-    cell.
-    """
+    """Compare a telescopelet's facets with the exact faces at `places` points spread evenly over the cell."""
     points = window.lattice.over_cell((sobol(places, 2) + _ASIDE) % 1.0)
     slope, distance, met = [], [], []
     for piece, body in zip(bodies, window.bodies, strict=True):
@@ -282,10 +274,8 @@ def forecast_rms(window: Window, found: Deviation) -> float:
     """Direction error (radians) that the facets' slope errors cause.
 
     A lens deflects light by (n − 1) times the slope of its thickness. The errors of its two faces at one
-    place are
-    therefore added before they are squared (they agree where both faces have the same facets). The error of
-    lens 1
-    leaves the pair as 1/m per meridian.
+    place are therefore added before they are squared (they agree where both faces have the same facets). The
+    error of lens 1 leaves the pair as 1/m per meridian.
     """
     ratio = np.array(focal_ratio(window.thin))
     turns: dict[int, Floats] = {}
@@ -308,9 +298,7 @@ def forecast_rms(window: Window, found: Deviation) -> float:
 
 
 def corner_distance(window: Window, face: Face, corners: Floats, place: Floats) -> float:
-    """Largest distance of facet corners (k, 3, 3) from the design's face over the cell at `place`
-    (length).
-    """
+    """Largest distance (length) of facet corners (k, 3, 3) from the design's face, cell at `place`."""
     local = corners - [*place, 0.0]
     flat = on_land(window, face, corners)
     off = np.abs(local[..., 2] - exact_height(face, flat, local))

@@ -1,10 +1,8 @@
 """Light through a file, compared with the law: the checks by which a file is called an optical master.
 
 The same rays are traced through the file's own triangles or faces and through the exact surfaces. The file
-must meet
-the requirements on the design (section E of the contract: rms, bias, η, δ, confocality, throughput) within
-the
-design's limits. `clacad.light` describes each measurement.
+must meet the requirements on the design (section E of the contract: rms, bias, η, δ, confocality, throughput)
+within the design's limits. `clacad.light` describes each measurement.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Bools, Floats
 from clacad.checks.check import DESIGN_FILE, Check, CheckKind
 from clacad.checks.file_kinds import (
@@ -29,7 +28,7 @@ from clacad.checks.file_kinds import (
 from clacad.exporting.roles import Role
 from clacad.judging.delivery import Inspection
 from clacad.light.compare import Comparison
-from clacad.light.measure import Light, Send, measure
+from clacad.light.measure import Light, Send, measure, rms_of
 from clacad.optics.law import Law, difference_of_laws
 from clacad.sheet.bundle import RequestedLaw, bundle, field_points
 from clacad.sheet.vignetting import mean_share, share, thin_cells
@@ -57,8 +56,7 @@ class FileLight:
         Parallel light through the file, of nine directions of the field.
     shift : (2,)
         Shift of array 2 along the sheet's normal that minimizes the rms error to the law, file minus exact,
-        per
-        lens axis, over the distance between the lenses; NaN in an axis without power.
+        per lens axis, over the distance between the lenses; NaN in an axis without power.
     middle, field : (float, float)
         ALIVE share in the middle of the field, and over the field, each as (through the file, closed form).
     half_order : float, radians
@@ -79,9 +77,7 @@ class FileLight:
 
     @cached_property
     def bias(self) -> Floats:
-        """Angle (9,) of the mean exit direction to the law, radians, for nine directions; NaN where too
-        dark.
-        """
+        """Angle (9,) of the mean exit direction to the law, radians, of nine directions; NaN if too dark."""
         return np.array([point.bias for point in self.points])
 
     @property
@@ -92,7 +88,7 @@ class FileLight:
     @property
     def partner(self) -> float:
         """Rms error (radians) of the rays that are `near`."""
-        return self.light.rms_of(self.near)
+        return rms_of(self.light, self.near)
 
     @property
     def strayed(self) -> float:
@@ -119,9 +115,8 @@ def measure_light(
     ----------
     design, window
     send : callable
-        Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every
-        body of one
-        telescopelet.
+        Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every body
+        of one telescopelet.
     rays, point_rays : int
         Of the main bundle, and of each of the nine field points.
     cell : (i, j) or None
@@ -145,9 +140,7 @@ def measure_light(
 
 
 def half_order(window: Window) -> float:
-    """Half the angle p/f2 (radians) between light through lens 2 of a cell and of its neighbour; inf without
-    power.
-    """
+    """Half the angle p/f2 (radians) between light through lens 2 of neighbouring cells; inf without power."""
     focal = [abs(f) for f in window.thin.focal_length[1] if np.isfinite(f)]
     return 0.5 * min(window.lattice.pitch) / max(focal) if focal else np.inf
 
@@ -168,8 +161,7 @@ def light_checks(
     ----------
     `asked` : Inspection
         A master fails beyond a limit; a preview gets a warning. A scan fails by the part of its rms that its
-        facets
-        and their noise do not explain; for the rest it gets a warning.
+        facets and their noise do not explain; for the rest it gets a warning.
     found : FileLight
         Of the most densely lit cell.
     what : str
@@ -205,9 +197,7 @@ def _law_rms(
     cells: Sequence[tuple[int, int]],
     noise: float,
 ) -> Check:
-    """Rms direction error to the law of the worst measured cell; for a scan, without the part its facets
-    cause.
-    """
+    """Rms direction error to the law of the worst measured cell; for a scan, without its facets' part."""
     spec = asked.design.check
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
     source = FILE_LAW_RMS.limit_source if spec.mesh_law_rms is None else DESIGN_FILE
@@ -220,13 +210,9 @@ def _law_rms(
     where = (
         f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
     )
-    sentence = f"through the file's {what} light leaves {1e3 * value:.4g} mrad rms from the law ({where})"
+    sentence = f"through the file's {what} light leaves {mrad_text(value)} rms from the law ({where})"
     sentence += _other_rms(found, every)
-    common: dict[str, Any] = {
-        "bundle": str(found.light.lit),
-        "limit_source": source,
-        **asked.common,
-    }
+    common: dict[str, Any] = {"bundle": str(found.light.lit), "limit_source": source, **asked.common}
     told = {
         "by_cell": every,
         "cells": cells,
@@ -240,8 +226,8 @@ def _law_rms(
         )
     rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
     sentence += (
-        f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same"
-        f" noise are worse), {1e3 * rest:.4g} is left"
+        f"; the facets' own slopes, noise among them, make {mrad_text(noise, unit='')} of it (finer facets"
+        f" of the same noise are worse), {mrad_text(rest, unit='')} is left"
     )
     detail = {"with_noise": value, "noise": noise, **told}
     check = FILE_LAW_RMS.judge(rest, limit, sentence, detail=detail, **common)
@@ -254,16 +240,14 @@ def _together(every: Floats) -> float:
 
 
 def _other_rms(found: FileLight, every: Floats) -> str:
-    """Text of the rms over all cells and of that over partner light, where they differ from the worst
-    cell's.
-    """
+    """Text of the rms over all cells and over partner light, where they differ from the worst cell's."""
     words = ""
     if len(every) > 1 and np.isfinite(_together(every)):
-        words += f"; over all {len(every)} cells {1e3 * _together(every):.4g} mrad"
+        words += f"; over all {len(every)} cells {mrad_text(_together(every))}"
     if found.strayed > 0.0 and found.partner == found.partner:
         words += (
-            f"; {100.0 * found.strayed:.2g} % of the light of the cell lit most leaves nearer to the"
-            f" direction of a neighbouring lens than to the law, the rest {1e3 * found.partner:.4g} mrad rms"
+            f"; {percent_text(found.strayed, 2)} of the light of the cell lit most leaves nearer to the"
+            f" direction of a neighbouring lens than to the law, the rest {mrad_text(found.partner)} rms"
             " from the law"
         )
     return words
@@ -280,7 +264,7 @@ def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:
     return FILE_LAW_BIAS.judge(
         value,
         limit,
-        f"{place} of the field the mean direction through the file's {what} is {1e3 * value:.4g} mrad from"
+        f"{place} of the field the mean direction through the file's {what} is {mrad_text(value)} from"
         " the law",
         bundle="9 directions over the whole cell",
         detail={"by_field_point": found.bias},
@@ -318,29 +302,21 @@ def fit_checks(
     found, wanted = ((one.eta_x, one.eta_y) for one in laws)
     shift, wanted_shift = ((one.delta_x, one.delta_y) for one in laws)
     return [
-        kinds[0].judge(
-            eta,
-            limits[0],
-            text.format("eta", *found, *wanted),
-            detail={"measured": found, "exact": wanted},
-            **common,
-        ),
-        kinds[1].judge(
-            delta,
-            limits[1],
-            text.format("delta", *shift, *wanted_shift),
-            detail={"measured": shift, "exact": wanted_shift},
-            **common,
-        ),
+        kind.judge(
+            value, limit, text.format(name, *one, *other), detail={"measured": one, "exact": other}, **common
+        )
+        for kind, limit, name, value, one, other in (
+            (kinds[0], limits[0], "eta", eta, found, wanted),
+            (kinds[1], limits[1], "delta", delta, shift, wanted_shift),
+        )
     ]
 
 
 def _confocality(asked: Inspection, found: FileLight) -> Check:
     limit = asked.design.check.confocality
     if np.isnan(found.shift).all():
-        return FILE_CONFOCALITY.not_run(
-            "too little light gets through the file to say", limit=limit, **asked.common
-        )
+        why = "too little light gets through the file to say"
+        return FILE_CONFOCALITY.not_run(why, limit=limit, **asked.common)
     value = float(np.nanmax(np.abs(found.shift)))
     sentence = (
         f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the"

@@ -118,11 +118,8 @@ def judge_turned(
         try:
             mesh = _meshed(asked, subject, folder / "part.stl", _deflection(whole, facts))
         except (ExportError, OSError) as error:
-            return (
-                [*kept, POSE.not_run(f"its solids cannot be meshed: {error}", **asked.common)],
-                None,
-                None,
-            )
+            lost = POSE.not_run(f"its solids cannot be meshed: {error}", **asked.common)
+            return [*kept, lost], None, None
         placed = place(asked.design, subject, mesh, window)
         if placed.pose.untouched and placed.whole:  # in its own frame: judged as exact faces
             exact, _ = judge_solid(replace(asked, stated={}), placed.window, subject.path)
@@ -135,9 +132,7 @@ def judge_turned(
 
 
 def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float) -> FileMesh:
-    """Triangles of a file's solids, at most `deflection` (mm) off its faces, written by a worker to
-    `target`.
-    """
+    """Triangles of a file's solids, at most `deflection` (mm) off its faces; a worker writes `target`."""
     from clacad.formats.mesh.readers import read_mesh
 
     with reading_worker(subject.path) as worker:

@@ -20,7 +20,7 @@ from clacad.checks.check import Check, LimitSource, other
 from clacad.checks.file_kinds import CLOSED, FAITHFUL_RMS, FILE_LAW_RMS, PIECES, SCALE, SHAPE, VOLUME
 from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.roles import Role
-from clacad.formats.mesh.closed_stream import Measure, measure
+from clacad.formats.mesh.measure import Measure, measure
 from clacad.judging.cell_triangles import CellFacets, Gatherer, SideFacets
 from clacad.judging.damage import SHOWN, find_dents, find_features
 from clacad.judging.delivery import Inspection
@@ -69,9 +69,7 @@ class Cutter(Gatherer):
 
 
 def cut_to(corners: Floats, polygon: Floats) -> Floats:
-    """Parts of facets (k, 3, 3) over a convex counter-clockwise polygon (m, 2), as facets of the same
-    orientation.
-    """
+    """Parts of facets (k, 3, 3) over a convex counter-clockwise polygon (m, 2), oriented as the facets."""
     inside = within(polygon, corners[..., 0], corners[..., 1]).all(axis=1)
     found = [corners[inside]]
     for facet in corners[~inside]:
@@ -274,10 +272,8 @@ def _with_holes(check: Check, dark: list[str], total: int) -> Check:
         return check
     return replace(
         check,
-        sentence=(
-            f"{check.sentence}; {len(dark)} of {total} cells have holes and were left out:"
-            f" {', '.join(dark[:4])}"
-        ),
+        sentence=f"{check.sentence}; {len(dark)} of {total} cells have holes and were left out:"
+        f" {', '.join(dark[:4])}",
     )
 
 
@@ -351,9 +347,7 @@ def _shape(
 def _shape_limit(
     design: Design, gathered: CellFacets, placed: Placed, step: float
 ) -> tuple[float, LimitSource]:
-    """Allowed deviation of faces (length): unavoidable error of their facets, and rounding to `step`
-    (length).
-    """
+    """Allowed deviation of faces (length): unavoidable error of facets, and rounding to `step` (length)."""
     pitch = max(placed.window.lattice.pitch)
     if placed.mesh.format == STEP:  # corners of its facets lie on its faces, to float32
         reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))

@@ -2,8 +2,7 @@
 faces.
 
 The format of a file is that of its manifest, else that of its suffix. A file without a manifest may hold any
-of the
-design's structured faces: the best-fitting one is named.
+of the design's structured faces: the best-fitting one is named.
 
 Light through a map: the heights of one cell of a face as a bicubic surface, the other faces as designed.
 """

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Bools, Floats, Ints, Progress
 from clacad.checks.check import Check, other
 from clacad.checks.file_kinds import FILE_NORMALS, PLACEMENT
-from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.compare_instances import PartPlaces, RowPlaces, Standing, owner, standing
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
-from clacad.formats.mesh.measure_instances import MOST_KINDS, joined, measure_repeated
+from clacad.formats.mesh.measure import MOST_KINDS, Measure, joined, measure, measure_repeated
 from clacad.judging.cell_triangles import CellFacets, Gatherer
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import Deviation, deviations
@@ -48,8 +48,7 @@ if TYPE_CHECKING:
 
 
 STEEPER = 2.0
-"""Rms error of the stored normals over the slope error of their facets, beyond which the normals are
-wrong."""
+"""Rms error of stored normals over the slope error of their facets, beyond which they are wrong."""
 
 ROOM = 1e-6
 """Radians by which rounding to float32, or to six digits, may turn a normal."""
@@ -70,12 +69,8 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
     """
     if not gathered.stored:
         return None
-    common: dict[str, Any] = {
-        "where": "file",
-        "subject": name,
-        "unit": "rad",
-        "limit_source": other(f"{STEEPER:g} × slope error of its facets"),
-    }
+    source = other(f"{STEEPER:g} × slope error of its facets")
+    common: dict[str, Any] = {"where": "file", "subject": name, "unit": "rad", "limit_source": source}
     if gathered.odd:
         text = f"{gathered.odd} of {gathered.stored} facets have a stored normal that is no unit vector"
         return FILE_NORMALS.check("fail", text, None, **common)
@@ -90,12 +85,9 @@ def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation]
             rms = _rms(window, gathered, body, side, cell)
             room = STEEPER * float(np.nan_to_num(off[cell].slope_rms[face])) + ROOM
             if rms is not None and rms / room > worst / (limit or 1.0):
-                label = f"{window.bodies[body].name} {('front', 'back')[side]}"
+                label = f"{window.bodies[body].name} {('front', 'back')[side]}, cell {index}"
                 worst, limit = rms, room
-                text = (
-                    f"stored normals are up to {1e3 * rms:.4g} mrad rms off the exact faces ({label}, cell"
-                    f" {index})"
-                )
+                text = f"stored normals are up to {mrad_text(rms)} rms off the exact faces ({label})"
     if worst < 0.0:
         return FILE_NORMALS.check("not run", text, **{**common, "required": False})
     return FILE_NORMALS.check("pass" if worst <= limit else "fail", text, worst, limit, **common)
@@ -117,9 +109,7 @@ def _rms(window: Window, gathered: CellFacets, body: int, side: int, cell: int) 
 
 
 def exact_normals(window: Window, face: Face, local: Floats) -> Floats:
-    """Outward unit normals (k, 3, 3) of the design at the corners of facets, cell frame; NaN where it has no
-    lens.
-    """
+    """Outward unit normals (k, 3, 3) of the design at corners of facets, cell frame; NaN without a lens."""
     out = np.zeros_like(local)
     out[..., 2] = -face.side
     if face.array is None:
@@ -130,12 +120,10 @@ def exact_normals(window: Window, face: Face, local: Floats) -> Floats:
 
 
 TOUCHING = 1e-6
-"""Overlap, over the pitch, by which a box must enter a cell to have facets there; identical cells touch at
-borders."""
+"""Overlap, over the pitch, by which a box must enter a cell to have facets there; identical cells touch."""
 
 MOST_LOOKS = 64
-"""Places of one part that are examined one by one; where more lie over the chosen cells the places are
-wrong."""
+"""Places of one part that are examined one by one; if more lie over the chosen cells they are wrong."""
 
 
 def placement_check(design: Design, found: Standing, name: str) -> Check:

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Bools, Floats
 from clacad.checks.check import OWN_KEY, RAYS_NEEDED, Check, derived, other
 from clacad.checks.file_kinds import FAITHFUL_DELTA, FAITHFUL_ETA, FAITHFUL_RMS
-from clacad.formats.mesh.closed_stream import Measure
+from clacad.formats.mesh.measure import Measure
 from clacad.judging.cell_triangles import CellFacets, telescopelet
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import Deviation, forecast_rms
@@ -94,8 +95,7 @@ def checks_of_light(
     present : names of its bodies, or None for all
     clean : float, radians
         Direction error of facets of this size with corners on the design. It caps the limit of faithfulness,
-        which
-        noise in the file's own corners would otherwise widen.
+        which noise in the file's own corners would otherwise widen.
 
     Returns
     -------
@@ -117,17 +117,9 @@ def checks_of_light(
     law, exact, passed = _fits(asked, window, gathered, held, present)
     likes = (like_cell(window, np.array(cell, dtype=np.int64), widest=False) for cell in gathered.cells)
     forecasts = np.array([forecast_rms(like, d) for like, d in zip(likes, off, strict=True)])
+    facts, slopes = {"lost": lost.tolist()}, off[0].slope_rms
     evidence = MeshEvidence(
-        found,
-        gathered.cells,
-        rms,
-        light.light.rms,
-        forecasts,
-        off[0].slope_rms,
-        law,
-        exact,
-        {"lost": lost.tolist()},
-        gathered,
+        found, gathered.cells, rms, light.light.rms, forecasts, slopes, law, exact, facts, gathered
     )
     noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
     checks = light_checks(asked, light, rms=to_law.tolist(), cells=gathered.cells, noise=noise)
@@ -145,9 +137,7 @@ def rays_for(passed: int, share: float) -> int:
 def _by_cell(
     asked: Inspection, window: Window, gathered: CellFacets, light: FileLight, present: Sequence[str] | None
 ) -> Iterator[tuple[float, float, float]]:
-    """For each cell: rms direction error (radians) to the exact surfaces and to the law, and the share of
-    lost light.
-    """
+    """Of each cell: rms direction error (radians) to the exact surfaces and the law, share of lost rays."""
     main, spec = light.light.lit, asked.design.check
     for number, cell in enumerate(gathered.cells):
         asked.progress("tracing the triangles", number / len(gathered.cells))
@@ -194,9 +184,7 @@ def seen_cell(window: Window, cell: tuple[int, int]) -> SeenCell:
 
 
 def _enough(gathered: CellFacets) -> int:
-    """Rays that sample every facet of a lens many times, so that the errors of the facets' slopes cancel in
-    fits.
-    """
+    """Rays that sample every facet of a lens many times, so that errors of facets' slopes cancel in fits."""
     finest = max(
         (sum(map(len, parts)) for (_, _, cell), parts in gathered.facets.items() if cell == 0), default=0
     )
@@ -208,8 +196,7 @@ def _lost(good: Bools, ideal: Bools, alive: Bools, *, field: bool = False) -> fl
 
     Coarse facets of a strongly magnifying pair send some rays past their partner and others into it, in equal
     numbers. The loss is therefore the larger of two: the loss in number, and the loss among the rays that
-    pass both
-    the exact surfaces and the design with the file's facets.
+    pass both the exact surfaces and the design with the file's facets.
 
     Parameters
     ----------
@@ -230,9 +217,7 @@ def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> B
 
 
 def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, clean: float) -> Check:
-    """Direction error to the exact surfaces of the worst cell, compared with the forecast from its facets'
-    slopes.
-    """
+    """Direction error of the worst cell to the exact surfaces, and the forecast from its facets' slopes."""
     rms, lost, times = evidence.rms, evidence.facts["lost"], asked.design.check.file_rms
     common: dict[str, Any] = {"unit": "rad", **asked.common}
     if np.isnan(rms).any() or not np.isfinite(evidence.forecast).all():
@@ -244,9 +229,9 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
     worst = int(np.argmax(rms / evidence.forecast))
     limit = times * min(float(evidence.forecast[worst]), clean) + 1e-9
     sentence = (
-        f"through the triangles light leaves {1e3 * rms[worst]:.4g} mrad rms from where the exact surfaces"
+        f"through the triangles light leaves {mrad_text(rms[worst])} rms from where the exact surfaces"
         f" send it (cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast"
-        f" {1e3 * evidence.forecast[worst]:.4g}"
+        f" {mrad_text(evidence.forecast[worst], unit='')}"
     )
     check = FAITHFUL_RMS.judge(
         float(rms[worst]),
@@ -259,7 +244,7 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
     )
     if max(lost) > LOST:
         text = (
-            f"{100 * max(lost):.3g} % of the rays that the design lets through do not get through the"
+            f"{percent_text(max(lost))} of the rays that the design lets through do not get through the"
             " triangles"
         )
         return replace(
@@ -284,9 +269,8 @@ def _fits(
     """Laws fitted through the file's triangles and through the design with the same triangles, and the
     common ray count.
 
-    Both fits use the same rays. Facets alone bias a fit by about the inverse square of their number per
-    side; both
-    fits share that bias.
+    Both fits use the same rays. Facets alone bias a fit by about the inverse square of their number per side;
+    both fits share that bias.
     """
     spec = asked.design.check
     angle = max(spec.field, FIT_FIELD * min(half_field(thin_cells(window))))
@@ -300,9 +284,7 @@ def _fits(
 
 
 def _faithful_fit(asked: Inspection, evidence: MeshEvidence, passed: int) -> list[Check]:
-    """η and δ fitted through the file's triangles, compared with the design's own cut, by `passed` common
-    rays.
-    """
+    """η and δ fitted through the file's triangles, against the design's own cut, by `passed` common rays."""
     law, exact, spec = evidence.law, evidence.law_design, asked.design.check
     kinds = (FAITHFUL_ETA, FAITHFUL_DELTA)
     if 0 < passed < LEAST_FITTED:

@@ -1,6 +1,4 @@
-"""Agreement of a mesh file with the design: its volume, and the distance of its facets from the exact
-faces.
-"""
+"""Agreement of a mesh file with the design: its volume, the distance of its facets from exact faces."""
 
 from __future__ import annotations
 
@@ -10,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats
 from clacad.base.vectors import doubled_normals
 from clacad.checks.check import Check, LimitSource, derived, other
 from clacad.checks.file_kinds import SHAPE, VOLUME
-from clacad.formats.mesh.closed_stream import Measure
+from clacad.formats.mesh.measure import Measure
 from clacad.judging.cell_triangles import CellFacets, exact_height, owner, telescopelet
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import FEWER, POINTS, Deviation, corner_distance, deviation, forecast_rms
@@ -71,10 +70,11 @@ def chord_volume(window: Window, gathered: CellFacets, cell: int) -> float:
 
 @lru_cache(maxsize=8)
 def volume_of(window: Window, body: Body) -> Integral | None:
-    """Volume of a body by quadrature, cached for all files of a window; None where an outline cuts
-    lenslets.
-    """
+    """Volume of a body by quadrature, cached for all files of a window; None if an outline cuts lenslets."""
     return body_volume(window, body, depth=11)
+
+
+NO_INTEGRAL = "the outline cuts through lenslets; no integral of the design is at hand"
 
 
 def volume_check(
@@ -91,20 +91,10 @@ def volume_check(
     integrals = [volume_of(window, body) for body in window.bodies]
     known = [i for i in integrals if i is not None]
     if len(known) < len(integrals):
-        return VOLUME.not_run(
-            "the outline cuts through lenslets; no integral of the design is at hand",
-            required=False,
-            **common,
-        )
+        return VOLUME.not_run(NO_INTEGRAL, required=False, **common)
     if found.facets and found.volume <= 0.0:
-        return VOLUME.check(
-            "fail",
-            f"it encloses {found.volume:.4g}: its facets face inwards",
-            found.volume,
-            0.0,
-            relation=">=",
-            **common,
-        )
+        why = f"it encloses {found.volume:.4g}: its facets face inwards"
+        return VOLUME.check("fail", why, found.volume, 0.0, relation=">=", **common)
     if not any(gathered.facets):
         return VOLUME.not_run("no triangles lie where the design has its cells", **common)
     exact, error = sum(i.value for i in known), sum(i.error for i in known)
@@ -131,8 +121,7 @@ def _volume_room(window: Window, reach: float, chord: float, exact: float) -> fl
     """Allowed error of a volume (length³): 2 % of the chord volume, and rounding of corners to float32.
 
     Rounding moves each side of the box by half a spacing. It moves a plane far from the origin as a whole by
-    half a
-    spacing, which is a large part of a thin body, also where that body is alone in its file.
+    half a spacing, which is a large part of a thin body, also where that body is alone in its file.
     """
     x0, x1, y0, y1 = whole_extent(window)
     planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * reach
@@ -146,9 +135,7 @@ def shape_check(
     off: Sequence[Deviation],
     present: Sequence[str] | None,
 ) -> Check:
-    """Judge the distance of facets from the exact faces: densely over the chosen cells, at facet middles
-    over all.
-    """
+    """Judge the distance of facets from the exact faces: densely over chosen cells, at middles over all."""
     design, stated = asked.design, asked.stated
     common: dict[str, Any] = {"unit": design.unit, **asked.common}
     if not all(d.complete for d in off):
@@ -164,7 +151,7 @@ def shape_check(
     common |= {"detail": detail}
     slopes = _slope_faults(asked, window, gathered, off, dict(zip(own, clean, strict=True)))
     if "slope_error_rms" in stated:
-        sentence += f" ({1e3 * float(stated['slope_error_rms']):.4g} stated)"
+        sentence += f" ({mrad_text(float(stated['slope_error_rms']), unit='')} stated)"
     if slopes is not None:
         words, value, limit, source = slopes
         common["unit"] = "rad"
@@ -190,7 +177,7 @@ def _shape_words(
     }
     sentence = (
         f"facets lie up to {worst:.4g} {asked.design.unit} off the exact faces, their corners up to"
-        f" {at_corners:.4g}; their slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
+        f" {at_corners:.4g}; their slopes are {mrad_text(rms)} rms off on the worst face"
     )
     if gathered.farthest > max(worst, at_corners):
         where = gathered.farthest_cell
@@ -231,8 +218,8 @@ def _slope_faults(
         return None
     least = float(np.max([d.slope_rms.max() for d in clean.values()]))
     words = (
-        f": {1e3 * rough:.4g} mrad rms from those of the design cut into the same facets, which are "
-        f"{1e3 * least:.4g} off"
+        f": {mrad_text(rough)} rms from those of the design cut into the same facets, which are "
+        f"{mrad_text(least, unit='')} off"
     )
     return words, rough, room, other("slope error of the design cut into the same facets")
 
@@ -346,8 +333,7 @@ def own_sag_error(gathered: CellFacets) -> float:
 
 
 CUBIC = 48
-"""Facets of a cell from which the bend is computed point by point: steep lenses bend more towards their
-rim."""
+"""Facets of a cell from which the bend is computed point by point: steep lenses bend more at the rim."""
 
 
 def _bend(middle: Floats, slopes: Floats) -> Floats:

@@ -14,8 +14,8 @@ from clacad.base.text import count_text
 from clacad.base.types import Floats
 from clacad.checks.check import Check, State
 from clacad.checks.file_kinds import CLOSED, PIECES, SCALE
-from clacad.formats.mesh.closed_stream import Measure, crowded_edges, edge_times, vertex_hashes
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
+from clacad.formats.mesh.measure import Measure, crowded_edges, edge_times, vertex_hashes
 from clacad.judging.cell_triangles import CellFacets
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.volume_and_extent import whole_extent
@@ -47,11 +47,11 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
     """
     objects, places = len(mesh.parts), sum(len(part.places) for part in mesh.parts)
     if places > objects:
-        words = f"{places:,} instances of {objects} object{'s' * (objects != 1)}"
+        words = f"{places:,} instances of {count_text(objects, 'object', 'd')}"
     else:
-        words = f"{objects} object{'s' * (objects != 1)}"
+        words = f"{count_text(objects, 'object', 'd')}"
     if shells is not None and shells != places:
-        words += f", {shells:,} closed shell{'s' * (shells != 1)}"
+        words += f", {count_text(shells, 'closed shell', ',')}"
     words += f", {mesh.facet_count:,} facets"
     if mesh.stored_count != mesh.facet_count:
         words += f" ({mesh.stored_count:,} in the file)"
@@ -114,12 +114,8 @@ def closed_check(
     common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
     if found.facets == 0:
         return CLOSED.check("fail", "the file holds no triangles", **common)
-    facts: dict[str, Any] = {
-        "facets": found.facets,
-        "walls": gathered.walls,
-        "degenerate": gathered.degenerate,
-        "holds": dict(holds),
-    }
+    facts: dict[str, Any] = {"facets": found.facets, "walls": gathered.walls}
+    facts |= {"degenerate": gathered.degenerate, "holds": dict(holds)}
     if found.closed:
         sentence = f"every edge of {found.facets} facets is met once in each direction"
         if counts is not None:
@@ -173,9 +169,7 @@ def pieces_check(
     counts: Sequence[PartCount] | None,
     counted: PieceCount | None = None,
 ) -> list[Check]:
-    """Judge the number of connected pieces and holes of the file; `counted` was counted while measuring
-    facets.
-    """
+    """Judge the number of connected pieces and holes of a file; `counted` while measuring facets."""
     common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
     if found.facets == 0:
         return [PIECES.not_run("the file holds no triangles", **common)]
@@ -249,9 +243,7 @@ class PieceCount:
 
 
 def counted_on_the_way(mesh: FileMesh) -> PieceCount | None:
-    """Counter of the pieces of a file for use while its facets are measured; None where that is not
-    needed.
-    """
+    """Counter of a file's pieces for use while its facets are measured; None where that is not needed."""
     one = len(mesh.parts) == 1 and not mesh.parts[0].repeated
     return (
         PieceCount(mesh.stored_count)
@@ -275,13 +267,7 @@ def scale_check(design: Design, window: Window, found: Measure, name: str) -> Ch
     sentence = "extent over the design's: " + ", ".join(
         f"{axis} {r:.6g}" for axis, r in zip("xyz", ratio, strict=True)
     )
-    return SCALE.judge(
-        value,
-        design.check.scale,
-        sentence,
-        subject=name,
-        detail={"ratio": ratio},
-    )
+    return SCALE.judge(value, design.check.scale, sentence, subject=name, detail={"ratio": ratio})
 
 
 SECTORS = 36

@@ -1,11 +1,9 @@
 """Candidate frames of a part in any orientation: from the planes of its hull, and from its lenses.
 
-The hull of a sheet has planes where the sheet has none: lenses of one array touch a plane, the cells of a
-row end in
-one. Where the hull does not determine the turn about the normal (a disc, a piece sawn askew), the lenses do:
-the
-slopes of the facets repeat with the pitch, so they interfere constructively only along the lattice's own
-directions.
+The hull of a sheet has planes where the sheet has none: lenses of one array touch a plane, the cells of a row
+end in one. Where the hull does not determine the turn about the normal (a disc, a piece sawn askew), the
+lenses do: the slopes of the facets repeat with the pitch, so they interfere constructively only along the
+lattice's own directions.
 """
 
 from __future__ import annotations
@@ -84,8 +82,7 @@ class PartFrame:
 
 
 VAST = 1e60
-"""Coordinates beyond this, or below its inverse, are no part's in any unit; squares of areas would overflow
-doubles."""
+"""Coordinates beyond this or below its inverse are no part's in any unit; squared areas would overflow."""
 
 
 def _refuse_vast(mesh: FileMesh, chunk: Floats) -> None:
@@ -264,9 +261,7 @@ def _hull(mesh: FileMesh) -> tuple[Floats, Floats] | None:
 
 
 def _planes(normal: Floats, area: Floats) -> Floats:
-    """Unit normals (k ≤ PLANES, 3) of the planes with the largest area; both sides of the part count as
-    one.
-    """
+    """Unit normals (k ≤ PLANES, 3) of the planes of largest area; both sides of the part count as one."""
     found = []
     left = np.ones(len(area), dtype=bool)
     for _ in range(PLANES):
@@ -290,8 +285,7 @@ def lattice_angles(window: Window, sample: Sample, turn: Floats, factor: float) 
     """Angles (radians) by which the design's lattice may be turned about the third axis of a frame.
 
     A wave along a lattice direction, with the spacing of its rows as wavelength, samples one slope in every
-    cell;
-    along other directions the slopes cancel. The caller applies the lattice's own symmetry.
+    cell; along other directions the slopes cancel. The caller applies the lattice's own symmetry.
     """
     facing = sample.facing[::3] @ turn.T
     seen = np.abs(facing[:, 2]) > STEEP

@@ -1,6 +1,4 @@
-"""The search for a pose: every unit and turn that gives the design's box, fitted to its faces by least
-squares.
-"""
+"""Search for a pose: every unit and turn that gives the design's box, fitted to its faces."""
 
 from __future__ import annotations
 
@@ -94,9 +92,7 @@ class PartPose:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A part in one unit, turn and position, before the fit: points, facing, inward (n, 3) in design
-    units.
-    """
+    """A part in one unit, turn and position, not fitted: points, facing, inward (n, 3) in design units."""
 
     unit: str
     factor: float
@@ -159,9 +155,7 @@ def all_trials(
     sample: Sample,
     frame: PartFrame,
 ) -> Iterator[Trial]:
-    """Every unit and turn of a frame's axes that gives the part the design's box, with its distance before
-    any fit.
-    """
+    """Every unit and turn of a frame's axes that gives the design's box, with its distance before any fit."""
     spans, between = [body_range(whole, body) for body in whole.bodies], levels(whole)
     heights = [high - low for low, high in (whole.z_range, *spans)]
     few = slice(None, None, max(1, len(sample.corners) // 3000))
@@ -185,6 +179,7 @@ def all_trials(
         some = slice(None, None, PIECE_STRIDE if cut else 1)
         for present, onto, move in places:
             off = distance_to_faces(window, here[some] + move, way[some], present, between, told[some])
+            left = robust(off.distance)
             yield Trial(
                 name,
                 factor,
@@ -199,7 +194,7 @@ def all_trials(
                 onto,
                 move,
                 between,
-                robust(off.distance),
+                left,
             )
 
 
@@ -217,9 +212,7 @@ def units_of(mesh: FileMesh) -> list[tuple[str, float]]:
 def _fits(
     design: Design, whole: Window, fixed: bool, heights: Sequence[float], size: Floats
 ) -> tuple[Window, bool] | None:
-    """The design with the cells of a box of this size, and whether it is cut across cells; None if nothing
-    fits.
-    """
+    """The design with the cells of a box of this size, and whether it cuts cells; None if nothing fits."""
     window = fitting_window(design, whole, fixed, heights, size)
     if window is not None:
         return window, False
@@ -246,9 +239,7 @@ def _onto(
 
 
 def _moves(window: Window, onto: Floats, cut: bool, axes: Floats | None) -> list[Floats]:
-    """Candidate displacements: none (the file's own frame), box onto box, and for a cut piece positions in a
-    cell.
-    """
+    """Candidate displacements: none (the file's frame), box onto box, for a cut piece positions in a cell."""
     if not cut:
         reach = 1e-3 * min(window.lattice.pitch)
         own = axes is not None and np.array_equal(axes, np.eye(3)) and bool((np.abs(onto) <= reach).all())
@@ -282,9 +273,7 @@ Fit = tuple[Trial, PartPose]
 
 
 def fitted(trial: Trial) -> Fit:
-    """Fit rotation, displacement and scale by least squares, point to plane, with outliers weighted down
-    (Huber).
-    """
+    """Fit rotation, displacement and scale by least squares, point to plane, outliers weighted (Huber)."""
     points = trial.points
     turn, scale, move = np.eye(3), 1.0, trial.move.copy()
     best = (trial.residual, turn, scale, move)
@@ -333,8 +322,7 @@ def worth_fitting(trials: Sequence[Trial]) -> list[Trial]:
     """Nearest trials of each handedness; trials of equal distance are ordered by the smallest turn.
 
     Of the positions tried for a piece in one turn only the best is kept. Otherwise a wrong turn in a good
-    position
-    could displace the right turn in a bad one.
+    position could displace the right turn in a bad one.
     """
     best: dict[tuple[object, ...], Trial] = {}
     for trial in trials:
@@ -399,9 +387,7 @@ def _rotation(vector: Floats) -> Floats:
 
 
 def best_of(fits: Sequence[Fit]) -> Fit:
-    """Fit with the smallest residual; among equals, to rounding of the file, the one with the smallest
-    turn.
-    """
+    """Fit with the smallest residual; among equals, to rounding of the file, that of smallest turn."""
     least = min(pose.residual for _, pose in fits)
     level = _equal(least, fits[0][0].window)
     equal = [f for f in fits if f[1].residual <= level]

@@ -1,10 +1,9 @@
 """Registration of a measured part: unit, turn, mirror, position, scale, and number of cells.
 
 A file without a manifest may be a scan, a slicer's repair, or a piece cut from the sheet. Its triangles are
-tried in
-every unit and in the 24 proper axis permutations (and in the 24 improper ones, to detect a mirrored part)
-that give it
-the design's box. The best are fitted to the exact faces by robust least squares, point to plane.
+tried in every unit and in the 24 proper axis permutations (and in the 24 improper ones, to detect a mirrored
+part) that give it the design's box. The best are fitted to the exact faces by robust least squares, point to
+plane.
 """
 
 from __future__ import annotations
@@ -162,9 +161,7 @@ def _fits_in_frames(
 
 
 def _in_own_frame(whole: Window, trials: Sequence[Trial], unit: str) -> bool:
-    """Whether a file's box lies where the design's does, apart from the arrays' displacement: it was written
-    there.
-    """
+    """Whether a file's box lies where the design's does, apart from the displacement of arrays."""
     pitch = min(whole.lattice.pitch)
     room = np.array([*(2.0 * np.abs(whole.shifts[1]) + 1e-3 * pitch), 1e-3 * pitch])
     return any(
@@ -184,12 +181,7 @@ def least_sag(window: Window) -> float:
 # -- result ---------------------------------------------------------------------------------------------
 def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: float) -> Check:
     """Judge whether the part in pose `best` is the mirror image of the design, whose pose is then `twin`."""
-    common: dict[str, Any] = {
-        "where": "file",
-        "subject": subject.name,
-        "relation": "<=",
-        "unit": "design unit",
-    }
+    common: dict[str, Any] = {"where": "file", "subject": subject.name, "unit": "design unit"}
     if twin is None:
         return HANDEDNESS.check("not run", "no mirrored turn fits its box", required=False, **common)
     wrong = twin.residual < BETTER * best.residual and best.residual > AS_WRITTEN * pitch
@@ -253,6 +245,7 @@ def _pose_check(
     """
     limit = design.check.pose * min(tried.lattice.pitch)
     state: State = "pass" if pose.residual <= limit else "fail"
+    pose_in_detail = {name: getattr(pose, name) for name in ("turn", "move", "scale", "unit")}
     sentence = (
         f"{_pose_words(pose, design.unit)}; the exact faces are then {pose.residual:.3g} {design.unit} off"
         " (robust rms)"
@@ -272,13 +265,7 @@ def _pose_check(
         unit=design.unit,
         subject=subject.name,
         limit_source=other(f"{design.check.pose:g} of the pitch"),
-        detail={
-            "turn": pose.turn,
-            "move": pose.move,
-            "scale": pose.scale,
-            "unit": pose.unit,
-            "cells": window.lattice.count,
-        },
+        detail=pose_in_detail | {"cells": window.lattice.count},
     )
 
 
@@ -317,9 +304,7 @@ def turned_by(turn: Floats) -> float:
 
 
 def _askew_words(turn: Floats) -> str:
-    """Text of the axis and the angle of a rotation; for a mirrored part, of the rotation after reversing
-    z.
-    """
+    """Text of the axis and angle of a rotation; for a mirrored part, of the rotation after reversing z."""
     proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
     across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
     length = float(np.linalg.norm(across))

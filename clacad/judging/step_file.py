@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import count_text
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.checks.check import Check, LimitSource, default, other
@@ -26,7 +27,7 @@ from clacad.checks.file_kinds import (
 from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.judging.delivery import Inspection
 from clacad.judging.file_light import light_checks
-from clacad.judging.mesh_shape import volume_of
+from clacad.judging.mesh_shape import NO_INTEGRAL, volume_of
 from clacad.judging.step_light import FACE_RAYS, FaceTracer, light_of_cells
 from clacad.optics.surface import Quadric
 from clacad.sheet.face_order import plates_of, refractions
@@ -57,8 +58,7 @@ FITTED = 1e-8
 """Relative difference of parameter curves that another CAD program fitted itself."""
 
 MERGED = 1e-10
-"""Mean height change over all faces, mm, that closed steps cause in the kernel's results (measured:
-3.5e-11)."""
+"""Mean height change (mm) over all faces that closed steps cause in the kernel (measured: 3.5e-11)."""
 
 PART = 0.1
 """Part of the limit of the law's rms error that faces of a file without a manifest may use."""
@@ -103,9 +103,7 @@ def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
 
 
 def gain(window: Window) -> float:
-    """Direction error (rad) per slope error (rad) of the lens faces, all with equal errors, added in
-    quadrature.
-    """
+    """Direction error (rad) per slope error (rad) of the lens faces, equal errors added in quadrature."""
     total = 0.0
     smallest = min(abs(m) for m in focal_ratio(window.thin))
     laws = window.cell_laws
@@ -139,8 +137,7 @@ def judge_solid(
     checks : list of Check
     found : mapping
         Result of the reader; empty if reading failed. `holds`: solids, shells, faces, prototypes, parts
-        (name, solid,
-        faces, instances); `holds_words`: the same as text.
+        (name, solid, faces, instances); `holds_words`: the same as text.
     """
     asked.progress(f"reading {path.name}", 0.0)
     try:
@@ -220,15 +217,13 @@ def hole_words(
         cell = window.lattice.locate(at[:, 0], at[:, 1])[0][0]
         where = f"cell ({cell[0]}, {cell[1]})" if window.lattice.contains(cell) else "no cell"
         words.append(f"{hole['diameter']:.4g} mm across in {where} at x {at[0, 0]:.4g}, y {at[0, 1]:.4g}")
-    return (
-        "" if not words else f"{len(holes)} hole{'s' * (len(holes) != 1)} drilled in it: " + "; ".join(words)
-    )
+    return "" if not words else f"{count_text(len(holes), 'hole', 'd')} drilled in it: " + "; ".join(words)
 
 
 def holds_words(holds: Mapping[str, Any]) -> str:
     """Text of a file's contents for a workshop: solids, shells, faces, and repeated parts."""
     solids, faces = int(holds["solids"]), int(holds["faces"])
-    words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
+    words = f"{count_text(solids, 'solid', ',')} with {faces:,} faces"
     if int(holds["shells"]) != solids:
         words += f" in {int(holds['shells']):,} shells"
     repeated = [part for part in holds["parts"] if int(part["instances"]) > 1]
@@ -239,7 +234,7 @@ def holds_words(holds: Mapping[str, Any]) -> str:
         f"{int(part['instances']):,} of {part['name'] or 'a part of ' + str(part['faces']) + ' faces'}"
         for part in repeated[:4]
     )
-    return words + f", placed from {many:,} prototype{'s' * (many != 1)} ({listed})"
+    return words + f", placed from {count_text(many, 'prototype', ',')} ({listed})"
 
 
 def _unit_words(found: Mapping[str, Any]) -> str:
@@ -337,9 +332,7 @@ def _misnamed(window: Window, found: Mapping[str, Any]) -> list[str]:
 
 
 def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
-    """Judge whether every lens of a repeated part lies on a cell of its own array and every cell holds each
-    lens once.
-    """
+    """Judge whether each lens of a repeated part lies on a cell of its array, and each cell has it once."""
     at = found.get("placement")
     if at is None:
         why = "no lens face was found whose cell could be determined"
@@ -429,12 +422,7 @@ def _volume(
     bodies = _held(window, found)
     parts = [volume_of(window, body) for body in bodies]
     if any(p is None for p in parts):
-        return VOLUME.not_run(
-            "the outline cuts through lenslets; no integral of the design is at hand",
-            required=False,
-            unit="mm³",
-            **common,
-        )
+        return VOLUME.not_run(NO_INTEGRAL, required=False, unit="mm³", **common)
     cube = millimetres(window.unit) ** 3
     want = sum(p.value for p in parts if p is not None) * cube
     error = sum(p.error for p in parts if p is not None) * cube
@@ -485,9 +473,7 @@ def _worst_layer(volumes: Mapping[str, float], exact: Mapping[str, float]) -> tu
 
 
 def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
-    """Bodies whose lenses the file holds, or whose heights it spans; all where it spans none (it lies
-    elsewhere).
-    """
+    """Bodies whose lenses the file holds or whose heights it spans; all if it spans none (lies elsewhere)."""
     at = found.get("placement")
     if at is not None and at["standing_held"] >= 0.5:
         held = {*at["bodies"], *found.get("volumes", () if found["kernel"] else _plain(window))}

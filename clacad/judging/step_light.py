@@ -1,8 +1,7 @@
 """Light through the faces of a file of solids, for the checks of a master.
 
 The faces are those OCC reads, in a worker that has read the file already. Where the file is too large for
-OCC, the
-lens patches of its text are used. A body the file lacks is taken from the design.
+OCC, the lens patches of its text are used. A body the file lacks is taken from the design.
 """
 
 from __future__ import annotations
@@ -40,8 +39,7 @@ POINT_RAYS = 256
 """Rays of each of the nine field points; four times as many where little light is transmitted."""
 
 CELL_RAYS = 64
-"""Rays of each further cell of a non-uniform sheet; a cell that transmits less than a quarter of them is
-lost."""
+"""Rays of each further cell of a non-uniform sheet; a cell that passes under a quarter of them is lost."""
 
 MARGIN = 0.1
 """Pitches around a telescopelet within which faces are searched."""
@@ -76,8 +74,7 @@ def light_of_cells(
     -------
     light : FileLight
         Of the cell whose light through the exact surfaces leaves farthest from the law; of the central cell
-        of a
-        uniform sheet.
+        of a uniform sheet.
     rms : list of float, radians
         Of that cell, then of the other measured cells.
     cells : list of (i, j)
@@ -126,9 +123,8 @@ class FaceTracer:
         """Trace a bundle.
 
         ALIVE: in and out of every body through lens faces of one telescopelet, and onwards. GHOST: through
-        lenses of
-        several telescopelets. LAND: through a face that is no lens. WALL: at a wall, or where no face was
-        hit.
+        lenses of several telescopelets. LAND: through a face that is no lens. WALL: at a wall, or where no
+        face was hit.
         """
         state = _State(lit.rays)
         for inside, plates in groupby(plates_of(self.window), self._holds):

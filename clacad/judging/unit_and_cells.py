@@ -72,9 +72,7 @@ def written_window(
 
 
 def unit_of(subject: Subject, mesh: FileMesh) -> float | None:
-    """Metres per unit of the file: its own unit, else the unit other readers assume, else that of its
-    manifest.
-    """
+    """Metres per unit of the file: its own unit, else that which readers assume, else its manifest's."""
     if mesh.unit is not None or not subject.entry:
         return mesh.unit
     return UNITS.get(str(subject.entry.get("unit", "mm")), 1e-3)
@@ -141,7 +139,5 @@ def _alike(box: Sequence[float], extent: Floats) -> bool:
 
 
 def _one_body_alike(window: Window, extent: Floats) -> bool:
-    """Whether a file of one body has its extent, which need not include the displacement between the
-    bodies.
-    """
+    """Whether a file of one body has its extent, perhaps without the displacement between the bodies."""
     return any(_alike(whole_extent(replace(window, bodies=(body,))), extent) for body in window.bodies)

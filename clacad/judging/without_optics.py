@@ -1,8 +1,7 @@
 """Checks of a delivery as a whole: files without optics, files withheld from judgement, and missing bodies.
 
 A manifest is an unverified claim. It may call a file a frame or a coupon, but a file withheld from judgement
-by
-light cannot make a delivery pass, and a file with the measurements of the design is not a frame.
+by light cannot make a delivery pass, and a file with the measurements of the design is not a frame.
 """
 
 from __future__ import annotations
@@ -147,21 +146,15 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
         return [READABLE.check("pass", f"{scan.solids} solids with {scan.faces} faces", **common), state]
     if not subject.is_mesh:
         return [READABLE.check("pass", "judged by its bytes", required=False, **common)]
-    from clacad.formats.mesh.closed_stream import measure
+    from clacad.formats.mesh.measure import measure
     from clacad.formats.mesh.readers import read_mesh
 
     found = measure(read_mesh(subject.path).chunks())
     checks = [
         READABLE.check("pass", f"{found.facets} facets", **common),
-        CLOSED.check(
-            "pass" if found.closed else "fail",
-            (
-                "every edge is met once in each direction"
-                if found.closed
-                else "the surface is not closed or not consistently wound"
-            ),
-            **common,
-        ),
+        CLOSED.check("pass", "every edge is met once in each direction", **common)
+        if found.closed
+        else CLOSED.check("fail", "the surface is not closed or not consistently wound", **common),
     ]
     stated = subject.entry.get("volume")
     if isinstance(stated, (int, float)) and stated > 0.0:

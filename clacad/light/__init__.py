@@ -2,7 +2,6 @@
 surfaces.
 
 `measure` sends a bundle and gives its `Light`. Who sends (exact faces, a mesh, the faces of a file, a
-measured
-map, a displaced copy) is the caller's choice: this room knows no tracer of sheets, and every room below can
-use it.
+measured map, a displaced copy) is the caller's choice: this room knows no tracer of sheets, and every room
+below can use it.
 """

@@ -129,10 +129,7 @@ def change_with_shift(window: Window, cell: tuple[int, int], rays: Rays) -> Floa
 
 
 def angles(one: TraceResult, other: TraceResult, last: Fate = Fate.ALIVE) -> Floats:
-    """Angles (k,), radians, between exit directions of rays that pass both traces with one fate, up to
-    `last`,
-    and one order.
-    """
+    """Angles (k,), radians, between directions of rays with one order and one fate, up to `last`, in both."""
     same = (one.fate <= last) & (one.fate == other.fate) & (one.order == other.order).all(axis=1)
     return angle_between(one.direction[same], other.direction[same])
 

@@ -50,9 +50,7 @@ def add_rays(law: Floats, fate: Bytes, ray: Floats, out: Floats, sums: Floats) -
 
 @exact
 def _add_ray(law: Floats, ray: Floats, out: Floats, part: Floats) -> float:
-    """Add one ALIVE ray in the frame of the lenses; return its angle to the law, 0 where the law has no
-    answer.
-    """
+    """Add one ALIVE ray in the frame of the lenses; return its angle to the law, 0 without an answer."""
     u, v, w = ray[0], ray[1], ray[2]
     size = 1.0 / sqrt(u * u + v * v + w * w)
     mx = (law[R0] * u + law[R0 + 3] * v + law[R0 + 6] * w) * size
@@ -90,9 +88,7 @@ def _angle(square: float, product: float) -> float:
 def _add_step(
     a: float, b: float, c: float, x: float, y: float, dx: float, dy: float, along: float, part: Floats
 ) -> None:
-    """Add the contribution of a ray that leaves at (x, y) to 1/η and δ/η; (a, b, c): incident ray over exit
-    length.
-    """
+    """Add the part of a ray that leaves at (x, y) to 1/η and δ/η; (a, b, c): ray over exit length."""
     xx, yy, xy = 1.0 - x * x, 1.0 - y * y, -x * y
     ac, bc, cc = a * c, b * c, c * c
     part[NORMAL] += xx * (a * a)

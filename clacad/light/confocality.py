@@ -1,10 +1,8 @@
 """Confocality measured with light: parabasal rays next to the axis ray, through the faces as built.
 
 The measurement does not use how the radii were computed. The window's faces are traced as explicit surfaces
-and
-the exit direction is differentiated by the entrance height. Lens 2 is then slid along its axis until the
-pair is
-afocal, or has the requested focus. The defect is that slide over the distance between the lenses.
+and the exit direction is differentiated by the entrance height. Lens 2 is then slid along its axis until the
+pair is afocal, or has the requested focus. The defect is that slide over the distance between the lenses.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Light of a bundle of rays behind a sheet, compared with the law: error, bias, spread, share, fitted law.
 
 The caller gives the sender: any callable that traces a bundle. Only ALIVE rays count; a number from fewer
-rays
-than `Light.fewest` is NaN. Light of several wavelengths and temperatures is the light of all of them
-together,
-each with its weight; `Light.lines` holds them one by one.
+rays than `Light.fewest` is NaN. Light of several wavelengths and temperatures is the light of all of them
+together, each with its weight; `Light.lines` holds them one by one.
 """
 
 from __future__ import annotations
@@ -101,11 +99,7 @@ class Light:
     @cached_property
     def rms(self) -> float:
         """Root mean square angle to the law, radians."""
-        return self.rms_of(self.known)
-
-    def rms_of(self, rays: Bools) -> float:
-        """Root mean square angle to the law (radians) of some of the rays (n,) that have an error."""
-        return rms_angle(self.error[rays], self._weight(rays), self.fewest)
+        return rms_of(self, self.known)
 
     @cached_property
     def worst(self) -> float:
@@ -116,7 +110,7 @@ class Light:
     @cached_property
     def mean(self) -> Floats:
         """Mean exit direction (3,); its length is below 1 where rays spread."""
-        return _mean(self.direction[self.alive], self._weight(self.alive))
+        return _mean(self.direction[self.alive], _some(self.weight, self.alive))
 
     @cached_property
     def bias(self) -> float:
@@ -131,28 +125,13 @@ class Light:
         """Root mean square angle to the mean exit direction, radians."""
         if self.dark:
             return nan
-        return rms_angle(angle_between(self.direction[self.alive], self.mean), self._weight(self.alive))
-
-    @cached_property
-    def deviation(self) -> Floats:
-        """Exit directions (k, 2) of the ALIVE rays of parallel light, across the law's direction, radians.
-
-        The first axis is the one nearest to +x; none where the light is dark.
-        """
-        expected = self.expected[0]
-        if self.dark or not np.isfinite(expected).all():
-            return np.empty((0, 2))
-        return np.asarray(self.direction[self.alive] @ np.stack(axes_near(expected), axis=1))
+        angle = angle_between(self.direction[self.alive], self.mean)
+        return rms_angle(angle, _some(self.weight, self.alive))
 
     @cached_property
     def share(self) -> float:
         """ALIVE rays over all rays."""
         return float(_mean(self.alive, self.weight))
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Number of rays of each fate, by name."""
-        return self.seen.counts()
 
     @cached_property
     def fit(self) -> Fit | None:
@@ -163,7 +142,7 @@ class Light:
         if self.dark or self.lines:
             return None
         try:
-            return Law.fit(*self._in_and_out, axes=self.law.law)
+            return Law.fit(*_in_and_out(self), axes=self.law.law)
         except ValueError:  # the exit directions do not depend on the incident ones: no law can be fitted
             return None
 
@@ -174,25 +153,24 @@ class Light:
         Of several lines with the same rays: their mean in 1/η and δ/η, in which a law is linear.
         """
         if self.lines:
-            return self._mean_law()
-        return None if self.dark else fitted_law(*self._in_and_out, self.law.law)
+            return _mean_law(self)
+        return None if self.dark else fitted_law(*_in_and_out(self), self.law.law)
 
-    @property
-    def _in_and_out(self) -> tuple[Floats, Floats]:
-        return self.lit.rays.direction[self.alive], self.direction[self.alive]
 
-    def _mean_law(self) -> Law | None:
-        laws = [line.fitted for line in self.lines]
-        whole = [law for law in laws if law is not None]
-        if len(whole) < len(laws):
-            return None
-        assert self.weight is not None  # several lines have weights
-        weights = [float(part[0]) for part in np.split(self.weight, len(laws))]
-        numbers = np.average([linear_numbers(law) for law in whole], axis=0, weights=weights)
-        return with_linear_numbers(whole[0], numbers)
+def rms_of(light: Light, rays: Bools) -> float:
+    """Root mean square angle to the law (radians) of some of the rays (n,) that have an error."""
+    return rms_angle(light.error[rays], _some(light.weight, rays), light.fewest)
 
-    def _weight(self, rays: Bools) -> Floats | None:
-        return None if self.weight is None else self.weight[rays]
+
+def deviation(light: Light) -> Floats:
+    """Exit directions (k, 2) of the ALIVE rays of parallel light, across the law's direction, radians.
+
+    The first axis is the one nearest to +x; none where the light is dark.
+    """
+    expected = light.expected[0]
+    if light.dark or not np.isfinite(expected).all():
+        return np.empty((0, 2))
+    return np.asarray(light.direction[light.alive] @ np.stack(axes_near(expected), axis=1))
 
 
 def measure(
@@ -278,6 +256,27 @@ def rms_angles(angle: Floats) -> Floats:
     """Root mean square (n,), radians, of each row of angles (n, k), NaN for rays without one."""
     known = np.isfinite(angle).sum(axis=1)
     return np.asarray(np.sqrt(np.nansum(angle**2, axis=1) / np.maximum(known, 1)))
+
+
+def _in_and_out(light: Light) -> tuple[Floats, Floats]:
+    """Directions (k, 3) of the ALIVE rays before and behind the sheet."""
+    return light.lit.rays.direction[light.alive], light.direction[light.alive]
+
+
+def _mean_law(light: Light) -> Law | None:
+    """Mean law of light of several lines; None where one of them has none."""
+    laws = [line.fitted for line in light.lines]
+    whole = [law for law in laws if law is not None]
+    if len(whole) < len(laws):
+        return None
+    assert light.weight is not None  # several lines have weights
+    weights = [float(part[0]) for part in np.split(light.weight, len(laws))]
+    numbers = np.average([linear_numbers(law) for law in whole], axis=0, weights=weights)
+    return with_linear_numbers(whole[0], numbers)
+
+
+def _some(weight: Floats | None, rays: Bools) -> Floats | None:
+    return None if weight is None else weight[rays]
 
 
 def _mean(values: Floats | Bools, weight: Floats | None) -> Floats:

@@ -90,9 +90,7 @@ class LightSums:
 
     @property
     def mean_direction(self) -> Floats:
-        """Mean exit direction (3,) of the ALIVE rays, NaN without any; its length is below 1 where they
-        spread.
-        """
+        """Mean exit direction (3,) of the ALIVE rays, NaN without any; shorter than 1 where they spread."""
         alive = self.counts[Fate.ALIVE.name]
         return np.asarray(self.sums[OUT : OUT + 3] / alive if alive else np.full(3, nan))
 
@@ -194,9 +192,7 @@ def fitted(sums: Callable[[Rays, Law | None], LightSums], rays: Rays, law: Law |
 
 
 def ordinary(law: Floats) -> bool:
-    """Whether compiled code, which has no separate powers of two, can represent a law's numbers; see
-    `law_numbers`.
-    """
+    """Whether compiled code, without separate powers of two, can hold a law's numbers; see `law_numbers`."""
     return bool(np.abs(law[:2]).min() > 1.0 / LARGE and np.abs(law).max() < LARGE)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.polygons import doubled_areas
-from clacad.base.roots import bisect
+from clacad.base.sign_changes import bisect
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import (

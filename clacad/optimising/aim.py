@@ -1,12 +1,11 @@
 """Objective of a search: the error over one field or several, of the perfect part or of parts as made.
 
-Parts as made: to first order an error e of a part, of standard deviation σ, adds σ² |∂r/∂e|² to the
-expected square of the residuals r. The slopes of `clacad.verification.tolerance` for every tolerance of the
-design, times σ, are therefore appended to the residuals of the perfect part. Least squares then minimise
-the expected error. The slopes are central differences over ±σ. Roughness changes no direction and is left
-out. Rotation and tilt of an array are evaluated at the cell farthest from the centre, where their effect is
-largest; other errors affect all cells equally. Start and end are compared over independent rays, not those
-of the search.
+Parts as made: to first order an error e of a part, of standard deviation σ, adds σ² |∂r/∂e|² to the expected
+square of the residuals r. The slopes of `clacad.verification.tolerance` for every tolerance of the design,
+times σ, are therefore appended to the residuals of the perfect part. Least squares then minimise the expected
+error. The slopes are central differences over ±σ. Roughness changes no direction and is left out. Rotation
+and tilt of an array are evaluated at the cell farthest from the centre, where their effect is largest; other
+errors affect all cells equally. Start and end are compared over independent rays, not those of the search.
 
 Light must stay in the cells of lens 2: rays that miss their partner's cell do not count in the error, and
 an unconstrained search would lose light to reduce it. `ShareOfLight` constrains the cones over which start
@@ -24,7 +23,6 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
-from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import shown
 from clacad.design import Design
 from clacad.design.sections import CHECK
@@ -32,6 +30,7 @@ from clacad.light.measure import measure
 from clacad.optics.fit import AskedLight, law_residuals
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import trace_sequence
+from clacad.optimising.unknowns import refused
 from clacad.sheet.bundle import RequestedLaw, bundle, cone, launched, middle_direction
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.representative_cells import central_cell, places_of_errors
@@ -81,23 +80,16 @@ class Aim:
     def __post_init__(self) -> None:
         for part, weight in self.weights:
             if not (0.0 < part <= LARGEST_PART and 0.0 < weight and isfinite(weight)):
-                raise DesignError(
-                    [
-                        Mistake(
-                            "CL106",
-                            f"weight {shown(weight)} of {shown(part)} of the field",
-                            "weights",
-                            allowed=(
-                                f"part:weight, the part from above 0 to {LARGEST_PART:g}, the weight above 0"
-                            ),
-                            hint=".5:1,1:1",
-                        )
-                    ]
+                raise refused(
+                    "CL106",
+                    f"weight {shown(weight)} of {shown(part)} of the field",
+                    "weights",
+                    allowed=f"part:weight, the part from above 0 to {LARGEST_PART:g}, the weight above 0",
+                    hint=".5:1,1:1",
                 )
         if not self.weights or len({part for part, _ in self.weights}) < len(self.weights):
-            raise DesignError(
-                [Mistake("CL106", "every part of the field has one weight", "weights", allowed=".5:1,1:1")]
-            )
+            message = "every part of the field has one weight"
+            raise refused("CL106", message, "weights", allowed=".5:1,1:1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +125,7 @@ class AimedRays:
         most = max(lights, key=lambda pair: pair[1])[0]
         step = max(1, len(most.asked) // FEW)
         few = replace(
-            most,
-            rays=Rays(most.rays.position[::step], most.rays.direction[::step]),
-            asked=most.asked[::step],
+            most, rays=Rays(most.rays.position[::step], most.rays.direction[::step]), asked=most.asked[::step]
         )
         return AimedRays(lights, tuple(_errors(design, window)) if aim.tolerances else (), few)
 
@@ -193,17 +183,13 @@ def kept_light(window: Window, field: float, design: Design, fewest: int = 1) ->
             if smaller > SMALLEST * field
             else "lattice.aperture aims it"
         )
-        raise DesignError(
-            [
-                Mistake(
-                    "CL120",
-                    f"{len(rays)} of {RAYS:,} rays of the field reach their partner cell through ideal"
-                    " lenses, too few to search with",
-                    CHECK.field,
-                    allowed=f"a cone inside the field of view: {fewest} rays at least",
-                    hint=way,
-                )
-            ]
+        raise refused(
+            "CL120",
+            f"{len(rays)} of {RAYS:,} rays of the field reach their partner cell through ideal"
+            " lenses, too few to search with",
+            CHECK.field,
+            allowed=f"a cone inside the field of view: {fewest} rays at least",
+            hint=way,
         )
     return AskedLight.of(rays, window.law.refract(rays.direction))
 
@@ -225,9 +211,7 @@ FIELDS = (0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Seen:
-    """Result of independent rays: field (radians), rms error to the law (radians), share in the partner
-    cell.
-    """
+    """Result of independent rays: field and rms error to the law (radians), share in the partner cell."""
 
     field: float
     law_rms: float
@@ -290,9 +274,7 @@ class ShareOfLight:
 
     @staticmethod
     def of(window: Window, fields: Sequence[float], centre: str) -> ShareOfLight:
-        """Constraint from the start window; half angles of the cones in radians, about the `centre` of
-        checks.
-        """
+        """Constraint from the start window; half angles of cones (radians) about the `centre` of checks."""
         one = window.with_cells((1, 1))
         cones = tuple(bundle(one, CELL_RAYS, field, centre).rays for field in fields)
         return ShareOfLight(cones, _shares(window, cones))
@@ -341,9 +323,7 @@ def _beyond(window: Window, rays: Rays) -> float:
 
 
 def _way_out(window: Window, rays: Rays) -> Floats:
-    """Distance (n,) of rays from the border of lens 2's cell, in half widths; negative inside, `LOST` if
-    lost.
-    """
+    """Distance (n,) of rays from the border of lens 2's cell, half widths; inside < 0, `LOST` if lost."""
     seen = trace_sequence(interfaces(window), rays, record=True)
     assert seen.hits is not None  # recorded
     last = max(number for number, face in enumerate(window.faces) if face.array == 1)

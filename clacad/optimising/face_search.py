@@ -18,7 +18,6 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.checks.design_kinds import EDGE, NECK, RADIUS, SAG, SLOPE
-from clacad.config.mistakes import DesignError, Mistake
 from clacad.design import Design
 from clacad.design.faces import SearchRecord, faces_digest
 from clacad.design.process_profiles import profile
@@ -26,7 +25,7 @@ from clacad.design.sections import PAIR
 from clacad.optics.fit import minimise
 from clacad.optics.surface import Surface
 from clacad.optimising.aim import FIELDS, RAYS, Aim, AimedRays, LightInCells, ShareOfLight
-from clacad.optimising.unknowns import Unknowns, given_design, trial_design, with_faces
+from clacad.optimising.unknowns import Unknowns, given_design, refused, trial_design, with_faces
 from clacad.prescription.bodies import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
@@ -74,9 +73,7 @@ class Walls:
 
     @staticmethod
     def of(design: Design, window: Window, field: float | None = None) -> Walls:
-        """Walls of a design and its built start window; field in radians, None: the design's
-        `check.field`.
-        """
+        """Walls of a design and its start window; field in radians, None: the design's `check.field`."""
         rules = profile(design.check.process)
         kinds = (EDGE, NECK, RADIUS, SAG, SLOPE)
         edge, least_neck, radius, sag, slope = (process_limit(design, rules, kind)[0] for kind in kinds)
@@ -146,9 +143,7 @@ def penalties(slack: dict[str, float]) -> Floats:
 
 
 def _thinnest(body: Body, x: Floats, y: Floats) -> float:
-    """Least thickness (length) over points (n,) of the zone, for a slab over any two cells; NaN without a
-    face.
-    """
+    """Least thickness (length) over points (n,) of the zone, a slab's over any two cells; NaN if no face."""
     front, back = (lens_height_and_normal(face, x, y)[0] for face in (body.front, body.back))
     return _least_apart(body, front, back)
 
@@ -252,8 +247,8 @@ class FaceSearch:
         """Search; return why it was stopped, "" where it finished."""
         try:
             here = self._lower_orders()
-            for order in HIGHER:
-                if any(one.kind == order for one in self.unknowns.free) and not self._hopeless(order):
+            for order in self.left_out:
+                if order != "a8" or "a6" in self.kept:  # a6 gave enough gain
                     self._higher_order(order, here)
         except KeyboardInterrupt:
             if self.best is None:
@@ -263,14 +258,8 @@ class FaceSearch:
             return "seconds"
         return ""
 
-    def _hopeless(self, order: str) -> bool:
-        """Whether a lower one of the higher orders gave too little gain."""
-        return order == "a8" and "a6" not in self.kept
-
     def _lower_orders(self) -> Floats:
-        """Search terms of fourth order before conic constants: their effects are similar, and both together
-        diverge.
-        """
+        """Search terms of fourth order before conic constants: being alike, both together diverge."""
         kinds = np.array([one.kind for one in self.unknowns.free])
         here, now = self.unknowns.vector, ~np.isin(kinds, HIGHER)
         if "K" in kinds and "a4" in kinds:
@@ -314,20 +303,26 @@ class FaceSearch:
         """Best result within the walls as a design that records its origin, checked as a design file is."""
         if self.best is None:
             slack, name = self.nearest
-            raise DesignError(
-                [
-                    Mistake(
-                        "CL120",
-                        f"no faces were found within the walls: the {name} stays {-slack:.3g} times its limit"
-                        " beyond it",
-                        PAIR.thickness,
-                        allowed=(
-                            "walls that leave room: the process, check.edge, check.graph, or more thickness"
-                        ),
-                    )
-                ]
+            raise refused(
+                "CL120",
+                f"no faces were found within the walls: the {name} stays {-slack:.3g} times its limit"
+                " beyond it",
+                PAIR.thickness,
+                allowed="walls that leave room: the process, check.edge, check.graph, or more thickness",
             )
-        self._refuse_no_gain(self.best)
+        if not self.gained:
+            rms, name = self.sharpest_beyond
+            nearby = (
+                f"; {1e3 * rms:.4g} mrad lies beyond the wall of the {name}" if rms < self.best.rms else ""
+            )
+            raise refused(
+                "CL120",
+                "no faces within the walls are better than the start, which leaves"
+                f" {1e3 * self.before:.4g} mrad rms{nearby}; nothing is written",
+                "free",
+                allowed=f"a gain of at least {LEAST_GAIN:g}",
+                hint="more words of --free, or --field of another size",
+            )
         faces, offset = self.unknowns.faces(self.best.vector)
         record = SearchRecord(
             self.design.sha256,
@@ -346,24 +341,6 @@ class FaceSearch:
     def gained(self) -> bool:
         """Whether the best within the walls is worth writing."""
         return self.best is not None and self.best.rms <= (1.0 - LEAST_GAIN) * self.before
-
-    def _refuse_no_gain(self, best: Best) -> None:
-        if self.gained:
-            return
-        rms, name = self.sharpest_beyond
-        found = f"; {1e3 * rms:.4g} mrad lies beyond the wall of the {name}" if rms < best.rms else ""
-        raise DesignError(
-            [
-                Mistake(
-                    "CL120",
-                    "no faces within the walls are better than the start, which leaves"
-                    f" {1e3 * self.before:.4g} mrad rms{found}; nothing is written",
-                    "free",
-                    allowed=f"a gain of at least {LEAST_GAIN:g}",
-                    hint="more words of --free, or --field of another size",
-                )
-            ]
-        )
 
     def _trial(self, vector: Floats) -> Window:
         faces, offset = self.unknowns.faces(vector)

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
@@ -83,11 +84,11 @@ class GainAsMade:
         before, after = self.before, self.after
         return (
             f"With array 2 aside by 1 µm, turned and tilted by 0.1 mrad, {word}. The error to the law is then"
-            f" {_mrad(before.made_rms)} before and {_mrad(after.made_rms)} mrad after, of which"
-            f" {_mrad(after.shift)} mrad is the image aside, which no face can take away; parallel light"
-            f" spreads by {_mrad(before.made_blur)} before and {_mrad(after.made_blur)} mrad after. At the"
-            f" corners of this sheet the turn alone moves the image by {_mrad(after.corner)} mrad, for any"
-            " the faces."
+            f" {mrad_text(before.made_rms, 3, unit='')} before and {mrad_text(after.made_rms, 3)} after, of"
+            f" which {mrad_text(after.shift, 3)} is the image aside, which no face can take away; parallel"
+            f" light spreads by {mrad_text(before.made_blur, 3, unit='')} before and"
+            f" {mrad_text(after.made_blur, 3)} after. At the corners of this sheet the turn alone"
+            f" moves the image by {mrad_text(after.corner, 3)}, for any the faces."
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -130,7 +131,3 @@ def _squares(table: Bench, errors: Mapping[str, float]) -> Floats:
     """Squares of the measures of a part made with these errors, (3,)."""
     found = table.measured(errors)
     return np.array([found[measure] for measure in MEASURES]) ** 2
-
-
-def _mrad(angle: float) -> str:
-    return f"{1e3 * angle:.3g}"

@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.types import Floats
 from clacad.config.edit_text import to_toml
-from clacad.config.mistakes import DesignError, Mistake
 from clacad.design import Design
 from clacad.design.faces import face_table
 from clacad.design.sections import PAIR
 from clacad.optimising.aim import FIELDS, MOST_LOST, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, measured
 from clacad.optimising.face_search import FaceSearch, Progress
-from clacad.optimising.unknowns import chosen
+from clacad.optimising.unknowns import chosen, refused
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
@@ -44,18 +44,14 @@ def refuse_lost_light(before: Sequence[Seen], after: Sequence[Seen]) -> None:
     worst = max(zip(before, after, strict=True), key=lambda pair: pair[0].throughput - pair[1].throughput)
     was, now = (seen.throughput for seen in worst)
     if not was - now <= MOST_LOST:
-        raise DesignError(
-            [
-                Mistake(
-                    "CL120",
-                    f"the faces that were found take {now:.3f} of the light of a cone of"
-                    f" {np.degrees(worst[0].field):.3g} deg to its partner cell, the start {was:.3f}; nothing"
-                    " is written",
-                    "free",
-                    allowed=f"a loss of at most {MOST_LOST:g}",
-                    hint="fewer words of --free, or a smaller field",
-                )
-            ]
+        raise refused(
+            "CL120",
+            f"the faces that were found take {now:.3f} of the light of a cone of"
+            f" {np.degrees(worst[0].field):.3g} deg to its partner cell, the start {was:.3f}; nothing"
+            " is written",
+            "free",
+            allowed=f"a loss of at most {MOST_LOST:g}",
+            hint="fewer words of --free, or a smaller field",
         )
 
 
@@ -74,23 +70,17 @@ def refuse_moved(start: Window, found: Window, *, traced: bool) -> None:
     """
     apart = np.abs(_places(found, traced=traced) - _places(start, traced=traced)).max()
     if not apart <= SAME * start.thin.separation:
-        raise DesignError(
-            [
-                Mistake(
-                    "CL120",
-                    f"the plates or cells would move by {apart:.3g}; nothing is written",
-                    PAIR.separation,
-                    allowed="plates and cells that stay where the start has them",
-                    hint='pair.confocal = "exact" in the design to start from',
-                )
-            ]
+        raise refused(
+            "CL120",
+            f"the plates or cells would move by {apart:.3g}; nothing is written",
+            PAIR.separation,
+            allowed="plates and cells that stay where the start has them",
+            hint='pair.confocal = "exact" in the design to start from',
         )
 
 
 def _places(window: Window, *, traced: bool) -> Floats:
-    """Lengths that fix the plates and cells: vertices of all faces, or only their heights, and displacements
-    of arrays.
-    """
+    """Lengths that fix plates and cells: vertices of all faces or only their heights, shifts of arrays."""
     vertices = np.array([face.vertex for face in window.faces])
     return np.concatenate([(vertices[:, 2:] if traced else vertices).ravel(), np.ravel(window.shifts)])
 
@@ -220,34 +210,41 @@ def optimise(
     window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
     unknowns = chosen(window, tuple(free))
     aim = Aim(design.check.field if field is None else field, tuple(weights), tolerances)
-    search = FaceSearch(
-        design, window, unknowns, aim, progress, inf if seconds is None else monotonic() + seconds
-    )
-    before = tuple(measured(window, part * aim.field, design) for part in FIELDS)
+    until = inf if seconds is None else monotonic() + seconds
+    search = FaceSearch(design, window, unknowns, aim, progress, until)
+    before = _compared(design, window, aim)
     stopped = search.run()
     if stopped == "interrupted" and not search.gained:
         raise KeyboardInterrupt
-    better = search.best_design(tuple(free))
-    assert search.best is not None  # otherwise the search raised before
+    return _checked(search, tuple(free), before, stopped)
+
+
+def _compared(design: Design, window: Window, aim: Aim) -> tuple[Seen, ...]:
+    """Light of a design at the shares of the field at which start and end are compared."""
+    return tuple(measured(window, part * aim.field, design) for part in FIELDS)
+
+
+def _checked(search: FaceSearch, free: tuple[str, ...], before: tuple[Seen, ...], stopped: str) -> Optimised:
+    """Result of a search that ended; refused where plates, cells or light moved."""
+    design, window, aim = search.design, search.window, search.aim
+    better = search.best_design(free)
+    assert search.best is not None  # otherwise there is no best design
     made = prescribe(better)
     if "offset" not in free:
         refuse_moved(window, made, traced=design.pair.offset == "traced")
-    after = (
-        () if stopped == "interrupted" else tuple(measured(made, part * aim.field, better) for part in FIELDS)
-    )
+    after = () if stopped == "interrupted" else _compared(better, made, aim)
     refuse_lost_light(before[: len(after)], after)
-    expected = (search.error_of(window), search.best.rms) if tolerances else None
     return Optimised(
         better,
         design,
-        tuple(free),
+        free,
         search.left_out,
         aim,
         search.kept_unknowns,
         search.evaluations,
         before,
         after,
-        expected,
+        (search.before, search.best.rms) if aim.tolerances else None,
         search.best.history,
         stopped,
     )
@@ -263,10 +260,8 @@ def outlook(
     DesignError, NoTolerances
         As `optimise` of the same words.
     """
-    window, aim = (
-        equal_cells(prescribe(design), "a search for better faces", ALIKE),
-        Aim(design.check.field, tuple(weights), tolerances),
-    )
+    window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
+    aim = Aim(design.check.field, tuple(weights), tolerances)
     unknowns = chosen(window, tuple(free))
     k = len(unknowns.free)
     evaluations = 10.0 + 0.8 * k * k  # measured: 16, 37, 34 and 379 of 4, 8, 10 and 20 unknowns
@@ -275,18 +270,11 @@ def outlook(
     return {"unknowns": k, "evaluations": evaluations, "seconds": 0.6 + each * evaluations}
 
 
-PLACES = {
+PLACES: dict[int, tuple[str, ...]] = {
     2: ("lens 1, front of the slab", "lens 2, back of the slab"),
     4: ("lens 1, front", "lens 1, back", "lens 2, front", "lens 2, back"),
-    6: (
-        "lens 1, front",
-        "lens 1, back",
-        "field lens, front",
-        "field lens, back",
-        "lens 2, front",
-        "lens 2, back",
-    ),
 }
+PLACES[6] = (*PLACES[4][:2], "field lens, front", "field lens, back", *PLACES[4][2:])
 PLATES = ("lens 1", "field lens, back of plate 1", "field lens, front of plate 2", "lens 2")
 
 
@@ -314,24 +302,16 @@ def _about(found: Optimised) -> str:
     """Comments of the file before its first key."""
     lines = [
         f"{found.design.name}: faces found by clacad optimise {asked(found)}",
-        (
-            f"from the design {found.start.sha256} with {found.unknowns} unknowns, {RAYS} Sobol rays, "
-            f"{found.evaluations} evaluations."
-        ),
+        f"from the design {found.start.sha256} with {found.unknowns} unknowns, {RAYS} Sobol rays, "
+        f"{found.evaluations} evaluations.",
     ]
     lines += [left_out(found)] if found.left_out and found.finished else []
     if found.stopped:
         why = "on the way" if found.stopped == "interrupted" else "when its seconds were over"
         lines.append(f"The search was stopped {why}; this is the best it had found within the walls.")
     if found.after:
-        lines += [
-            "",
-            (
-                "Direction error to the law, rms over fresh rays, and share of light that gets to its partner"
-                " cell:"
-            ),
-        ]
-        lines += [f"  {text}" for text in gains(found)]
+        what = "Direction error to the law, rms over fresh rays, and share of light that gets to its partner"
+        lines += ["", f"{what} cell:", *(f"  {text}" for text in gains(found))]
         lines += ["What is best over this field need not be over another."]
     if found.expected is not None:
         lines.append(expected(found))
@@ -354,14 +334,15 @@ def left_out(found: Optimised) -> str:
 def expected(found: Optimised) -> str:
     """A sentence on the error of parts as made."""
     assert found.expected is not None
-    before, after = (1e3 * error for error in found.expected)
-    return f"To expect of parts made with the [tolerances]: {before:.4g} mrad  ->  {after:.4g} mrad rms."
+    before, after = map(mrad_text, found.expected)
+    return f"To expect of parts made with the [tolerances]: {before}  ->  {after} rms."
 
 
 def gains(found: Optimised) -> list[str]:
     """One line per field: error and share before and after."""
     return [
-        f"{degrees(one.field):6.4g} deg: {1e3 * one.law_rms:.4g} mrad, {100 * one.throughput:.1f} %  ->  "
-        f"{1e3 * two.law_rms:.4g} mrad, {100 * two.throughput:.1f} %"
+        f"{degrees(one.field):6.4g} deg: {mrad_text(one.law_rms)},"
+        f" {percent_text(one.throughput, 1, fixed=True)}"
+        f"  ->  {mrad_text(two.law_rms)}, {percent_text(two.throughput, 1, fixed=True)}"
         for one, two in zip(found.before, found.after, strict=True)
     ]

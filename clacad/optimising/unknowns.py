@@ -1,17 +1,17 @@
 """Unknowns of a search: words to a vector of order 1, and back to faces.
 
 A unit of an unknown changes the slope at the border of a cell by about 1: curvatures times half a cell,
-coefficients of
-order 2k times 2k (half a cell)^(2k − 1). Conic constants are scaled by ten. The two faces of a lens are alike
-unless it is bent.
+coefficients of order 2k times 2k (half a cell)^(2k − 1). Conic constants are scaled by ten. The two faces of
+a lens are alike unless it is bent.
 
 Designs and windows with replaced faces: unchecked trials of a search, or its checked result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, sqrt
 
 import numpy as np
@@ -150,7 +150,13 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
     DesignError
         A word is unknown, may never be free, or does not apply to this form.
     """
-    refuse_listed(window)
+    if window.form == "plates":
+        raise refused(
+            "CL114",
+            "listed faces are used as they are: a search over plates is not built",
+            PAIR.form,
+            allowed='pair.form = "biconvex", "plano" or "slab"',
+        )
     _refuse(window, words)
     faces = tuple(_spec(face.surface) for face in window.faces)
     lenses = [k for k, face in enumerate(window.faces) if face.array in (0, 1)]
@@ -187,9 +193,7 @@ def _groups(window: Window, lenses: list[int], *, bent: bool) -> list[tuple[int,
 
 
 def _of_field(window: Window, faces: tuple[FaceSpec, ...], words: tuple[str, ...]) -> list[Unknown]:
-    """Curvature and conic constant of every face of the field lens, in the meridians in which it has
-    power.
-    """
+    """Curvature and conic constant of each face of the field lens, in the meridians where it has power."""
     found: list[Unknown] = []
     for k, face in enumerate(window.faces):
         if face.array != 2 or "field" not in words:
@@ -199,96 +203,76 @@ def _of_field(window: Window, faces: tuple[FaceSpec, ...], words: tuple[str, ...
     return found
 
 
-def refuse_listed(window: Window) -> None:
-    """Refuse a search over listed plates, which are used as they are.
+def refused(
+    code: str, message: str, key: str, *, found: str = "", allowed: str = "", hint: str = ""
+) -> DesignError:
+    """Error with one mistake."""
+    return DesignError([Mistake(code, message, key, found=found, allowed=allowed, hint=hint)])
 
-    Raises
-    ------
-    DesignError
-    """
-    if window.form == "plates":
-        raise DesignError(
-            [
-                Mistake(
-                    "CL114",
-                    "listed faces are used as they are: a search over plates is not built",
-                    PAIR.form,
-                    allowed='pair.form = "biconvex", "plano" or "slab"',
-                )
-            ]
+
+@dataclass(frozen=True, slots=True)
+class _Need:
+    """What a word needs of the start window or of the other words; `message` may name the form."""
+
+    word: str
+    met: Callable[[Window, tuple[str, ...]], bool]
+    code: str
+    message: str
+    hint: str
+    allowed: str = ", ".join(WORDS)
+
+
+def _has(word: str, _: Window, words: tuple[str, ...]) -> bool:
+    return word in words
+
+
+_NEEDS = (
+    _Need(
+        "field",
+        lambda window, _: window.field_array,
+        "CL113",
+        "field is free, but there is no field lens",
+        "pair.field_lens = true",
+        ", ".join(word for word in WORDS if word != "field"),
+    ),
+    *(
+        _Need(
+            higher,
+            partial(_has, lower),
+            "CL113",
+            f"{higher} comes on top of {lower}, where that leaves too much",
+            f"free {lower}, too",
         )
+        for higher, lower in (("a6", "a4"), ("a8", "a6"))
+    ),
+    _Need(
+        "bending",
+        lambda window, _: window.form == "biconvex",
+        "CL114",
+        "bending needs two faces a lens; a {form} pair has one",
+        'pair.form = "biconvex" can be bent',
+        "radii, conic, a4, a6, a8, offset",
+    ),
+)
 
 
 def _refuse(window: Window, words: tuple[str, ...]) -> None:
+    """Refuse words that are unknown, may never be free, or need what the design lacks."""
+    every = ", ".join(WORDS)
     for word in words:
         if word in NEVER:
-            raise DesignError(
-                [
-                    Mistake(
-                        "CL107",
-                        f"{word} is not to be free: {NEVER[word]}",
-                        "free",
-                        found=word,
-                        allowed=", ".join(WORDS),
-                    )
-                ]
-            )
+            message = f"{word} is not to be free: {NEVER[word]}"
+            raise refused("CL107", message, "free", found=word, allowed=every)
         if word not in WORDS:
+            message = f"{shown(word)} is nothing that can be free"
             hint = did_you_mean(near(word.lower(), WORDS, 0.5), quote='"')
-            raise DesignError(
-                [
-                    Mistake(
-                        "CL107",
-                        f"{shown(word)} is nothing that can be free",
-                        "free",
-                        found=word,
-                        allowed=", ".join(WORDS),
-                        hint=hint,
-                    )
-                ]
-            )
-    if "field" in words and not window.field_array:
-        raise DesignError(
-            [
-                Mistake(
-                    "CL113",
-                    "field is free, but there is no field lens",
-                    "free",
-                    found="field",
-                    allowed=", ".join(w for w in WORDS if w != "field"),
-                    hint="pair.field_lens = true",
-                )
-            ]
-        )
+            raise refused("CL107", message, "free", found=word, allowed=every, hint=hint)
     if not words:
-        raise DesignError([Mistake("CL107", "nothing is free", "free", allowed=", ".join(WORDS))])
-    for higher, lower in (("a6", "a4"), ("a8", "a6")):
-        if higher in words and lower not in words:
-            raise DesignError(
-                [
-                    Mistake(
-                        "CL113",
-                        f"{higher} comes on top of {lower}, where that leaves too much",
-                        "free",
-                        found=higher,
-                        allowed=", ".join(WORDS),
-                        hint=f"free {lower}, too",
-                    )
-                ]
-            )
-    if "bending" in words and window.form != "biconvex":
-        raise DesignError(
-            [
-                Mistake(
-                    "CL114",
-                    f"bending needs two faces a lens; a {window.form} pair has one",
-                    "free",
-                    found="bending",
-                    allowed="radii, conic, a4, a6, a8, offset",
-                    hint='pair.form = "biconvex" can be bent',
-                )
-            ]
-        )
+        raise refused("CL107", "nothing is free", "free", allowed=every)
+    for need in _NEEDS:
+        if need.word in words and not need.met(window, words):
+            message = need.message.format(form=window.form)
+            raise refused(need.code, message, "free", found=need.word, allowed=need.allowed, hint=need.hint)
 
 
 def _spec(surface: Surface) -> FaceSpec:
@@ -301,9 +285,7 @@ def _spec(surface: Surface) -> FaceSpec:
 
 
 def _ellipsoidal(surface: Surface) -> bool:
-    """Whether a face is the ellipsoid that recipes build: one κ, the geometric mean of the curvatures; a
-    plane is, too.
-    """
+    """Whether a face is the ellipsoid that recipes build: one κ, the geometric mean; a plane is, too."""
     if not isinstance(surface, Quadric):
         return False
     cx, cy = surface.curvature_x, surface.curvature_y

@@ -46,9 +46,7 @@ QUADS = 8
 
 
 def solid_picture(scene: Scene) -> Bytes:
-    """Picture of a scene with its sheet drawn as solids of the colour `sheet.tint`, encoded bytes (h, w,
-    3).
-    """
+    """Picture of a scene, its sheet drawn as solids of the colour `sheet.tint`, encoded bytes (h, w, 3)."""
     window = prescribe(scene.design())
     tint = scene.sheet.tint
     scale = scene.unit_m / window.unit
@@ -134,9 +132,7 @@ def section_findings(scene: Scene) -> Iterator[AtlasFinding]:
 
 
 def solid_findings(scene: Scene) -> Iterator[AtlasFinding]:
-    """Properties of the drawn triangles of both arrays: closed, one piece, separate, alike, placed and turned
-    as set.
-    """
+    """Properties of both arrays' triangles: closed, one piece, separate, alike, placed and turned as set."""
     design = scene.design()
     window = prescribe(design)
     mesh = sheet_triangles(window)
@@ -261,9 +257,7 @@ def quadrics(points: Floats, flatter_x: bool) -> tuple[Floats, Floats, Floats]:
 
 
 def _named(vector: Floats, value: Floats, flatter_x: bool) -> tuple[Floats, Floats]:
-    """Eigenvectors as a right-handed frame: z nearest the sheet normal, x the flatter or the steeper
-    meridian.
-    """
+    """Eigenvectors as a right-handed frame: z nearest the sheet normal, x the flatter or steeper meridian."""
     rows = np.arange(len(vector))
     axis = np.argmax(np.abs(vector[:, 2]), axis=1)
     others = np.array([(1, 2), (0, 2), (0, 1)])[axis]

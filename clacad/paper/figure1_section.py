@@ -10,6 +10,7 @@ from html import escape
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats
 from clacad.design import Design
 from clacad.optics.rays import Fate, Rays
@@ -119,10 +120,8 @@ def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
     spread = np.linalg.norm(np.cross(directions, asked), axis=1).max()
     return [
         f"{window.name} with {design.law_spec.words()}, to scale.",
-        (
-            f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {1e3 * spread:.2g} mrad"
-            " over this bundle."
-        ),
+        f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {mrad_text(spread, 2)}"
+        " over this bundle.",
     ]
 
 
@@ -164,9 +163,7 @@ def _offset(canvas: _Canvas, foot: Floats, lens2: Floats, axis: Floats, f2: floa
 
 
 class _Canvas:
-    """Transformation from sheet (z to the right, x up) to drawing coordinates, and the pieces of an SVG
-    text.
-    """
+    """Transformation from sheet (z to the right, x up) to drawing coordinates, and pieces of an SVG text."""
 
     def __init__(self, low: Floats, high: Floats) -> None:
         margin = 0.08 * float((high - low)[0])

@@ -286,14 +286,11 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
 
 
 CIRCLE = 1.2
-"""Radius of a circle round a piece over half the piece's length; at least a fortieth of the picture's width.
-"""
+"""Radius of a circle round a piece over half its length; at least a fortieth of the picture's width."""
 
 
 def circled(pixels: Bytes, scene: Scene) -> Bytes:
-    """Draw a red circle round the position on the sheet where the law shows the piece; the size (h, w, 3) is
-    kept.
-    """
+    """Draw a red circle round the place on the sheet where the law shows the piece; (h, w, 3) is kept."""
     from PIL import Image, ImageDraw
 
     place, half = piece_on_sheet(scene)
@@ -363,9 +360,7 @@ def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]
 def _first_figure(
     stage: Stage, section: Scene, solids: Scene, *, measured: bool
 ) -> dict[str, tuple[AtlasFinding, ...]]:
-    """Figure 1: the section with rays as SVG, and the sheet itself as a picture; return the findings of
-    both.
-    """
+    """Figure 1: the section with rays as SVG, and the sheet as a picture; return the findings of both."""
     from clacad.paper.figure1 import solid_picture
     from clacad.paper.figure1_section import section_svg
 

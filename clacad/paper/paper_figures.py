@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from clacad.base.roots import bisect
+from clacad.base.sign_changes import bisect
 from clacad.base.types import Floats
 from clacad.rendering.screen_measure import ScreenMap, fitted, ghost_shifts, measure
 from clacad.scene import Scene
@@ -108,9 +108,7 @@ DIRECT = {
     "theta = 0.5": 0.895,
     "theta = 1": 0.840,
 }
-"""Share of the light on the sheet that passes corresponding lenslets: mean of the closed form, product of x
-and y.
-"""
+"""Share of the sheet's light through corresponding lenslets: mean of the closed form, x times y."""
 
 
 def _share(what: str, found: ScreenMap) -> AtlasFinding:
@@ -193,9 +191,7 @@ def _offset(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def winding(maps: list[Floats]) -> float:
-    """Degrees by which a picture turns while its maps (2, 2) from the sheet to the screen change, summed step
-    by step.
-    """
+    """Degrees a picture turns while its maps (2, 2), sheet to screen, change, summed step by step."""
     total, last = 0.0, None
     for matrix in maps:
         up = np.linalg.solve(matrix, np.array([0.0, 1.0]))
@@ -393,9 +389,7 @@ def unseen_zones(scene: Scene) -> list[float]:
 
 
 def _slopes_of_law(scene: Scene) -> tuple[Floats, Floats]:
-    """Slopes behind the sheet of light from the camera, (2,) + (2, 2) x₀, fitted over its crossing points
-    x₀.
-    """
+    """Slopes behind the sheet of light from the camera, (2,) + (2, 2) x₀, fitted over crossing points x₀."""
     side = np.linspace(-HALF_SIDE, HALF_SIDE, 9)
     x0 = np.stack(np.meshgrid(side, side), axis=2).reshape(-1, 2)
     out = scene.design().law.refract(np.column_stack([x0, np.full(len(x0), D)]))

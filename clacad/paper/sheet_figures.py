@@ -43,9 +43,7 @@ if TYPE_CHECKING:
 
 
 NEAR, FAR, FARTHER, FOCAL = 400.0, 1500.0, 2000.0, 200.0
-"""Distances of the eye from the window, the glens and the moiré magnifier; of the glens's image of parallel
-light, mm.
-"""
+"""Distances of the eye from window, glens and moiré magnifier; of the glens's image of parallel light, mm."""
 
 SHAPED_CELLS, SHAPED_DISTANCE, SHAPED_WIDTH = (60, 60), 500.0, 40.0
 """Cells of the beam-shaping sheet, distance of the screen and width of its picture, mm."""
@@ -123,9 +121,7 @@ def _moire(load: Loader) -> Iterator[AtlasFinding]:
 
 
 def _period(scene: Scene, axis: int) -> float:
-    """Length on the sheet over which the light changes by one order, from a straight line through the orders
-    of rays.
-    """
+    """Length on the sheet over which light changes by one order, from a line through the rays' orders."""
     from clacad.optics.rays import Fate, Rays
     from clacad.tracing.trace import trace
 
@@ -274,9 +270,7 @@ def _seen(scene: Scene, fate: Fate) -> tuple[float, Floats]:
 
 
 def _share_of_field(slope: float, scene: Scene) -> float:
-    """Share of the light by the law without a field lens: mean of the closed form over rays of the camera to
-    the sheet.
-    """
+    """Share of the law's light without a field lens: mean of the closed form over the camera's rays."""
     aside = np.linspace(-0.5, 0.5, 201) * SIDE / -scene.camera.position[2]
     x, y = (
         float(np.clip(1.0 - np.abs(t + aside) * SEPARATION / PITCH, 0.0, 1.0).mean()) for t in (slope, 0.0)

@@ -21,7 +21,6 @@ from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outli
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.design.sections import PairSpec
 
 
 def assemble_window(
@@ -43,7 +42,8 @@ def assemble_window(
     thin_focal = thin_pair(intent.eta, separation)
     thin_d = intent.offset(thin_focal[0])
     thin_offset = intent.turn @ np.array([thin_d[0], thin_d[1], separation])
-    thin_shift = displacement(design.lattice.aperture, thin_offset[:2], float(thin_offset[2]))
+    x, y, z = map(float, thin_offset)
+    thin_shift = displacement(design.lattice.aperture, thin_offset[:2], z)
     land = Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border)
     window = Window(
         form=(
@@ -59,7 +59,7 @@ def assemble_window(
         law=intent.law,
         thin=ThinPair(
             thin_focal,
-            _triple(thin_offset),
+            (x, y, z),
             intent.turn,
             thin_shift,
             field=() if field is None else thin_field(intent.eta, separation),
@@ -103,14 +103,15 @@ def _own_places(window: Window, design: Design) -> Window:
     return window
 
 
-def _triple(v: Floats) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])
-
-
 def _recipe(intent: Intent, lenses: LensPair, offset: Floats) -> Mapping[str, Any]:
-    """Record of radii and poses, for reports and the manifest."""
+    """Record of radii and poses, for reports and the manifest; of given faces found by a search also that
+    search, and whether they are unchanged.
+    """
     pair = intent.design.pair
-    given = pair.given
+    given, search = pair.given, {}
+    if pair.search is not None:
+        unchanged = pair.search.faces_sha256 == faces_digest(pair.face)
+        search = {"search": pair.search.to_dict() | {"unchanged": unchanged}}
     return {
         "confocal": None if given else pair.confocal if pair.form == "biconvex" else "exact",
         "R": [list(face.radius) for face in pair.face] if given else [list(r) for r in lenses.radius],
@@ -123,14 +124,4 @@ def _recipe(intent: Intent, lenses: LensPair, offset: Floats) -> Mapping[str, An
         "wavelength_nm": pair.wavelength * 1e9,
         "material": pair.material,
         "curved": pair.curved if pair.form == "plano" else None,
-    } | _search(pair)
-
-
-def _search(pair: PairSpec) -> dict[str, Any]:
-    """Record of the search that found the given faces, and whether they are unchanged;
-    empty for other faces.
-    """
-    if pair.search is None:
-        return {}
-    unchanged = pair.search.faces_sha256 == faces_digest(pair.face)
-    return {"search": pair.search.to_dict() | {"unchanged": unchanged}}
+    } | search

@@ -12,8 +12,9 @@ Residual of a recipe: law error and decollimation of a built window along its ax
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 from math import inf
 
 import numpy as np
@@ -89,7 +90,30 @@ def _to_partner(window: Window, rays: Rays) -> Bools:
     return np.asarray(good)
 
 
-def residual(window: Window, intent: Intent) -> dict[str, float]:
+class Residual(Mapping[str, float]):
+    """Residual of a window along its axis ray: traced when it is first read, because few callers read it."""
+
+    def __init__(self, window: Window) -> None:
+        self._window = window
+
+    @cached_property
+    def _traced(self) -> dict[str, float]:
+        return residual(self._window)
+
+    def __getitem__(self, name: str) -> float:
+        return self._traced[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._traced)
+
+    def __len__(self) -> int:
+        return len(self._traced)
+
+    def __repr__(self) -> str:
+        return repr(self._traced)
+
+
+def residual(window: Window) -> dict[str, float]:
     """Parabasal law error (radians) and decollimation over half a cell (radians) of a window, minus requested
     power.
 
@@ -98,10 +122,10 @@ def residual(window: Window, intent: Intent) -> dict[str, float]:
     dict
         Both are infinite where the axis ray is lost.
     """
-    rotation = intent.turn
-    asked = intent.law.refract(rotation[:, 2][None])[0]
+    rotation = window.thin.rotation
+    asked = window.law.refract(rotation[:, 2][None])[0]
     size = STEP * window.lattice.circumradius
-    found = parabasal(interfaces(window), rotation, _entry(window, intent), size)
+    found = parabasal(interfaces(window), rotation, _entry(window), size)
     if not (np.isfinite(found.direction).all() and np.isfinite(found.cosines).all()):
         # the axis ray misses a lens or is totally reflected:
         # the window is built and fails its checks, no error here
@@ -113,11 +137,10 @@ def residual(window: Window, intent: Intent) -> dict[str, float]:
     }
 
 
-def _entry(window: Window, intent: Intent) -> Floats:
+def _entry(window: Window) -> Floats:
     """Point of the axis ray before the window, sheet frame."""
-    pair = intent.design.pair
-    if pair.form == "plano" and pair.curved == "inside":
-        glass = shallower(intent.law, intent.index)[:, 2]
+    if window.recipe["curved"] == "inside":
+        glass = shallower(window.law, window.bodies[0].index)[:, 2]
         plane = window.bodies[0].front.vertex[2]
         return np.asarray(glass * (plane / glass[2]))
     return np.zeros(3)

@@ -34,9 +34,8 @@ BORDER_SAMPLES = 65
 GRID = 33
 
 
-def border_points(window: Window, number: int, array: int = 0) -> Floats:
-    """Points along border `number` of the optical zone of an array's cell, cell frame, (65, 2), lengths."""
-    tile = optical_tile(window, array)
+def _border_points(tile: Floats, number: int) -> Floats:
+    """Points along border `number` of an optical zone (m, 2), cell frame, (65, 2), lengths."""
     start, end = tile[number], tile[(number + 1) % len(tile)]
     t = np.linspace(0.0, 1.0, BORDER_SAMPLES)[:, None]
     return np.asarray((1.0 - t) * start + t * end)
@@ -47,7 +46,7 @@ def zone_points(window: Window, array: int = 0) -> Floats:
     lengths.
     """
     tile = optical_tile(window, array)
-    borders = [border_points(window, k, array) for k in range(len(tile))]
+    borders = [_border_points(tile, k) for k in range(len(tile))]
     # a fan of scaled outlines: a grid that fits any convex cell
     fan = [np.concatenate(borders)[::2] * scale for scale in np.linspace(0.0, 1.0, GRID)[:-1]]
     return np.concatenate([*borders, *fan])
@@ -60,9 +59,9 @@ def border_overlap(window: Window, body: Body) -> float:
     """
     least, array = np.inf, body.arrays[0]
     lattice = window.lattice_of(array)
-    steps = lattice.steps
+    tile, steps = optical_tile(window, array), lattice.steps
     for number in range(len(steps) // 2):
-        here = border_points(window, number, array)
+        here = _border_points(tile, number)
         there = here - np.asarray(lattice.offset(*steps[number]))
         low = [_lens_column(body, p) for p in (here, there)]
         overlap = np.fmin(low[0][1], low[1][1]) - np.fmax(low[0][0], low[1][0])

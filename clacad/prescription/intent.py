@@ -37,7 +37,14 @@ class Intent:
     material: Material | None
     lattice: Lattice
     shape: Shaping
-    neck: float
+
+    @property
+    def neck(self) -> float:
+        """Least thickness that joins neighbouring lenses (length): as given, else that of the process."""
+        design = self.design
+        if design.body.neck is not None:
+            return design.body.neck
+        return max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
 
     def offset(self, focal_length: Pair2) -> Floats:
         """(d_x, d_y) = (δ_x f1x, δ_y f1y), (2,) lengths, with f1 as built; 0 in a meridian without power."""
@@ -73,9 +80,6 @@ def intent_of(design: Design) -> Intent:
     index = pair.index if material is None else float(material.index(pair.wavelength))
     assert index is not None  # the design holds exactly one of index and material
     law = design.law
-    neck = design.body.neck
-    if neck is None:
-        neck = max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
     return Intent(
         design,
         law,
@@ -86,7 +90,6 @@ def intent_of(design: Design) -> Intent:
         material,
         _lattice(design),
         GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth),
-        neck,
     )
 
 

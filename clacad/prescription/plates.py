@@ -265,11 +265,13 @@ def inside_both(window: Window) -> Window:
         No cell is left.
     """
     second, cut = window.placements[1], window.lattice.outline
+    if not isinstance(cut, Circle | Rectangle):
+        return window
     moved = second.shift if window.one_outline else (0.0, 0.0)
     wider = max(second.scale(window.lattice))
     if second.turn and isinstance(cut, Rectangle):
         wider = max(wider, 1.0) / held_when_turned((cut.width, cut.height), second.turn)
-    if not isinstance(cut, Circle | Rectangle) or (moved == (0.0, 0.0) and wider <= 1.0):
+    if moved == (0.0, 0.0) and wider <= 1.0:
         return window
     window = replace(window, lattice=replace(window.lattice, outline=_within(cut, moved, wider)))
     _refuse_apart(window.lattice, moved, wider)

@@ -75,7 +75,7 @@ def _of_form(intent: Intent) -> Window:
 
 def _checked(design: Design) -> Window:
     """Window of a design whose lenses have sag, heights and radii over their cells, with its residual."""
-    from clacad.prescription.best_recipe import residual
+    from clacad.prescription.best_recipe import Residual
     from clacad.prescription.bodies import refuse_crossed
     from clacad.prescription.cell_heights import refuse_no_faces, window_range
     from clacad.prescription.intent import intent_of, refuse_radius
@@ -91,4 +91,4 @@ def _checked(design: Design) -> Window:
     if design.pair.given:
         refuse_no_faces(window)
     window = replace(window, z_range=window_range(window))
-    return replace(window, residual=residual(window, intent))
+    return replace(window, residual=Residual(window))

@@ -14,54 +14,36 @@ Techniques 2(2) (2013); daylight D65, CIE 15, its table at 10 nm over the range 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.hashing import GOLDEN, mixed
 from clacad.base.sobol import sobol
-from clacad.base.types import Floats, Ints
 from clacad.base.vectors import picture_axes
-from clacad.rendering.scene_arrays import SceneArrays
-from clacad.rendering.sheet_passage import Passage
-from clacad.scene import Camera, Light
-from clacad.scene.kinds import Rgb
-from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.base.types import Floats, Ints
+    from clacad.rendering.scene_arrays import SceneArrays
+    from clacad.rendering.sheet_passage import Passage
+    from clacad.scene import Camera, Light
+    from clacad.scene.kinds import Rgb
+    from clacad.sheet.window import Window
 
 RGB_LINES = (611.4e-9, 549.1e-9, 464.2e-9)
 """Dominant wavelengths of the sRGB primaries (ITU-R BT.709) under D65, metres."""
 
 DAYLIGHT_NM = tuple(440.0 + 26.25 * k for k in range(9))
-"""Nine samples of daylight, nm: nearly all of the eye's response, and within the data of almost every
-material of the table.
-"""
+"""Nine samples of daylight, nm: nearly all of the eye's response, within the data of most materials."""
 
 _D65_NM = tuple(range(430, 660, 10))
-_D65 = (
-    86.68,
-    104.86,
-    117.01,
-    117.81,
-    114.86,
-    115.92,
-    108.81,
-    109.35,
-    107.80,
-    104.79,
-    107.69,
-    104.41,
-    104.05,
-    100.00,
-    96.33,
-    95.79,
-    88.69,
-    90.01,
-    89.60,
-    87.70,
-    83.29,
-    83.70,
-    80.03,
+_D65 = tuple(
+    float(power)
+    for power in (
+        "86.68 104.86 117.01 117.81 114.86 115.92 108.81 109.35 107.80 104.79 107.69 104.41 "
+        "104.05 100.00 96.33 95.79 88.69 90.01 89.60 87.70 83.29 83.70 80.03"
+    ).split()
 )
 _XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 """IEC 61966-2-1."""

@@ -83,9 +83,7 @@ def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
 
 
 def _camera_and_screen(request: EyeRequest, window: Window, photo: str) -> dict[str, Any]:
-    """A scene's camera at the eye, and its only object: the photograph on a screen; lengths in design
-    units.
-    """
+    """A scene's camera at the eye, and its only object, the photograph on a screen; design units."""
     x0, x1, y0, y1 = window.lattice.extent()
     side = max(x1 - x0, y1 - y0)
     eye = 4.0 * side if request.eye is None else request.eye

@@ -22,6 +22,7 @@ from typing import cast
 import numpy as np
 
 from clacad.base.machine_rates import Span
+from clacad.base.text import mrad_text
 from clacad.base.types import Bools, Floats, Ints, Rung
 from clacad.design import Design
 from clacad.effects.engine.probe_rays import compared, situation_of_scene
@@ -60,9 +61,7 @@ FIRST = 3
 """Pixels along each side of the patches that are tried first; doubled until they suffice."""
 
 SQUARES, NOISY = 5, 3
-"""Squares along a side of the picture used to estimate the samples of a noise target, and pixels along a side
-of each.
-"""
+"""Squares along a picture's side for the samples of a noise target, and pixels along a side of each."""
 
 GRID = 24
 """Pixels along a side of the picture from which the share that looks at a sheet is found."""
@@ -72,8 +71,7 @@ PATCHES = ((0.31, 0.22), (0.44, 0.61), (0.57, 0.35), (0.7, 0.83))
 
 
 def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> Span:
-    """Processor seconds of a still, or of `frames` similar ones; some pixels show how often a noise target
-    repeats them.
+    """Processor seconds of a still, or `frames` such; some pixels show how often noise repeats them.
 
     The range is narrow where the time of a pixel does not depend on how many are drawn together. It is wide
     where a block takes less than its pixels one by one, as with effects that split light.
@@ -145,8 +143,7 @@ def _seconds_a_pixel(viewing: Viewing, view: View, samples: int) -> tuple[float,
 
 
 def _spent(viewing: Viewing, view: View, side: int, samples: int) -> tuple[float, int]:
-    """Processor seconds of some square patches of a picture, of `side` pixels a side, and their number of
-    pixels.
+    """Processor seconds of square patches of a picture, of `side` pixels a side, and their pixel count.
 
     Neighbours look through the same lenslets, and rays through one lenslet take less time together. Widely
     spaced pixels would represent another picture.
@@ -216,22 +213,20 @@ def within_target(scene: Scene, target: float) -> Scene:
     error, disagree = compared(situation_of_scene(still, window), cast("Rung", rung), mesh)
     if error > target or disagree > MOST_DISAGREEMENT:
         raise TargetOutOfReach(
-            f"rung {rung} is {1e3 * error:.4g} mrad rms off the exact surfaces on this scene's rays and sends"
-            f" {disagree:.2%} of them another way; {1e3 * target:.4g} mrad and {MOST_DISAGREEMENT:.0%} are"
+            f"rung {rung} is {mrad_text(error)} rms off the exact surfaces on this scene's rays and sends"
+            f" {disagree:.2%} of them another way; {mrad_text(target)} and {MOST_DISAGREEMENT:.0%} are"
             " allowed: use rung surfaces, or auto"
         )
     return chosen
 
 
 def _quads_within(design: Design, window: Window, target: float) -> int:
-    """Coarsest quads a cell side whose facets keep directions within the target (radians), in the worst
-    cell.
-    """
+    """Coarsest quads a cell side whose facets keep the target (radians of direction) in the worst cell."""
     facets = facets_for(design, worst_cell(window, design.check.field).buildable, target, (THREEMF,))
     assert facets is not None
     if facets.quads > MOST_QUADS:
         raise TargetOutOfReach(
-            f"{1e3 * target:.4g} mrad takes {facets.quads} quads a cell side, more than {MOST_QUADS}; "
+            f"{mrad_text(target)} takes {facets.quads} quads a cell side, more than {MOST_QUADS}; "
             "use rung surfaces"
         )
     return facets.quads
@@ -391,9 +386,7 @@ def enlarge(small: Floats, shape: tuple[int, int]) -> Floats:
 
 
 def _spread(blocks: Floats, on: Bools) -> Floats:
-    """Broad means of blocks (h, w, 3) over the pixels of the sheet alone: pixels outside it have none of
-    their light.
-    """
+    """Broad means of blocks (h, w, 3) over the pixels of the sheet alone: others have none of its light."""
     light, share = _broad(blocks), _broad(_shares(on, blocks.shape[:2]))
     with np.errstate(divide="ignore", invalid="ignore"):
         added = enlarge(light, on.shape) / enlarge(share, on.shape)[..., None]

@@ -31,9 +31,7 @@ class UnknownPicture(ValueError):
 
 
 def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Bytes:
-    """Bytes of linear light: times exposure, clipped to 0 … 1, sRGB-encoded (IEC 61966-2-1) unless
-    "linear".
-    """
+    """Bytes of linear light: times exposure, clipped to 0 … 1, sRGB (IEC 61966-2-1) unless "linear"."""
     value = np.clip(light * exposure, 0.0, 1.0)
     if encoding == "srgb":
         value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
@@ -164,9 +162,7 @@ def labelled(pixels: Bytes, text: str, lines: int = 1) -> Bytes:
 
 
 def label_lines(text: str, width: int) -> list[str]:
-    """A label broken between words, but not at " = ", so that each line fits below a picture of `width`
-    pixels.
-    """
+    """A label broken between words, but not at " = ", to lines that fit below a picture (pixels wide)."""
     size, font = _label_font(width)
     lines = [""]
     for word in text.replace(" = ", "\0=\0").split():

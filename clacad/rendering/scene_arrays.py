@@ -10,14 +10,18 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Floats, Ints
 from clacad.rendering.photographs import read_picture
-from clacad.scene import Background, Light, Scene, SceneObject, chess_knight
+from clacad.scene import chess_knight
 from clacad.scene.chess_knight import turned
 from clacad.tracing.facets.hierarchy import Hierarchy, joined, mesh_tree
+
+if TYPE_CHECKING:
+    from clacad.base.types import Floats, Ints
+    from clacad.scene import Background, Light, Scene, SceneObject
 
 FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
 """Kinds of primitive."""

@@ -134,9 +134,7 @@ def _first(near: Floats, far: Floats) -> Floats:
 
 
 def _sphere(local: Floats, ray: Floats, radius: float) -> Floats:
-    """Nearer hit above 0; the ray is carried to its point nearest the centre first, so far starts lose no
-    accuracy.
-    """
+    """Nearer hit above 0; the ray is first carried to its point nearest the centre, for accuracy."""
     a = np.einsum("ij,ij->i", ray, ray)
     middle = -np.einsum("ij,ij->i", local, ray) / a
     near = local + middle[:, None] * ray
@@ -287,9 +285,7 @@ def _prism_normal(local: Floats, half: float, outline: Floats) -> Floats:
 
 
 def _sampled(stage: SceneArrays, k: int, local: Floats) -> Floats:
-    """Bilinear light of a picture; its right edge is at −x, where a viewer before the screen sees it
-    right.
-    """
+    """Bilinear light of a picture; its right edge is at −x, where a viewer before the screen sees it."""
     height, width = stage.picture[k]
     x = np.clip((0.5 - local[:, 0] / (2.0 * stage.size[k, 0])) * width - 0.5, 0.0, width - 1.0)
     y = np.clip((0.5 - local[:, 1] / (2.0 * stage.size[k, 1])) * height - 0.5, 0.0, height - 1.0)

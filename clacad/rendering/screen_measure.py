@@ -70,9 +70,7 @@ class ScreenMap:
         return np.asarray(np.linalg.solve(self.matrix, np.array([x, y]) - self.offset))
 
     def shown(self, x: float, y: float, radius: float) -> float:
-        """Rays that meet the screen within a radius of (x, y), relative to those through an endless lossless
-        sheet.
-        """
+        """Rays that meet the screen within a radius of (x, y), over those of an endless lossless sheet."""
         near = np.hypot(self.seen[:, 0] - x, self.seen[:, 1] - y) < radius
         area = np.pi * radius * radius / abs(float(np.linalg.det(self.matrix)))  # on the sheet
         return float(np.count_nonzero(near) * self.grain / area)
@@ -136,9 +134,7 @@ def measure(
 def ghost_shifts(
     scene: Scene, z: float, pixels: int = 400, threads: int | None = None, compiled: bool | None = None
 ) -> Floats:
-    """Displacement (n, 2) of each ray of a ghost on the screen from the direct view's screen point; as
-    `measure`.
-    """
+    """Displacement (n, 2) of a ghost's rays on the screen from the direct view's; as `measure`."""
     direct = measure(scene, z, pixels, threads, compiled)
     plain = coordinate_scene(scene, z, pixels)
     ghosts = replace(geometry_alone(plain, direct=True), shining=(int(Fate.GHOST),))
@@ -149,9 +145,7 @@ def ghost_shifts(
 def _on_screen(
     plain: Scene, passage: Passage, threads: int | None, compiled: bool | None
 ) -> tuple[Floats, Floats, Floats]:
-    """Points of the sheet (n, 2) whose rays meet the screen, their screen points (n, 2), and all points of
-    the sheet.
-    """
+    """Points of the sheet (n, 2) whose rays meet the screen, their screen points (n, 2), and all points."""
     window = prescribe(plain.design())
     picture = view_through(plain, passage=passage, threads=threads, compiled=compiled)
     x0, inside = sheet_points(plain, window, picture.light.shape[:2])
@@ -161,9 +155,7 @@ def _on_screen(
 
 
 def sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Points (n, 2) where each pixel's ray crosses z = 0, scene lengths, and whether on the cells of array
-    1.
-    """
+    """Points (n, 2) where pixels' rays cross z = 0, scene lengths, and whether on array 1's cells."""
     from clacad.sheet.window import Window
 
     assert isinstance(window, Window)

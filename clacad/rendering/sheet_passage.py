@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Rung
-from clacad.effects.registry import declared_all
+from clacad.effects import declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.scene import Scene, SheetSpec
 from clacad.sheet.stack import Stack, StackedSheet, standing
-from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest
 from clacad.tracing.through_stack import entering, leaving
 from clacad.tracing.trace import SheetTracer
@@ -25,6 +23,8 @@ from clacad.tracing.trace import SheetTracer
 if TYPE_CHECKING:
     from clacad.effects import Plan
     from clacad.mesh import Mesh
+    from clacad.scene import Scene, SheetSpec
+    from clacad.sheet.window import Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +73,7 @@ class Passage:
 
     @property
     def plain(self) -> bool:
-        """Whether the trace alone suffices: no effect beyond the labels of geometry, and no share of a
-        law.
-        """
+        """Whether the trace alone suffices: no effect beyond labels of geometry, and no share of a law."""
         if self.several:
             return all(one.passage.plain for one in self.several)
         if self.plan is None:
@@ -102,18 +100,14 @@ class Passage:
         return self.rung == "law" and self.plain and not self.several
 
     def light_of_all(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, Bools]:
-        """Trace a block of camera rays through every sheet; return what shines, and which rays (n,) met a
-        sheet.
-        """
+        """Trace camera rays through every sheet; return what shines, and which rays (n,) met a sheet."""
         if self.several:
             return through_all(self.several, rays, compiled)
         beyond, result = self.light(window, rays, compiled)
         return beyond, np.asarray(result.fate != Fate.MISSED)
 
     def light(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, TraceResult]:
-        """Trace a block of rays through one sheet, in its frame, on this thread alone, and return what
-        shines.
-        """
+        """Trace a block of rays through one sheet, in its frame, on this thread; return what shines."""
         known = window.uniform or self.rung in (
             "surfaces",
             "mesh",
@@ -148,8 +142,7 @@ class StackedPassage:
 
 
 def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool) -> tuple[Beyond, Bools]:
-    """Trace camera rays through sheets behind one another; return what shines, and which rays (n,) met any of
-    them.
+    """Trace camera rays through several sheets; return what shines, and which rays (n,) met any.
 
     Frame and unit are those of the first sheet.
     """

@@ -123,9 +123,7 @@ def _eye(view: View, which: SampleRange) -> Any:
 
 
 def kernels_are_kept(viewing: Viewing, view: View) -> bool:
-    """Whether the main kernels of a compiled picture are on disk, so that they are loaded and not compiled
-    first.
-    """
+    """Whether the main kernels of a compiled picture are on disk, to be loaded without compiling."""
     from clacad.base.kernel_cache import is_kept
 
     if viewing.pane is not None and view.aperture == 0.0:
@@ -202,13 +200,7 @@ def _box_of_all(passage: Passage, window: Window) -> Floats:
 
 
 def _refuse_between(stage: SceneArrays, passage: Passage, scale: float) -> None:
-    """Reject objects between sheets: light on its way from one sheet to the next is not tested against
-    objects.
-
-    Raises
-    ------
-    BadStack
-    """
+    """Reject objects between sheets, where light is not tested against objects."""
     low = passage.several[0].sheet.span[1] / scale
     high = passage.several[-1].sheet.span[0] / scale
     for kind, (x, y, z, radius), turn, size in zip(
@@ -284,9 +276,7 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
 
 
 def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Bools) -> Floats:
-    """Light of rays that met the sheet: of an object before it, else of what is seen through it, else
-    black.
-    """
+    """Light of rays that met the sheet: of an object before it, else of what is seen through it, or black."""
     light = np.zeros((len(position), 3))
     rows = np.flatnonzero(met)
     hidden = np.zeros(len(position), dtype=bool)

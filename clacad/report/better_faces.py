@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.text import digits
+from clacad.base.text import digits, mrad_text, percent_text
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.design.sections import CHECK
@@ -148,11 +148,11 @@ def light_rows(found: Optimised) -> list[tuple[str, ...]]:
     return [
         (
             f"{degrees(one.field):.3g}°",
-            f"{1e3 * one.law_rms:.4g}",
-            f"{1e3 * two.law_rms:.4g}",
+            mrad_text(one.law_rms, unit=""),
+            mrad_text(two.law_rms, unit=""),
             f"{one.law_rms / two.law_rms:.3g}",
-            f"{100 * one.throughput:.1f}",
-            f"{100 * two.throughput:.1f}",
+            percent_text(one.throughput, 1, fixed=True, unit=""),
+            percent_text(two.throughput, 1, fixed=True, unit=""),
         )
         for one, two in zip(found.before, found.after, strict=True)
     ]
@@ -220,7 +220,7 @@ def page(shown: BeforeAndAfter) -> str:
             words=[(name, check_words(report)) for name, report in both],
             field=f"{degrees(found.field):.3g}",
             digest=NO_SCRIPT,
-            history=[(at, f"{1e3 * rms:.4g}") for at, rms in found.history],
+            history=[(at, mrad_text(rms, unit="")) for at, rms in found.history],
         )
     )
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.text import bound, plain, shown
+from clacad.base.text import bound, mrad_text, plain, shown
 from clacad.checks.check import Origin
 from clacad.exporting.drawing import views
 from clacad.exporting.drawing.notes import allowances, orientation
@@ -86,6 +86,94 @@ def row(check: Check) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
+class CheckRows:
+    """Checks, verdicts and judged files of a report as rows of text."""
+
+    report: Report
+
+    @property
+    def verdicts(self) -> list[dict[str, str]]:
+        """Verdict of each file, and its content for a workshop: the first screen has one line a file."""
+        holds = {file["name"]: file["size"] for file in self.files}
+        return [
+            {
+                "name": one.name,
+                "role": (
+                    one.role.value
+                    + ("" if one.declared or one.role.value != "shape-preview" else " (not declared)")
+                ),
+                "word": one.word,
+                "css": _CSS.get(one.word, "fail"),
+                "holds": holds.get(one.name, ""),
+                "rms": "–" if one.rms is None else mrad_text(one.rms, 3, unit=""),
+                "limit": "–" if one.limit is None else mrad_text(one.limit, 3, unit=""),
+                "sentence": one.sentence,
+            }
+            for one in self.report.verdicts
+        ]
+
+    @property
+    def failures(self) -> list[dict[str, Any]]:
+        """Checks that keep the report from passing."""
+        return [
+            row(c) for c in self.report.checks if c.state == "fail" or (c.state == "not run" and c.required)
+        ]
+
+    @property
+    def groups(self) -> list[tuple[str, list[dict[str, Any]]]]:
+        """Checks by subject: light, geometry, each file, refinement; what did not pass comes first."""
+        groups: dict[str, list[Check]] = {}
+        for check in self.report.checks:
+            groups.setdefault(_title(check), []).append(check)
+        order = {"fail": 0, "not run": 1, "warn": 2, "pass": 3}
+        return [
+            (
+                title,
+                [
+                    row(c)
+                    for c in sorted(
+                        found, key=lambda c: order[c.state] if c.required else max(2, order[c.state])
+                    )
+                ],
+            )
+            for title, found in groups.items()
+        ]
+
+    @property
+    def process(self) -> str:
+        """Source of the limits of the process profile; "" without a profile."""
+        found = {c.source for c in self.report.checks if c.limit_source.origin is Origin.PROFILE}
+        return "; ".join(sorted(text[0].upper() + text[1:] for text in found))
+
+    @property
+    def files(self) -> list[dict[str, str]]:
+        """The files that were judged."""
+        found = []
+        for one in self.report.files:
+            size = ""
+            if one.mesh is not None:
+                size = one.mesh.facts.get("holds", {}).get("words", f"{one.mesh.measure.facets:,} triangles")
+            elif one.solid:
+                size = str(one.solid.get("holds_words", ""))
+            found.append(
+                {
+                    "name": one.subject.name,
+                    "note": one.note,
+                    "format": one.subject.format,
+                    "size": size,
+                    "bytes": f"{one.subject.bytes:,}",
+                    "sha256": one.subject.sha256,
+                }
+            )
+        return found
+
+    @property
+    def versions(self) -> str:
+        """Versions the numbers depend on."""
+        return ", ".join(f"{name} {version}" for name, version in self.report.versions.items())
+
+
+@dataclass(frozen=True, eq=False)
 class Content:
     """A report and the pictures of it, as rows of text.
 
@@ -125,6 +213,11 @@ class Content:
         return word[0].upper() + word[1:], css
 
     @property
+    def checked(self) -> CheckRows:
+        """Checks, verdicts and judged files."""
+        return CheckRows(self.report)
+
+    @property
     def sheet(self) -> Window:
         """The whole sheet."""
         return self.report.window if self.whole is None else self.whole
@@ -140,62 +233,6 @@ class Content:
         from clacad.verification.light.viewed import headline
 
         return headline(self.report.checks)
-
-    @property
-    def verdicts(self) -> list[dict[str, str]]:
-        """Verdict of each file, and its content for a workshop: the first screen has one line a file."""
-        holds = {file["name"]: file["size"] for file in self.files}
-        return [
-            {
-                "name": one.name,
-                "role": (
-                    one.role.value
-                    + ("" if one.declared or one.role.value != "shape-preview" else " (not declared)")
-                ),
-                "word": one.word,
-                "css": _CSS.get(one.word, "fail"),
-                "holds": holds.get(one.name, ""),
-                "rms": "–" if one.rms is None else f"{1e3 * one.rms:.3g}",
-                "limit": "–" if one.limit is None else f"{1e3 * one.limit:.3g}",
-                "sentence": one.sentence,
-            }
-            for one in self.report.verdicts
-        ]
-
-    @property
-    def failures(self) -> list[dict[str, Any]]:
-        """Checks that keep the report from passing."""
-        return [
-            row(c) for c in self.report.checks if c.state == "fail" or (c.state == "not run" and c.required)
-        ]
-
-    @property
-    def groups(self) -> list[tuple[str, list[dict[str, Any]]]]:
-        """Checks by what they are about: light, geometry, each file, refinement; what did not pass comes
-        first.
-        """
-        groups: dict[str, list[Check]] = {}
-        for check in self.report.checks:
-            groups.setdefault(_title(check), []).append(check)
-        order = {"fail": 0, "not run": 1, "warn": 2, "pass": 3}
-        return [
-            (
-                title,
-                [
-                    row(c)
-                    for c in sorted(
-                        found, key=lambda c: order[c.state] if c.required else max(2, order[c.state])
-                    )
-                ],
-            )
-            for title, found in groups.items()
-        ]
-
-    @property
-    def process(self) -> str:
-        """Source of the limits of the process profile; "" without a profile."""
-        found = {c.source for c in self.report.checks if c.limit_source.origin is Origin.PROFILE}
-        return "; ".join(sorted(text[0].upper() + text[1:] for text in found))
 
     @cached_property
     def fabrication_lines(self) -> tuple[FabricationLine, ...]:
@@ -214,28 +251,6 @@ class Content:
     def orientation(self) -> list[str]:
         """How the part must be held."""
         return orientation(self.report.window)
-
-    @property
-    def files(self) -> list[dict[str, str]]:
-        """The files that were judged."""
-        found = []
-        for one in self.report.files:
-            size = ""
-            if one.mesh is not None:
-                size = one.mesh.facts.get("holds", {}).get("words", f"{one.mesh.measure.facets:,} triangles")
-            elif one.solid:
-                size = str(one.solid.get("holds_words", ""))
-            found.append(
-                {
-                    "name": one.subject.name,
-                    "note": one.note,
-                    "format": one.subject.format,
-                    "size": size,
-                    "bytes": f"{one.subject.bytes:,}",
-                    "sha256": one.subject.sha256,
-                }
-            )
-        return found
 
     @property
     def described(self) -> tuple[FactRow, ...]:
@@ -271,11 +286,6 @@ class Content:
             f"clacad verify DESIGN.toml{files} --rays {len(self.report.optics.main.lit.rays)}{timings} -o"
             " REPORT"
         )
-
-    @property
-    def versions(self) -> str:
-        """Versions the numbers depend on."""
-        return ", ".join(f"{name} {version}" for name, version in self.report.versions.items())
 
 
 def numbers(content: Content) -> dict[str, Any]:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.text import mrad_text, percent_text
+from clacad.light.measure import deviation
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.feasibility.as_rows import length_unit
 from clacad.sheet.pattern import relocate
@@ -200,9 +202,7 @@ def transmission(report: Report) -> str:
 
 
 def residual_map(report: Report, label: str = "error over aperture and field") -> str:
-    """Error of single rays over aperture and field, along both lens axes; labels differ where a page holds
-    several.
-    """
+    """Error of single rays over aperture and field, along both lens axes; `label` differs on one page."""
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 1, 2, Margins(left=0.78, right=0.6, across=1.36))
@@ -235,29 +235,31 @@ def residual_map(report: Report, label: str = "error over aperture and field") -
 
 
 def spots(report: Report, label: str = "spot diagrams over the field") -> str:
-    """Exit directions about the law's, for nine incident directions; labels differ where a page holds
-    several.
-    """
+    """Exit directions about the law's, for nine incident directions; `label` differs on one page."""
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 3, 3, Margins(across=0.26, down=0.16), sharex=True, sharey=True)
         # the middle of the field in the middle, its rim round it as seen: +x to the right, +y up
         place = ((1, 1), (1, 2), (0, 2), (0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2))
         points = report.optics.points
+        turned = [deviation(point) for point in points]
         reach = max(
-            (1e3 * float(np.percentile(np.abs(p.deviation), 99)) for p in points if len(p.deviation)),
-            default=1.0,
+            (1e3 * float(np.percentile(np.abs(turn), 99)) for turn in turned if len(turn)), default=1.0
         )
         from matplotlib.patches import Ellipse
 
         blur = [1e3 * b for b in report.facts.diffraction_blur]
         for k, point in enumerate(points):
             panel = axes[place[k]]
-            spot = 1e3 * point.deviation[:SPOT_RAYS]
+            spot = 1e3 * turned[k][:SPOT_RAYS]
             panel.plot(spot[:, 0], spot[:, 1], ".", ms=1.6, color=ACCENT, mec="none")
             panel.add_patch(Ellipse((0, 0), 2 * blur[0], 2 * blur[1], fill=False, color=SECOND, lw=0.8))
             panel.plot([0], [0], "+", color=INK, ms=6, mew=0.8)
-            text = "dark" if not len(spot) else f"bias {1e3 * point.bias:.2g}, rms {1e3 * point.rms:.2g}"
+            text = (
+                "dark"
+                if not len(spot)
+                else f"bias {mrad_text(point.bias, 2, unit='')}, rms {mrad_text(point.rms, 2, unit='')}"
+            )
             box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
             panel.text(
                 0.03, 0.95, text, transform=panel.transAxes, va="top", fontsize=7.5, zorder=5, bbox=box
@@ -308,7 +310,8 @@ def convergence_caption(report: Report) -> str:
         f" side, against the exact surfaces. Left: the rms direction error falls from {most:.2g} to"
         f" {least:.2g} mrad, as the facet size to the power {found.order_direction:.2f}; a flat facet has the"
         " wrong slope almost everywhere, so the power expected is 1. Right: the error of the measured η"
-        f" falls from {100 * found.fitted[0]:.2g} to {100 * found.fitted[-1]:.2g} %, to the power"
+        f" falls from"
+        f" {percent_text(found.fitted[0], 2, unit='')} to {percent_text(found.fitted[-1], 2)}, to the power"
         f" {found.order_fitted:.2f}; the mean slope errs with the square, so 2 is expected."
     )
 
@@ -382,9 +385,7 @@ def section(report: Report, label: str = "cross-section with rays") -> str:
 
 
 def draw_section(panel: Axes, window: Window, scale: float, name: str) -> None:
-    """Draw three cells cut along x, to scale, and rays through the middle one; `scale` makes lengths units
-    called `name`.
-    """
+    """Draw three cells cut along x with rays through the middle one; lengths times `scale` are in `name`."""
     for body in window.bodies:
         x, front, back = _profile(window, body, window.lattice.pitch[0])
         panel.fill_betweenx(x * scale, front * scale, back * scale, color="#bcd9ee", lw=0.7, ec=ACCENT)
@@ -413,9 +414,7 @@ def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:
 
 
 def ray_fan(window: Window) -> list[Any]:
-    """Five parallel rays, along the middle of the field, through the cell in the middle: points (k, 3)
-    each.
-    """
+    """Five parallel rays along the middle of the field through the middle cell: points (k, 3) each."""
     from clacad.sheet.bundle import middle_direction
 
     one = window.with_cells((1, 1))

@@ -1,10 +1,8 @@
 """What a notebook shows of a design, a window or a report: a section with rays, and the transfer curve.
 
 `plot` gives a matplotlib figure, `as_html` the output below a cell that ends in one of these objects. Their
-methods of
-these names come here through `clacad.plot` and `clacad.as_html`, the package's own door, so that no room
-above imports
-this one.
+methods of these names come here through `clacad.plot` and `clacad.as_html`, the package's own door, so that
+no room above imports this one.
 """
 
 from __future__ import annotations
@@ -60,9 +58,7 @@ def plot(thing: Design | Window | Report, figure: Figure | None = None) -> Figur
 
 
 def as_html(thing: Design | Window | Report) -> str:
-    """Picture as self-contained HTML below the text of `repr`; for a design that cannot be built, the
-    reason.
-    """
+    """Picture as self-contained HTML below the text of `repr`; the reason if a design cannot be built."""
     from clacad.config.mistakes import DesignError
     from clacad.prescription.radii import NoSuchLens
 

@@ -1,6 +1,4 @@
-"""The report as PDF: the rows and drawings of the page, set by Typst, an extra package that pip alone
-installs.
-"""
+"""Report as PDF: the page's rows and drawings, set by Typst, an extra package that pip alone installs."""
 
 from __future__ import annotations
 
@@ -90,7 +88,7 @@ def _document(content: Content, shelf: _Shelf) -> dict[str, Any]:
             "state": {"passed": "pass", "shape": "warn"}.get(content.head[1], "fail"),
             "word": content.head[0],
             "sentence": report.verdict(),
-            "failures": [f"{c['id']} {c['subject']}: {c['sentence']}" for c in content.failures],
+            "failures": [f"{c['id']} {c['subject']}: {c['sentence']}" for c in content.checked.failures],
         },
         "tally": ", ".join(f"{n} {state}" for state, n in counts.items()),
         "blocks": [
@@ -118,7 +116,7 @@ def _viewer(content: Content, shelf: _Shelf) -> list[Block]:
 
 def _verdicts(content: Content) -> list[Block]:
     """One line a file: role, verdict, light through it."""
-    if not content.verdicts:
+    if not content.checked.verdicts:
         return []
     head = ["verdict", "file", "role", "rms / mrad", "limit"]
     rows = [
@@ -129,7 +127,7 @@ def _verdicts(content: Content) -> list[Block]:
             f["rms"],
             f["limit"],
         ]
-        for f in content.verdicts
+        for f in content.checked.verdicts
     ]
     return [{"kind": "table", "widths": [2, 6, 2, 0, 0], "head": head, "rows": rows, "numbers": [3, 4]}]
 
@@ -151,9 +149,7 @@ def _figure(shelf: _Shelf, name: str, data: str | bytes, caption: str, width: in
 def _table(
     head: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int] = (), wide: int = -1
 ) -> Block:
-    """A table; columns in `numbers` are set flush right, the one called `wide` takes the room that is
-    left.
-    """
+    """A table; columns in `numbers` are set flush right, the one called `wide` takes the remaining room."""
     wide = wide % len(head)
     return {
         "kind": "table",
@@ -171,8 +167,8 @@ def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
         (about, line.name, line.text, line.unit) for about, lines in content.fabrication for line in lines
     ]
     blocks: list[Block] = [_heading("Fabrication"), _table(("", "", "", "unit"), rows, (2,), 1)]
-    if content.files:
-        files = [(f["name"], f["bytes"], f["size"], f["sha256"]) for f in content.files]
+    if content.checked.files:
+        files = [(f["name"], f["bytes"], f["size"], f["sha256"]) for f in content.checked.files]
         blocks += [_heading("Files", 2), _table(("file", "bytes", "holds", "sha256"), files, (1, 2))]
     blocks += [
         _heading("Orientation", 2),
@@ -200,7 +196,7 @@ def _item(shelf: _Shelf, name: str, data: str | bytes, caption: str, alt: str) -
 
 def _checks(content: Content) -> list[Block]:
     blocks = [_heading("Checks")]
-    for title, rows in content.groups:
+    for title, rows in content.checked.groups:
         lines = [
             (
                 {"state": c["state"], "text": c["word"]},
@@ -219,7 +215,9 @@ def _checks(content: Content) -> list[Block]:
             _heading(title, 2),
             _table(("", "check", "value", "limit", "unit", "what it says"), lines, (2, 3)),
         ]
-    return blocks + ([{"kind": "text", "text": f"{content.process}."}] if content.process else [])
+    return blocks + (
+        [{"kind": "text", "text": f"{content.checked.process}."}] if content.checked.process else []
+    )
 
 
 def _asked(content: Content) -> list[Block]:
@@ -340,7 +338,7 @@ def _rest(content: Content, shelf: _Shelf) -> list[Block]:
             _heading("What the source text says that cannot hold"),
             {"kind": "list", "lines": list(report.design.notes)},
         ]
-    again = f"Versions: {content.versions}. Design sha256 {report.design.sha256}."
+    again = f"Versions: {content.checked.versions}. Design sha256 {report.design.sha256}."
     return [
         *blocks,
         _heading("How to reproduce"),

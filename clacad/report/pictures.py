@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
 COLOURS = ((0.36, 0.60, 0.80), (0.42, 0.70, 0.52), (0.7, 0.6, 0.4))
 LONGEST = 3.0
-"""Depth over width of the shown piece beyond which the gap between the bodies is drawn shorter, with a
-note."""
+"""Depth over width of the shown piece beyond which the gap between bodies is drawn shorter, with a note."""
 MOST_CELLS = 7
 PICTURE = (720, 400)
 
@@ -220,8 +219,7 @@ EFFECTS = ("ghosts",)
 """Effects shown here; the plan of the report lists what the others would change."""
 
 INSIDE = 0.35
-"""Part of the half field of view that the sheet fills as the eye sees it, if that can be had from 4 to 60
-widths."""
+"""Part of the half field of view that the sheet fills for the eye, if possible from 4 to 60 widths."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,9 +348,7 @@ def _in_field(design: Design, window: Window) -> tuple[_Viewpoint, float]:
 def _placed(
     window: Window, eye: tuple[float, float, float], slope: tuple[float, float], behind: float
 ) -> _Viewpoint:
-    """The viewpoint of an eye, its figure `behind` the sheet where a line of that slope through the middle
-    meets it.
-    """
+    """Viewpoint of an eye, its figure `behind` the sheet where a line of that slope through it meets it."""
     height = 0.75 * _width(window) * (behind - eye[2]) / -eye[2]
     return _Viewpoint(eye, (behind * slope[0], window.z_range[1] + behind), height)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.checks.light_kinds import LAW_RMS, THROUGHPUT
@@ -184,9 +185,7 @@ def ghosts(evidence: Evidence) -> str:
 
 
 def viewed(report: Report, window: Window) -> str:
-    """The share of one eye's light that obeys the law, over the sheet: ideal lenses, and the rays that were
-    traced.
-    """
+    """Share of one eye's light that obeys the law, over the sheet: ideal lenses, and the traced rays."""
     viewer = viewer_of(report.design)
     values, (x0, x1, y0, y1) = share_map(window, viewer)
     rays = seen_from(window, viewer, VIEWED_RAYS)
@@ -245,7 +244,7 @@ def _stack(panel: Any, found: Attribution) -> None:
         right, left = (right + share, left) if share >= 0 else (right, left + share)
     panel.axvline(1e3 * found.rms, color=INK, lw=1.0)
     panel.set_yticks([0], ["shares"])
-    panel.set_xlabel(f"shares, mrad: they add up to the whole, {1e3 * found.rms:.4g} (line)")
+    panel.set_xlabel(f"shares, mrad: they add up to the whole, {mrad_text(found.rms, unit='')} (line)")
     panel.grid(axis="y", visible=False)
 
 
@@ -346,9 +345,7 @@ def _map(
 
 
 def _maps(window: Window) -> Floats:
-    """δ_x, δ_y, the greatest step (length) and η_x at points over the sheet, (4, h, w); NaN where no cell is
-    kept.
-    """
+    """δ_x, δ_y, greatest step (length) and η_x at points over the sheet, (4, h, w); NaN without a cell."""
     assert window.cell_laws is not None  # who calls this has looked
     x0, x1, y0, y1 = window.lattice.extent()
     pixel = max(x1 - x0, y1 - y0) / ACROSS

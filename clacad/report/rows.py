@@ -7,17 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.base.polygons import polygon_area
-from clacad.base.text import digits, plainly
+from clacad.base.text import digits, mrad_text, percent_text, plainly
 from clacad.base.units import MONOMIALS, POWER, RAISED, millimetres
 from clacad.checks.design_kinds import RADIUS
 from clacad.checks.light_kinds import IMAGE_POINT, SPOT, VIEWED
-from clacad.effects.registry import declared
+from clacad.effects import declared
 from clacad.exporting.drawing.notes import orientation
 from clacad.sheet.face_order import plates_of
 from clacad.sheet.feasibility import FaceShape
@@ -47,6 +48,10 @@ def number(value: float | str | None, unit: str = "") -> str:
     return plainly(value, unit)[0]
 
 
+def _mrads(*angles: float) -> tuple[str, ...]:
+    return tuple(mrad_text(angle, 3, unit="") for angle in angles)
+
+
 @dataclass(frozen=True, eq=False)
 class LightRows:
     """Rows of tables, made from a report and the measurements in addition to its checks.
@@ -70,9 +75,7 @@ class LightRows:
 
     @property
     def image(self) -> str:
-        """Sentence on the place and width of the image of the design's object point; "" for a sheet without
-        one.
-        """
+        """Sentence on place and width of the image of the design's object point; "" for one without."""
         found = [check.sentence for check in self.report.checks if check.kind in (IMAGE_POINT, SPOT)]
         return "; ".join(found)
 
@@ -81,7 +84,7 @@ class LightRows:
         """Contributions to the direction error, mrad."""
         from clacad.report.figures import budget_rows
 
-        return [(name, f"{1e3 * value:.4g}", what) for name, value, what in budget_rows(self.report)]
+        return [(name, mrad_text(value, unit=""), what) for name, value, what in budget_rows(self.report)]
 
     @property
     def attributions(self) -> list[dict[str, Any]]:
@@ -92,16 +95,9 @@ class LightRows:
                 "cell": f"{found.cell[0]}, {found.cell[1]}",
                 "bundle": found.bundle,
                 "used": f"{found.used} of {found.rays}",
-                "rms": f"{1e3 * found.rms:.4g}",
+                "rms": mrad_text(found.rms, unit=""),
                 "parts": [
-                    (
-                        p.name,
-                        f"{1e3 * p.rms:.3g}",
-                        f"{1e3 * p.half:.3g}",
-                        f"{1e3 * p.worst:.3g}",
-                        f"{1e3 * p.share:+.3g}",
-                        p.meaning,
-                    )
+                    (p.name, *_mrads(p.rms, p.half, p.worst), f"{1e3 * p.share:+.3g}", p.meaning)
                     for p in found.parts
                 ],
             }
@@ -138,9 +134,9 @@ class LightRows:
             (
                 r.rung,
                 r.setting,
-                f"{1e3 * r.model_rms:.3g}",
-                f"{1e3 * r.law_rms:.4g}",
-                f"{100 * r.disagree:.2g}",
+                mrad_text(r.model_rms, 3, unit=""),
+                mrad_text(r.law_rms, unit=""),
+                percent_text(r.disagree, 2, unit=""),
                 f"{1e6 * r.seconds / r.rays:.3g}" if self.timings else f"{us:.2g}",
             )
             for r, us in zip(found.rows, found.forecast, strict=True)
@@ -157,8 +153,8 @@ class LightRows:
                 r.effect,
                 STATES[r.state],
                 r.why,
-                f"{1e3 * r.angle:.3g}" if r.angle else "",
-                f"{100 * r.radiance:.3g}" if r.radiance else "",
+                mrad_text(r.angle, 3, unit="") if r.angle else "",
+                percent_text(r.radiance, unit="") if r.radiance else "",
                 f"×{r.cost:.3g}",
             )
             for r in plan.rows
@@ -187,9 +183,9 @@ class LightRows:
             return "The effects could not be planned: a wavelength lies outside the material's data."
         left = [
             (
-                f"{r.effect} ≤ {1e3 * r.angle:.2g} mrad"
+                f"{r.effect} ≤ {mrad_text(r.angle, 2)}"
                 if r.angle
-                else f"{r.effect} ≤ {100 * r.radiance:.2g} % of the light"
+                else f"{r.effect} ≤ {percent_text(r.radiance, 2)} of the light"
             )
             for r in plan.rows
             if not r.on and r.known and (r.angle or r.radiance) and declared(r.effect).rung is None
@@ -257,43 +253,28 @@ def fabrication(report: Report, sheet: Window | None = None) -> tuple[Fabricatio
 
 def _sheet(window: Window, mm: float) -> list[FabricationLine]:
     """Lines about the array: lattice, pitch, cells, extent, fill, land, outline, displacement."""
-    lattice = window.lattice
+    lattice, line = window.lattice, partial(FabricationLine, "array")
     zone = polygon_area(optical_tile(window)) / lattice.cell_area
     x0, x1, y0, y1 = lattice.extent()
+    square = "square" if lattice.pitch[0] == lattice.pitch[1] else "rectangular"
     lines = [
-        FabricationLine(
-            "array",
-            "lattice",
-            (
-                "hexagonal"
-                if lattice.hexagonal
-                else "square"
-                if lattice.pitch[0] == lattice.pitch[1]
-                else "rectangular"
-            ),
-            "",
-        ),
-        FabricationLine("array", "pitch x, y", tuple(p * mm for p in lattice.pitch)),
-        FabricationLine("array", "cells", cells_text(lattice).replace(" x ", " × "), ""),
-        FabricationLine("array", "extent of the cells x, y", ((x1 - x0) * mm, (y1 - y0) * mm)),
-        FabricationLine("array", "fill: optical zone over cell", (zone,), ""),
+        line("lattice", "hexagonal" if lattice.hexagonal else square, ""),
+        line("pitch x, y", tuple(p * mm for p in lattice.pitch)),
+        line("cells", cells_text(lattice).replace(" x ", " × "), ""),
+        line("extent of the cells x, y", ((x1 - x0) * mm, (y1 - y0) * mm)),
+        line("fill: optical zone over cell", (zone,), ""),
     ]
     if window.land.seam or window.land.border:
-        lines.append(
-            FabricationLine("array", "seam, border", (window.land.seam * mm, window.land.border * mm))
-        )
+        lines.append(line("seam, border", (window.land.seam * mm, window.land.border * mm)))
     if isinstance(lattice.outline, Circle) and lattice.outline != window.outline:
-        clear = (lattice.outline.diameter * mm,)
-        lines.append(FabricationLine("array", "round outline of the cells, diameter", clear))
+        lines.append(line("round outline of the cells, diameter", (lattice.outline.diameter * mm,)))
     if isinstance(window.outline, Circle):
-        lines.append(FabricationLine("array", "round outline, diameter", (window.outline.diameter * mm,)))
+        lines.append(line("round outline, diameter", (window.outline.diameter * mm,)))
     if isinstance(window.outline, Plate):
         lines += _plate(window.outline, mm)
     shift = window.shifts[1]
     if shift != (0.0, 0.0):
-        lines.append(
-            FabricationLine("array", "array 2 against array 1: dx, dy", (shift[0] * mm, shift[1] * mm))
-        )
+        lines.append(line("array 2 against array 1: dx, dy", (shift[0] * mm, shift[1] * mm)))
     return lines
 
 
@@ -302,24 +283,19 @@ def _plate(plate: Plate, mm: float) -> list[FabricationLine]:
     lines = [FabricationLine("array", "plate: straight and round edges", f"{len(plate.loops[0])}", "")]
     for n, hole in enumerate(plate.holes, start=1):
         what = "hole" if hole.purpose == "mount" else "pin hole"
-        lines.append(
-            FabricationLine(
-                "array", f"{what} {n}: x, y, diameter", (hole.x * mm, hole.y * mm, hole.diameter * mm)
-            )
-        )
+        size = (hole.x * mm, hole.y * mm, hole.diameter * mm)
+        lines.append(FabricationLine("array", f"{what} {n}: x, y, diameter", size))
     return lines
 
 
 def _lens(lens: LensFacts, mm: float) -> list[FabricationLine]:
-    about = lens.name
+    line, steepest = partial(FabricationLine, lens.name), np.degrees(np.arccos(min(1.0, lens.least_normal_z)))
     return [
         *_shapes(lens, mm),
-        FabricationLine(about, "sag over the cell", (lens.sag * mm,)),
-        FabricationLine(about, "centre thickness", (lens.thickness * mm,)),
-        FabricationLine(
-            about, "steepest slope", (float(np.degrees(np.arccos(min(1.0, lens.least_normal_z)))),), "deg"
-        ),
-        FabricationLine(about, "fill: lens over its zone", (lens.cover,), ""),
+        line("sag over the cell", (lens.sag * mm,)),
+        line("centre thickness", (lens.thickness * mm,)),
+        line("steepest slope", (float(steepest),), "deg"),
+        line("fill: lens over its zone", (lens.cover,), ""),
     ]
 
 
@@ -345,26 +321,25 @@ def _shapes(lens: LensFacts, mm: float) -> list[FabricationLine]:
 def _body(window: Window, body: BodyFacts, mm: float) -> list[FabricationLine]:
     """Lines about one body: material, thicknesses, edge, neck, volume."""
     built = next(b for b in window.bodies if b.name == body.name)
-    material = built.material
+    material, line = built.material, partial(FabricationLine, body.name)
     named = f"{material.name}, n = {built.index:.6g}" if material is not None else f"n = {built.index:.6g}"
     lines = [
-        FabricationLine(body.name, "material", named, ""),
-        FabricationLine(body.name, "edge thickness, least", (body.edge * mm,)),
-        FabricationLine(body.name, "steps between cells, greatest", (body.step * mm,)),
-        FabricationLine(body.name, "pieces, holes", f"{body.pieces}, {body.holes}", ""),
+        line("material", named, ""),
+        line("edge thickness, least", (body.edge * mm,)),
+        line("steps between cells, greatest", (body.step * mm,)),
+        line("pieces, holes", f"{body.pieces}, {body.holes}", ""),
     ]
     if isfinite(body.neck):
-        lines.insert(2, FabricationLine(body.name, "neck between cells, least", (body.neck * mm,)))
+        lines.insert(2, line("neck between cells, least", (body.neck * mm,)))
     volume = body_volume(window, built)
     if volume is not None:
         cubic = volume.value * mm**3
-        lines.append(FabricationLine(body.name, "volume", (cubic,), "mm³"))
+        lines.append(line("volume", (cubic,), "mm³"))
         mass = grams(built, cubic)
-        lines.append(
-            FabricationLine(body.name, "mass, no density given", "not known", "")
-            if mass is None
-            else FabricationLine(body.name, "mass", (mass,), "g")
-        )
+        if mass is None:
+            lines.append(line("mass, no density given", "not known", ""))
+        else:
+            lines.append(line("mass", (mass,), "g"))
     return lines
 
 

@@ -1,6 +1,4 @@
-"""What our pages share: templates in which every text is escaped, and one script that the policy names by
-its hash.
-"""
+"""What pages share: templates with every text escaped, and one script that the policy names by its hash."""
 
 from __future__ import annotations
 
@@ -16,9 +14,7 @@ HERE = Path(__file__).parent
 
 
 def environment(*folders: Path) -> Environment:
-    """Templates of some folders and of the report, which holds what pages include: head.html.j2 and
-    colours.css.
-    """
+    """Templates of some folders and of the report, which has shared files: head.html.j2, colours.css."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     return Environment(
@@ -31,8 +27,6 @@ def environment(*folders: Path) -> Environment:
 
 
 def one_script(*files: Path) -> tuple[str, str]:
-    """The views' common script and these, in order, as one text; and its SHA-256 as the content policy wants
-    it.
-    """
+    """The views' common script and these, in order, as one text; its SHA-256 as the content policy wants."""
     script = "".join(file.read_text(encoding="utf-8") for file in (HERE / "webgl.js", *files))
     return script, base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")

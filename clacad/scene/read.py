@@ -20,17 +20,6 @@ from clacad.config.toml_text import given_table, parse, read_text
 from clacad.config.value_kinds import Refusal, not_this, shown
 from clacad.scene import sections as keys
 from clacad.scene.rules import SceneError, broken
-from clacad.scene.sections import (
-    SIZES,
-    Animation,
-    Background,
-    Camera,
-    EffectsSpec,
-    Light,
-    Move,
-    SceneObject,
-    SheetSpec,
-)
 
 
 def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
@@ -91,12 +80,7 @@ def put(data: Any, key: str, value: Any) -> Any:
 
 
 def _numbered(data: Any, kind: str, name: str) -> str:
-    """Number, as text, of an object or sheet that is named by its id.
-
-    Raises
-    ------
-    LookupError
-    """
+    """Number, as text, of an object or sheet that is named by its id."""
     found = data.get(kind) if isinstance(data, Mapping) else None
     listed = found if isinstance(found, list) else []
     names = [o.get("id") if isinstance(o, dict) else None for o in listed]
@@ -143,19 +127,16 @@ def _checked(
         return None, reader.mistakes
     for sheet in sheets:
         sheet["set"] = _flat(sheet["set"])
-    in_line = sorted((SheetSpec(**sheet) for sheet in sheets), key=lambda one: one.z)
     fields = {
-        "name": root["name"],
-        "unit": root["unit"],
+        **{name: root[name] for name in ("name", "unit", "notes")},
         "unit_m": float(_metres(reader)),
-        "sheets": tuple(in_line),
-        "camera": Camera(**parts["camera"]),
-        "light": Light(**parts["light"]),
-        "background": Background(**parts["background"]),
+        "sheets": tuple(sorted((keys.SheetSpec(**sheet) for sheet in sheets), key=lambda one: one.z)),
+        "camera": keys.Camera(**parts["camera"]),
+        "light": keys.Light(**parts["light"]),
+        "background": keys.Background(**parts["background"]),
         "objects": objects,
-        "effects": EffectsSpec(**parts["effects"]),
-        "animation": None if still else Animation(**parts["animation"], moves=moves),
-        "notes": root["notes"],
+        "effects": keys.EffectsSpec(**parts["effects"]),
+        "animation": None if still else keys.Animation(**parts["animation"], moves=moves),
         "given": data,
         "source": source,
         "path": path,
@@ -204,7 +185,7 @@ def _flat(table: Mapping[str, Any] | None, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _objects(reader: KeyReader, listed: Any, where: str) -> tuple[SceneObject, ...]:
+def _objects(reader: KeyReader, listed: Any, where: str) -> tuple[keys.SceneObject, ...]:
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
         complaint = (
             "is not a list of tables" if isinstance(listed, list) else not_this(listed, "a list of tables")
@@ -218,11 +199,11 @@ def _objects(reader: KeyReader, listed: Any, where: str) -> tuple[SceneObject, .
     return tuple(one for one in found if one is not None)
 
 
-def _object(reader: KeyReader, table: dict[str, Any], where: str) -> SceneObject | None:
+def _object(reader: KeyReader, table: dict[str, Any], where: str) -> keys.SceneObject | None:
     """One object with the keys of its kind, a group with its parts; None if it has a mistake."""
     kind = table.get("kind")
     before = len(reader.found)
-    parts: tuple[SceneObject, ...] = ()
+    parts: tuple[keys.SceneObject, ...] = ()
     if kind == "group":
         parts = _objects(reader, table.get("parts", []), f"{where}.parts")
         for k, part in enumerate(parts):
@@ -240,14 +221,14 @@ def _object(reader: KeyReader, table: dict[str, Any], where: str) -> SceneObject
     every = {name: values.get(name, key.default) for name, key in keys.OBJECT.items() if name != "parts"}
     every["id"] = every["id"] or where.rsplit(".", 1)[-1]
     every["size"] = every["size"] or ()
-    return SceneObject(**every, parts=parts)
+    return keys.SceneObject(**every, parts=parts)
 
 
 def _refuse_size(reader: KeyReader, values: dict[str, Any], where: str, kind: Any) -> None:
     """Refuse a size without the number of lengths of its kind; one length makes a box a cube."""
-    if not isinstance(kind, str) or kind not in SIZES:
+    if not isinstance(kind, str) or kind not in keys.SIZES:
         return
-    count, words = SIZES[kind]
+    count, words = keys.SIZES[kind]
     size = values.get("size")
     if size is None:
         if not any(m.key.startswith(f"{where}.size") for m in reader.found):
@@ -263,7 +244,7 @@ def _refuse_size(reader: KeyReader, values: dict[str, Any], where: str, kind: An
         reader.refuse("CL106", message, f"{where}.size", allowed=f"lengths > 0: {words}")
 
 
-def _moves(reader: KeyReader, listed: Any, data: dict[str, Any]) -> tuple[Move, ...]:
+def _moves(reader: KeyReader, listed: Any, data: dict[str, Any]) -> tuple[keys.Move, ...]:
     if listed is None:
         return ()
     if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
@@ -274,7 +255,7 @@ def _moves(reader: KeyReader, listed: Any, data: dict[str, Any]) -> tuple[Move, 
     return tuple(one for one in found if one is not None)
 
 
-def _move(reader: KeyReader, table: dict[str, Any], where: str, data: dict[str, Any]) -> Move | None:
+def _move(reader: KeyReader, table: dict[str, Any], where: str, data: dict[str, Any]) -> keys.Move | None:
     """One animated key with its times and values; None if it has a mistake."""
     before = len(reader.found)
     values = reader.table(where, table, keys.MOVE)
@@ -311,4 +292,4 @@ def _move(reader: KeyReader, table: dict[str, Any], where: str, data: dict[str, 
             put(data, values["key"], 0.0)
         except LookupError as problem:
             refuse("CL118", f".key = {shown(values['key'])}: {problem.args[0]}", "key")
-    return None if len(reader.found) > before else Move(values["key"], times, steps, values["ease"])
+    return None if len(reader.found) > before else keys.Move(values["key"], times, steps, values["ease"])

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.toml_text import folder_of, outside
-from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
+
+if TYPE_CHECKING:
+    from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
 
 
 class SceneError(DesignError):

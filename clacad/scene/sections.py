@@ -99,8 +99,7 @@ class SheetSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """Section [camera]: pinhole, or an opening of finite diameter, in front of the sheet. Lengths in scene
-    units.
+    """Section [camera]: pinhole, or an opening of finite diameter, before the sheet; scene units.
 
     `frame` None: given by `fov`, in radians; `focus` None: the target's distance. `samples` are rays per
     pixel; where `noise` > 0 requires more, up to `most_samples`.
@@ -165,9 +164,7 @@ class Light:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """Section [background]: sky, linear in elevation from the second colour (horizon) to the first (zenith),
-    and ground.
-    """
+    """Section [background]: sky, linear in elevation from horizon (second) to zenith, and ground."""
 
     sky: tuple[Rgb, Rgb] = keys.key(
         Several(ColourValue(), ("zenith", "horizon")),

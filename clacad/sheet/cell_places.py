@@ -92,6 +92,39 @@ class CellPlacement:
         return x0 * gx + sx, x1 * gx + sx, y0 * gy + sy, y1 * gy + sy
 
 
+class PlacedArrays:
+    """Cells of several arrays; a `Window` is a sheet of them.
+
+    Attributes
+    ----------
+    lattice : Lattice
+    placements : tuple of CellPlacement, one per array
+    """
+
+    lattice: Lattice
+    placements: tuple[CellPlacement, ...]
+
+    @property
+    def shifts(self) -> tuple[Pair2, ...]:
+        """Displacement (x, y) of the cells of each array relative to the lattice, lengths."""
+        return tuple(place.shift for place in self.placements)
+
+    def lattice_of(self, array: int) -> Lattice:
+        """Pattern of the cells of an array about its own centre; `lattice` decides which cells exist."""
+        return self.placements[array].lattice(self.lattice)
+
+    def centres(self, array: int, index: Ints) -> Floats:
+        """Centres (..., 2) of the cells `index` (..., 2) of an array, sheet frame, lengths."""
+        return np.asarray(self.lattice_of(array).centres(index) + np.asarray(self.placements[array].shift))
+
+    def locate(self, array: int, x: Floats, y: Floats) -> tuple[Ints, Floats, Floats]:
+        """Cell (n, 2) of an array that contains each sheet point, and the point from its centre, (n,) each,
+        lengths.
+        """
+        dx, dy = self.placements[array].shift
+        return self.lattice_of(array).locate(x - dx, y - dy)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LensPlaces:
     """Positions and sizes of the lenses of given cells, relative to the one lens that a face describes.

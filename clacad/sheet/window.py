@@ -26,7 +26,7 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.surface.intersection import meet
 from clacad.optics.surface.roots import upright_sag
 from clacad.optics.surface.sag_and_normal import Biconic, EvenPolynomial, Quadric, other_side, resized
-from clacad.sheet.cell_places import CellLaws, CellPlacement, LensPlaces, VertexChange
+from clacad.sheet.cell_places import CellLaws, CellPlacement, LensPlaces, PlacedArrays, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle, grown
 from clacad.sheet.pattern import turned
 
@@ -275,7 +275,7 @@ class Baffle:
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class Window(PlacedArrays):
     """The whole sheet: bodies in the order light reaches them, and the lattice they repeat on.
 
     Attributes
@@ -352,11 +352,6 @@ class Window:
         return self.form in ("slab", "plates")
 
     @property
-    def shifts(self) -> tuple[tuple[float, float], ...]:
-        """Displacement (x, y) of the cells of each array relative to the lattice, lengths."""
-        return tuple(place.shift for place in self.placements)
-
-    @property
     def level_and_straight(self) -> bool:
         """Whether every array lies along the sheet's axes and each face has lenses of one size at one
         height.
@@ -376,14 +371,6 @@ class Window:
         """Whether all cells of each array, and the displacements of their partners, are identical."""
         own = any(place.own for place in self.placements)
         return not own and self.cell_laws is None and all(face.change is None for face in self.faces)
-
-    def lattice_of(self, array: int) -> Lattice:
-        """Pattern of the cells of an array about its own centre; `lattice` decides which cells exist."""
-        return self.placements[array].lattice(self.lattice)
-
-    def centres(self, array: int, index: Ints) -> Floats:
-        """Centres (..., 2) of the cells `index` (..., 2) of an array, sheet frame, lengths."""
-        return np.asarray(self.lattice_of(array).centres(index) + np.asarray(self.placements[array].shift))
 
     def vertices(self, face: Face, index: Ints) -> Floats:
         """Apexes (..., 3) of a face's lenses in the cells `index` (..., 2): x, y from the cell's centre, z
@@ -412,13 +399,6 @@ class Window:
         """
         laws = CellLaws(self.law) if self.cell_laws is None else self.cell_laws
         return laws.law_at(self.lattice, index)
-
-    def locate(self, array: int, x: Floats, y: Floats) -> tuple[Ints, Floats, Floats]:
-        """Cell (n, 2) of an array that contains each sheet point, and the point from its centre, (n,) each,
-        lengths.
-        """
-        dx, dy = self.placements[array].shift
-        return self.lattice_of(array).locate(x - dx, y - dy)
 
     def seen_by_lens(self, face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Sheet points, (n,) each, in the frame of their cell, mapped to the lens at `Face.vertex`,
@@ -504,11 +484,10 @@ def optical_tile(window: Window, array: int = 0) -> Floats:
     the tile without seam/2 along every border, (m, 2), lengths.
     """
     lattice = window.lattice_of(array)
-    tile = lattice.tile()
-    half = lattice.half_widths
-    seam = window.land.seam
+    tile, seam = lattice.tile(), window.land.seam
     if seam == 0.0:
         return tile
+    half = lattice.half_widths
     if lattice.hexagonal:
         return np.asarray(tile * (1.0 - 0.5 * seam / half[0]))
     zone = lattice.straight.tile() * np.array([1.0 - 0.5 * seam / half[0], 1.0 - 0.5 * seam / half[1]])

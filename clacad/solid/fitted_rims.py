@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.polygons import within
-from clacad.base.roots import sign_changes
+from clacad.base.sign_changes import sign_changes
 from clacad.base.types import Floats
 from clacad.sheet.window import Face, lens_height_and_normal
 from clacad.solid.face_pattern import SNAP, Kind, Pattern, Proud

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clacad.base.roots import sign_changes
+from clacad.base.sign_changes import sign_changes
 from clacad.base.types import Floats
 from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.rational_conics import Arc

@@ -1,10 +1,9 @@
-"""Files of a stack: one STEP assembly, one GLB; every sheet is read back in its own frame and compared with
-its design.
-"""
+"""Files of a stack: one STEP assembly, one GLB; every sheet is read back and compared with its design."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,42 +68,21 @@ class StackAssembly:
 
     def _step(self) -> FileRecord:
         """Write the STEP assembly, in the worker."""
-        path, run = self.stage.path(f"{NAME}.step"), self.worker.run
+        path = self.stage.path(f"{NAME}.step")
+        run = partial(self.worker.run, timeout=SECONDS, progress=self.progress)
         self.progress(f"write {path.name}", 0.0)
         placed = [(one.id, one.window, one.z * self._mm) for one in self.stack.sheets]
-        written = run(
-            "clacad.stacking.assembly:write",
-            placed,
-            NAME,
-            str(path),
-            self.step,
-            timeout=SECONDS,
-            progress=self.progress,
-        )
+        written = run("clacad.stacking.assembly:write", placed, NAME, str(path), self.step)
         checks: set[str] = set()
         for number, (one, place) in enumerate(zip(self.stack.sheets, places(self.stack), strict=True)):
             self.progress(f"read back {path.name}", (number + 1) / (len(self.stack.sheets) + 1))
-            found = run(
-                "clacad.exporting.step_record:read",
-                str(path),
-                one.window,
-                place,
-                timeout=SECONDS,
-                progress=self.progress,
-            )
-            agreed = compare_step(
-                written["sheets"][number],
-                found,
-                one.window,
-                _volume(one.window),
-                f"{path.name}, sheet {one.id}",
-            )
+            found = run("clacad.exporting.step_record:read", str(path), one.window, place)
+            own, name = written["sheets"][number], f"{path.name}, sheet {one.id}"
+            agreed = compare_step(own, found, one.window, _volume(one.window), name)
             checks = set(agreed) if not number else checks & set(agreed)
         facts = {
             "mode": "assembly",
-            "schema": written["schema"],
-            "solids": written["solids"],
-            "faces": written["faces"],
+            **{key: written[key] for key in ("schema", "solids", "faces")},
             "sheets": [_told(sheet) for sheet in written["sheets"]],
             "float": "f64",
         }

@@ -174,9 +174,7 @@ def _couples(matrix: Floats) -> bool:
 
 
 def _growth(one: StackedSheet) -> Floats:
-    """Growth of a sheet's offset δ over it (2, 2), sheet axes, one over a length of the stack; 0 of a
-    homogeneous law.
-    """
+    """Growth of a sheet's offset δ over it (2, 2), sheet axes, 1/length; 0 if homogeneous."""
     laws = one.window.cell_laws
     if laws is None:
         return np.zeros((2, 2))

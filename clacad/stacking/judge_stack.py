@@ -1,6 +1,4 @@
-"""Verify the files of a stack: every sheet as a master of its design, and light through all sheets
-together.
-"""
+"""Verify the files of a stack: every sheet as a master of its design, and light through all."""
 
 from __future__ import annotations
 
@@ -40,6 +38,9 @@ MARGIN = 0.6
 """Distance (pitches) around the rays within which faces are read."""
 
 
+REMEDY = "`clacad stack … -o DIR` writes them"
+
+
 def judge_stack(
     stack: Stack, designs: Sequence[Design], files: Path, field: float, progress: Progress
 ) -> list[Check]:
@@ -48,8 +49,7 @@ def judge_stack(
     Parameters
     ----------
     stack : Stack
-    designs : sequence of Design
-        Of its sheets.
+    designs : sequence of Design, of its sheets
     files : Path
         The folder, or one of its files.
     field : float, radians
@@ -67,20 +67,17 @@ def judge_stack(
     wanted = [files] if files.is_file() else [folder / name for name in sorted(stated)]
     subjects = [path for path in wanted if path.suffix.lower() in (".step", ".stp", ".glb")]
     if not subjects:
-        raise BadRequest(
-            f"{files}: there is no STEP or GLB file of a stack; `clacad stack … -o DIR` writes them"
-        )
+        raise BadRequest(f"{files}: there is no STEP or GLB file of a stack; {REMEDY}")
     checks: list[Check] = []
     for path in subjects:
         entry = stated.get(path.name, {})
         if not path.is_file():
-            checks.append(
-                unreadable(FileNotFoundError(f"{path} is not there"), where="file", subject=path.name)
-            )
+            gone = FileNotFoundError(f"{path} is not there")
+            checks.append(unreadable(gone, where="file", subject=path.name))
             continue
         checks += _same_bytes(path, entry)
         if path.suffix.lower() == ".glb":
-            checks += [_judge_facets(one, path, entry) for one in [stack]]
+            checks.append(_judge_facets(stack, path, entry))
         else:
             checks += _judge_faces(stack, designs, path, entry, field, progress)
     return checks
@@ -169,9 +166,7 @@ def _through_exact(stack: Stack, field: float) -> tuple[Rays, StackTrace]:
 
 
 def _column(stack: Stack, exact: StackTrace) -> tuple[Floats, Floats]:
-    """Column of x and y, low (2,) and high (2,), that holds all cells rays go through, lengths of the
-    stack.
-    """
+    """Column of x and y, low (2,) and high (2,), that holds all cells rays go through, stack's lengths."""
     corners = []
     for one, (_, result) in zip(stack.sheets, exact.passed, strict=True):
         window = one.window

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from clacad.base.machine_rates import Rates, Span, total
 from clacad.base.types import Pair2, Progress, Rung, silent
@@ -71,7 +71,7 @@ class StackRequest:
         Replace files of another origin; ignore the limits of size.
     mesh_light : bool
         Trace rung mesh too, with `quads` facets along a cell side.
-    ids : tuple of str or None
+    ids : sequence of str or None
         Names of the sheets; None: a, b, c, …
     """
 
@@ -86,7 +86,7 @@ class StackRequest:
     overwrite: bool = False
     force: bool = False
     mesh_light: bool = False
-    ids: tuple[str, ...] | None = None
+    ids: Sequence[str] | None = None
     zone: Pair2 | None = None
 
 
@@ -169,9 +169,7 @@ def refuse(standing: Stack, asked: StackRequest, folder: Path) -> None:
 
 
 RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
-"""Rungs on which the light of a stack is measured; facets are optional, since they take longer than all of
-these.
-"""
+"""Rungs on which the light of a stack is measured; facets, slower than all of them, are optional."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,23 +228,30 @@ class Stacked:
         }
 
 
+class StackOptions(TypedDict, total=False):
+    """Options of a stack, by keyword; the fields of the same names of `StackRequest`."""
+
+    field: float | None
+    object_distance: float | None
+    rays: int
+    cells: tuple[int, int] | None
+    quads: int
+    step: Mode
+    overwrite: bool
+    force: bool
+    mesh_light: bool
+    ids: Sequence[str] | None
+    zone: Pair2 | None
+
+
 def stack(
     designs: Sequence[Design],
     gaps: float | Sequence[float] = (),
     out: str | os.PathLike[str] | None = None,
     formats: Sequence[str] = FORMATS,
-    field: float | None = None,
-    object_distance: float | None = None,
-    rays: int = 65536,
-    cells: tuple[int, int] | None = None,
-    quads: int = QUADS,
-    step: Mode = "auto",
-    overwrite: bool = False,
-    force: bool = False,
-    mesh_light: bool = False,
-    ids: Sequence[str] | None = None,
+    *,
     progress: Progress | None = None,
-    zone: Pair2 | None = None,
+    **options: Unpack[StackOptions],
 ) -> Stacked:
     """Stack sheets, measure the light through all of them, and write the assembly.
 
@@ -258,10 +263,11 @@ def stack(
         Clear distances between the solids of neighbours, in the unit of the first design.
     out : path or None
         Folder for stack.step, stack.glb, stack.json and manifest.json; None: nothing is written.
-    formats, field, object_distance, rays, cells, quads, step, overwrite, force, mesh_light, ids, zone
-        The fields of `clacad.stacking.StackRequest`, one by one.
+    formats : sequence of "step" and "glb"
     progress : callable or None
         Called with a stage's name and the part done.
+    field, object_distance, rays, cells, quads, step, overwrite, force, mesh_light, ids, zone
+        The fields of `clacad.stacking.StackRequest`, by keyword.
 
     Raises
     ------
@@ -270,22 +276,8 @@ def stack(
     DesignError, LimitRefused, UnknownFormat, ExportRefused, CannotWrite, FileDisagrees, WorkerDied
         Nothing was published; the message gives the reason.
     """
-    many = (gaps,) if isinstance(gaps, int | float) else tuple(gaps)
-    asked = StackRequest(
-        gaps=tuple(float(gap) for gap in many),
-        formats=tuple(formats),
-        field=field,
-        object_distance=object_distance,
-        rays=rays,
-        cells=cells,
-        quads=quads,
-        step=step,
-        overwrite=overwrite,
-        force=force,
-        mesh_light=mesh_light,
-        ids=None if ids is None else tuple(ids),
-        zone=zone,
-    )
+    many = (gaps,) if isinstance(gaps, int | float) else gaps
+    asked = StackRequest(tuple(float(gap) for gap in many), tuple(formats), **options)
     return run_stack(designs, asked, out, progress)
 
 

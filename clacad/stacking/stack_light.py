@@ -91,9 +91,7 @@ def launched(stack: Stack, rays: int, field: float) -> Rays:
 
 
 def started(stack: Stack, place: Floats, slope: Floats) -> Rays:
-    """Rays that cross the first lens plane at places (n, 2) with slopes (n, 2), starting before the
-    material.
-    """
+    """Rays that cross the first lens plane at places (n, 2) with slopes (n, 2), from before the material."""
     first = stack.sheets[0]
     level = first.lens_planes[0]
     back = level - first.span[0] + first.scale * max(first.window.lattice.pitch)
@@ -225,11 +223,7 @@ class StackLight:
 
 
 def measure_light(
-    tracers: Sequence[StackTracer],
-    rays: int,
-    field: float,
-    progress: Progress,
-    zone: Pair2 | None = None,
+    tracers: Sequence[StackTracer], rays: int, field: float, progress: Progress, zone: Pair2 | None = None
 ) -> tuple[StackLight, ...]:
     """Trace the same rays on several rungs and measure the light.
 
@@ -269,9 +263,7 @@ def measure_light(
 
 @dataclass(frozen=True, eq=False)
 class _Sent:
-    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, and the number of lit
-    cells.
-    """
+    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, and number of lit cells."""
 
     place: Floats
     slope: Floats
@@ -321,9 +313,7 @@ def _at_last_plane(stack: Stack, found: StackTrace) -> Floats:
 
 
 def _strayed(stack: Stack, found: StackTrace) -> Bools | None:
-    """Rays known to have left their telescopelet in some sheet, in x and in y (n, 2); None where x and y
-    mix.
-    """
+    """Rays known to have left their telescopelet in some sheet, in x and y (n, 2); None where x and y mix."""
     if not all(_parted(one) for one in stack.sheets):
         return None
     strayed = np.zeros((len(found), 2), dtype=bool)

@@ -496,9 +496,7 @@ def _publishing(folder: Path) -> Iterator[None]:
 
 
 def _dropped(private: Path, folder: Path) -> list[str]:
-    """Names of unchanged files of the previous export that the new one does not list and that must be
-    removed.
-    """
+    """Names of unchanged files of the previous export that the new one does not list, to be removed."""
     old = read_manifest(folder) or read_manifest(private, OLD + MANIFEST)
     if old is None:
         return []

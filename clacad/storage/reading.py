@@ -24,7 +24,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import IO, Protocol
 
-from clacad.base.untrusted_files import BUDGETS, MEGABYTE
+from clacad.base.text import size_in
+from clacad.base.untrusted_files import BUDGETS
 from clacad.storage.errors import OverBudget, UnreadableFile
 
 LONGEST_LINE = 1 << 16
@@ -114,7 +115,7 @@ class Spending:
         most = self.budget.seconds_for(self.size)
         if seconds > most:
             raise self._refusal(
-                f"reading its {self.size / MEGABYTE:.3g} MB took more than {most:.3g} s of processor time"
+                f"reading its {size_in(self.size, 'MB', '.3g')} took more than {most:.3g} s of processor time"
                 f"{at and ', ' + at}"
             )
 

@@ -16,9 +16,7 @@ OLD = "~"
 
 
 class Unfinished(OSError):
-    """A publication that could be neither completed nor undone; the next export into the folder finishes
-    it.
-    """
+    """A publication neither completed nor undone; the next export into the folder finishes it."""
 
 
 def exchange(

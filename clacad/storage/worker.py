@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import clacad
+from clacad.base.text import size_in
 from clacad.storage import errors
 from clacad.storage.errors import WorkerDied
 
@@ -249,9 +250,7 @@ class Worker:
             self._errors.close()
 
     def _messages(self, deadline: float | None, timeout: float | None) -> Iterator[dict[str, Any]]:
-        """The child's messages as they arrive; ends with an exception at the deadline (monotonic s) or
-        before.
-        """
+        """The child's messages as they arrive; raises at the deadline (monotonic s) or before."""
         while True:
             line, newline, rest = self._pending.partition(b"\n")
             if newline:
@@ -315,8 +314,8 @@ def _cause(
     peak : bytes; limits : (bytes, seconds of processor time)
     """
     memory, cpu = limits
-    at = f" at about {peak / 1e9:.1f} GB" if peak else ""
-    limit = "" if memory is None else f" (limit {memory / 1e9:.1f} GB)"
+    at = f" at about {size_in(peak, 'GB')}" if peak else ""
+    limit = "" if memory is None else f" (limit {size_in(memory, 'GB')})"
     starved = memory is not None and (peak > 0.5 * memory or _wanted_memory(words))
     if status == -signal.SIGXCPU or (status == -signal.SIGKILL and cpu is not None and not starved):
         return f"the worker process used up its {cpu} s of processor time (stage: {stage})", True
@@ -410,9 +409,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _again(number: int) -> None:
-    """Interrupt the main thread from another thread, after it has left the code that dropped the
-    exception.
-    """
+    """Interrupt the main thread from another thread, after the code that dropped the exception has ended."""
     timer = threading.Timer(AGAIN, _signal_main_thread, (number,))
     timer.daemon = True
     timer.start()

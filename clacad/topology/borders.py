@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from clacad.base.arrays import distinct
-from clacad.base.roots import sign_changes
+from clacad.base.sign_changes import sign_changes
 from clacad.base.types import Bools, Floats
 from clacad.sheet.window import PLANE, Body, Face, Window
 from clacad.topology.complex_parts import SIDES, Border, HeightProfile, Part, Side, Stretch

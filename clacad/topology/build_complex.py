@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.arrays import unique_rows
-from clacad.base.roots import bisect
+from clacad.base.sign_changes import bisect
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.grid_steps import one_tiling
 from clacad.sheet.pattern import node_cells

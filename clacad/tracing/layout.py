@@ -173,9 +173,7 @@ class Prepared(dict[str, Any]):
 
 
 def prepared(thing: Window | Layout) -> Prepared:
-    """Data derived from a window or a layout. They end with it: a layout refers to its window, so that a map
-    of weak references would hold both forever.
-    """
+    """Data derived from a window or a layout, ended with it; weak references would hold both forever."""
     found: Prepared = thing.__dict__.setdefault("_prepared", Prepared())
     return found
 
@@ -282,9 +280,7 @@ class SampledCell(NamedTuple):
 
 
 def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
-    """A body as the tracer needs it: bounds from heights sampled over its cells, lengths over its own
-    level.
-    """
+    """Body as the tracer needs it: bounds from heights sampled over its cells, lengths over its own level."""
     level = body.front.vertex[2]
     cells = _farthest_cells(window, body)
     before, after = (_seen_by(window, face, sampled, cells) for face in (body.front, body.back))
@@ -333,17 +329,13 @@ def _covered(gap: Floats, bend: float, spacing: float) -> bool:
 
 
 def _farthest_cells(window: Window, body: Body) -> Ints | None:
-    """Cells (m, 2) whose lenses have the largest offsets from the faces' vertices; None where all are
-    alike.
-    """
+    """Cells (m, 2) with the largest offsets of lenses from the faces' vertices; None where all are alike."""
     found = [outermost_cells(window, face) for face in (body.front, body.back) if face.change is not None]
     return np.unique(np.concatenate(found), axis=0) if found else None
 
 
 def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | None) -> SampledCell:
-    """Sample points of a face's cell, as seen by the lens at its vertex, or by the lenses of all `cells` (m,
-    2).
-    """
+    """Sample points of a face's cell from the lens at its vertex, or by the lenses of all `cells` (m, 2)."""
     if face.array is None:
         return sampled
     if window.placements[face.array].own:

@@ -75,9 +75,7 @@ class Ledger:
             return np.flatnonzero((self.fate == Fate.MISSED) & (self.direction[:, 2] > 0.0))
 
     def record(self, face: int, rows: Rows, position: Floats, direction: Floats) -> None:
-        """Record where k rays met a face and their directions behind it, (k, 3) each; later faces repeat them
-        until met.
-        """
+        """Record where k rays met a face and directions behind it, (k, 3); later faces repeat them."""
         if len(self.hits):
             self.hits[face:, rows] = position
             self.directions[face:, rows] = direction

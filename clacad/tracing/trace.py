@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from clacad.tracing.facets.tiles import Normals
     from clacad.tracing.facets.triangle_soup import AnyMesh, Facets
 
+Precision = Literal["float64", "float32"]
+
 ONLY_BARE = 'precision "float32" is for rung "surfaces", compiled, with no effects and no record'
 """Message for single precision requested elsewhere."""
 
@@ -60,7 +62,7 @@ class SheetTracer:
     normals: Normals = "facet"
     threads: int | None = None
     path: Path | None = None
-    precision: Literal["float64", "float32"] = "float64"
+    precision: Precision = "float64"
     continuous: bool = False
     facets: Facets | None = field(init=False, repr=False, default=None)
 
@@ -139,9 +141,7 @@ class SheetTracer:
         return "numba" if compiled_suits(self.rung, self.path, rays, faces, lay_out(self.window)) else "numpy"
 
     def _tiles_in_numpy(self, rays: int, faces: int) -> bool:
-        """Whether numpy traces a number of rays through a sheet's own mesh: as requested, or because they are
-        few.
-        """
+        """Whether numpy traces a number of rays through a sheet's own mesh: if requested, or if few."""
         if self.facets is None or not isinstance(self.facets.found_in, Tiles):
             return False
         return self.path == "numpy" or (self.path == "size" and not worth_compiled(rays, faces))

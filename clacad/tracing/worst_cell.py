@@ -162,9 +162,7 @@ def _as_seen(window: Window, cells: Ints) -> list[SeenCell]:
 
 
 def _screened(window: Window, field: float) -> Ints:
-    """The cells (WORST, 2) through which few rays leave farthest from the law, or get lost; kept with the
-    window.
-    """
+    """The cells (WORST, 2) through which few rays leave farthest from the law, or get lost; kept."""
     kept = _SCREENED.setdefault(window, {})
     if field not in kept:
         every = _as_seen(window, window.lattice.cells())
@@ -193,10 +191,7 @@ def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
 
 
 def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, TraceResult]:
-    """Trace `count` rays through every tried cell of a sheet; the result is without the effect of the
-    requested
-    focus.
-    """
+    """Trace `count` rays through every tried cell of a sheet; the result is without the requested focus."""
     starts, rays, points = [], [], []
     for one in tried:
         lit = bundle(one.like, count, field)

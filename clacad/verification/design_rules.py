@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.text import count_text, digits
+from clacad.base.text import count_text, digits, mrad_text, percent_text
 from clacad.checks.check import DEFAULT, NEAR, Check, CheckKind, State, accepted, found_by
 from clacad.checks.design_kinds import (
     CLEARANCE,
@@ -95,9 +95,7 @@ def _in_outer_cells(built: Built) -> tuple[Check, ...]:
 
 
 def _priced(check: Check) -> Check:
-    """Fail the check of steps between neighbours of a non-uniform sheet where the process cannot make
-    them.
-    """
+    """Fail the check of steps between neighbours of a non-uniform sheet that the process cannot make."""
     if check.kind is not WALL or check.state != "warn":
         return check
     sentence, _, _ = check.sentence.rpartition("; ")
@@ -179,9 +177,7 @@ def _cover(built: Built, lens: LensFacts) -> Check:
 
 
 def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
-    """Text of the values that cover the cell, found by building windows, since the radii follow the
-    thickness.
-    """
+    """Text of the values that cover the cell, by building windows: the radii follow the thickness."""
     if not (isfinite(lens.least_thickness) and lens.least_thickness > 0.0):
         return "No thickness covers it at these radii: a smaller pitch or a larger separation would"
     ways = [f"thickness >= {_round_up(lens.least_thickness)}"]
@@ -377,17 +373,15 @@ def fresnel_number(built: Built) -> Iterator[Check]:
         return
     if value < limit:
         sentence += (
-            f": diffraction blurs as much as {1e3 * max(facts.diffraction_blur):.3g} mrad, and takes up to "
+            f": diffraction blurs as much as {mrad_text(max(facts.diffraction_blur), 3)}, and takes up to "
         )
-        sentence += f"{100.0 * max(facts.viewing.lost):.2g} % of the light to other cells, along that axis"
+        sentence += f"{percent_text(max(facts.viewing.lost), 2)} of the light to other cells, along that axis"
     state: State = "warn" if value < limit else "pass"
     yield FRESNEL_NUMBER.check(state, sentence, value, limit)
 
 
 def orders(built: Built) -> Iterator[Check]:
-    """Judge the deviation of coherent light from the law: half a step of the grating that identical cells
-    form.
-    """
+    """Judge the deviation of coherent light from the law: half a step of the grating of identical cells."""
     design, window = built.design, built.window
     if not design.light.coherent:
         return

@@ -16,7 +16,7 @@ import numpy as np
 
 from clacad.base.text import plain
 from clacad.base.types import Floats, Progress
-from clacad.effects.registry import declared_all
+from clacad.effects import declared_all
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.like_cell import interfaces
@@ -169,9 +169,7 @@ def _of_lens(window: Window, number: int) -> list[Interface]:
 
 
 def _fan(window: Window, faces: Sequence[Interface], middle: Floats, axis: int, way: float) -> Fan:
-    """Trace rays along the lens axis in one meridian through one lens; forwards (way +1) or backwards
-    (−1).
-    """
+    """Trace rays along the lens axis in one meridian through one lens; way +1: forwards, −1: backwards."""
     turn = window.thin.rotation
     across, along = turn[:, axis], turn[:, 2]
     half = PART * min(window.lattice.half_widths)
@@ -222,8 +220,7 @@ class Evidence:
         None where the effects cannot be planned (a wavelength outside a material's data).
     waves : WaveReport or None
         Light along the middle of the field as a wave, where the effect `diffraction` or coherent light
-        requires it and
-        a grid that can be computed suffices.
+        requires it and a grid that can be computed suffices.
     """
 
     attributions: tuple[Attribution, ...]
@@ -250,9 +247,7 @@ class Evidence:
 def gather_evidence(
     design: Design, window: Window, files: Sequence[FileReport], progress: Progress
 ) -> Evidence:
-    """Measure what the page of a report shows next to its checks; for a non-uniform sheet, of its worst
-    cell's equivalent.
-    """
+    """Measure what a page shows next to its checks; of the worst cell's equivalent if non-uniform."""
     from clacad.effects import plan_effects
 
     if not window.uniform:

@@ -1,8 +1,7 @@
 """Design rules of a process: limits of the tool, the mould, the light or the printer, and of the part.
 
-In one cell the limits give warnings, with numbers; a design file can accept a warning with a reason:
-`[check] allow`. Of the whole part: whether the process can work its material, and whether it fits the
-machine.
+In one cell the limits give warnings, with numbers; a design file can accept a warning with a reason: `[check]
+allow`. Of the whole part: whether the process can work its material, and whether it fits the machine.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from dataclasses import dataclass, replace
 from math import degrees, inf, pi
 from typing import TYPE_CHECKING
 
+from clacad.base.text import percent_text
 from clacad.checks.check import DESIGN_FILE, NEAR, Check, CheckKind, LimitSource, from_profile
 from clacad.checks.design_kinds import (
     ASPECT,
@@ -111,8 +111,8 @@ def _rules_of_shape(built: Built) -> Iterator[Check]:
     if tool > 0.0:
         seen = groove(window, tool)
         text = (
-            f"a nose radius of {tool:.4g} {unit} leaves {100 * seen.value:.3g} % of a cell's width rounded at"
-            f" {seen.what}"
+            f"a nose radius of {tool:.4g} {unit} leaves {percent_text(seen.value)} of a cell's width rounded"
+            f" at {seen.what}"
         )
         way_out = "a smaller tool, larger radii, or a seam where the rounding may lie"
         yield _rule(TOOL, seen, (LOST, source), text, way_out)
@@ -233,9 +233,7 @@ def _other_processes(design: Design, window: Window) -> list[ProcessProfile]:
 
 
 def workable(built: Built) -> Iterator[Check]:
-    """Judge each material of the parts once, by the design's process; a bare index does not identify a
-    material.
-    """
+    """Judge each material of the parts once, by the design's process; a bare index is no material."""
     design, window, rules = built.design, built.window, built.rules
     own = design.check.materials
     if not rules.materials and own is None:

@@ -13,6 +13,7 @@ from math import ceil, log2
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check, accepted
 from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
@@ -47,8 +48,7 @@ def verify(
         Gives the requested law and the limits.
     files : path or None
         A folder with a manifest, or one file: a mesh, a solid, or a map, points, a table, a mask or layers
-        with an
-        export's file name; None judges the design alone.
+        with an export's file name; None judges the design alone.
     cells : (a, b) or None
         Cells the files hold, where no manifest gives them.
     rays : int
@@ -57,8 +57,7 @@ def verify(
         Called with a stage's name and the fraction done, 0 … 1.
     role : "master", "preview", "scan", a mapping or None
         Purpose of the files: one word for all, or a mapping from formats ("stl") or file names to words.
-        None: as in
-        the manifest; a file without one is judged as a master.
+        None: as in the manifest; a file without one is judged as a master.
 
     Raises
     ------
@@ -157,15 +156,13 @@ def versions() -> dict[str, str]:
 
 
 DESIGN, CONVERGENCE, MESH, SOLID, REPORT = 0.5, 2.0, 0.8, 3.0, 4.0
-"""Seconds, each without the part that depends on size: a design, the convergence study, a mesh, a solid, a
-report."""
+"""Seconds without what depends on size: a design, the convergence study, a mesh, a solid, a report."""
 
 PER_RAY, PER_FACET, PER_LIT, PER_BYTE = 4.8e-6, 1.1e-6, 8e-6, 1e-6
 """Seconds per ray of the main bundle, facet in a file, facet of the lit cells, and byte of a solid's text."""
 
 FOUND, PER_FOUND = 0.2, 1.5e-6
-"""Seconds to register a part without a manifest, and per facet of it; measured with 2,500 and 334,000
-facets."""
+"""Seconds to register a part without a manifest, and per facet; measured with 2,500 and 334,000 facets."""
 
 MOST_LIT = 500_000
 """Facets of one cell up to which the time to light it increases."""
@@ -179,8 +176,7 @@ def seconds(rays: int, files: Sequence[Subject], report: bool = False) -> float:
     rays : int
     files : sequence of Subject
         Meshes cost their triangles, and one convergence study together; those without a manifest entry also
-        cost
-        registration; solids cost their text.
+        cost registration; solids cost their text.
     report : bool
         Whether a report is written.
     """
@@ -247,9 +243,7 @@ def rays_for(target: float, spread: float) -> int:
 
 
 def judged_by(report: Report, target: float) -> Report:
-    """Add checks to a report: whether light through each file is within a target of the exact surfaces
-    (radians).
-    """
+    """Add checks whether light through each file is within a target (radians) of the exact surfaces."""
     return replace(report, checks=(*report.checks, *target_checks(report.checks, target)))
 
 
@@ -264,8 +258,8 @@ def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
             continue
         within = "within" if check.value <= target else "not within"
         text = (
-            f"light through it is {1e3 * check.value:.4g} mrad rms off the exact surfaces, {within} the "
-            f"{1e3 * target:.4g} mrad requested"
+            f"light through it is {mrad_text(check.value)} rms off the exact surfaces, {within} the "
+            f"{mrad_text(target)} requested"
         )
         found.append(
             FILE_TARGET.judge(

@@ -1,9 +1,8 @@
 """The verdict on a delivery in a few words: a master passes by light alone; a preview is at most a shape.
 
 `passed as optical master` means that light through that file obeys the law. A coarse mesh that approximates
-the design
-faithfully is *shape only*: no defect, but no part should be made from it. A file not judged by light cannot
-pass.
+the design faithfully is *shape only*: no defect, but no part should be made from it. A file not judged by
+light cannot pass.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from clacad.base.text import mrad_text
 from clacad.checks.check import RAYS_NEEDED, Check, wrong
 from clacad.checks.file_kinds import DELIVERY, FAITHFUL_RMS, FILE_LAW_ETA, FILE_LAW_RMS, THROUGH_FILE
 from clacad.exporting.roles import Role
@@ -97,7 +97,9 @@ def _sentence(
     """Sentence that accompanies the word."""
     through = ""
     if rms is not None and limit is not None:
-        through = f"light through it is {1e3 * rms:.3g} mrad rms from the law (limit {1e3 * limit:.3g})"
+        through = (
+            f"light through it is {mrad_text(rms, 3)} rms from the law (limit {mrad_text(limit, 3, unit='')})"
+        )
     if word == "shape only":
         said = f"cut {cut}; " if cut else ""
         beyond = rms is not None and limit is not None and rms > limit

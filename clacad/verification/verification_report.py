@@ -211,9 +211,7 @@ class Report:
 
 
 def of_worst_cell(report: Report) -> tuple[Report, str]:
-    """Report of a non-uniform sheet as that of its worst cell's uniform equivalent, with a note; else the
-    note is "".
-    """
+    """Report of a non-uniform sheet as that of its worst cell's uniform equivalent, with a note; else ""."""
     if report.window.uniform:
         return report, ""
     seen = worst_cell(report.window, report.design.check.field)
@@ -264,22 +262,14 @@ def _field_row(point: Light, closed_form: float) -> dict[str, Any]:
         "worst": point.worst,
         "share": point.share,
         "closed_form": closed_form,
-        "counts": point.counts,
+        "counts": point.seen.counts(),
     }
     return dict(plain(row))
 
 
 def _curve_row(curve: Meridian) -> dict[str, Any]:
-    row = {
-        "slope": curve.slope,
-        "law": curve.law,
-        "mean": curve.mean,
-        "spread": curve.spread,
-        "alive": curve.alive,
-        "closed_form": curve.closed_form,
-        "ghost": curve.ghost,
-    }
-    return dict(plain(row))
+    names = ("slope", "law", "mean", "spread", "alive", "closed_form", "ghost")
+    return dict(plain({name: getattr(curve, name) for name in names}))
 
 
 def _file_row(found: FileReport) -> dict[str, Any]:
@@ -307,34 +297,22 @@ def asked_and_built(report: Report, sheet: Window) -> list[tuple[str, str, str]]
     """
     design, window, law, fit = report.design, report.window, report.design.law, report.optics.narrow.fitted
     dark = "not measured"
-    index = (
-        "from material " + str(design.pair.material)
-        if design.pair.index is None
-        else f"{design.pair.index:g}"
-    )
+    index = f"from material {design.pair.material}" if design.pair.index is None else f"{design.pair.index:g}"
     own = "" if not window.many_sizes else ", cells of the table taken by their own"
+    eta, delta = (
+        (dark, dark) if fit is None else (_pair(fit.eta_x, fit.eta_y), _pair(fit.delta_x, fit.delta_y))
+    )
+    angles = ", ".join(f"{a:g}" for a in design.law_spec.euler_degrees)
+    recipe = "given" if design.pair.given else design.pair.confocal
     return [
-        (
-            "η x, y",
-            _pair((law.eta_x, law.eta_y)) + own,
-            dark if fit is None else _pair((fit.eta_x, fit.eta_y)),
-        ),
-        (
-            "δ x, y",
-            _pair((law.delta_x, law.delta_y)),
-            dark if fit is None else _pair((fit.delta_x, fit.delta_y)),
-        ),
+        ("η x, y", _pair(law.eta_x, law.eta_y) + own, eta),
+        ("δ x, y", _pair(law.delta_x, law.delta_y), delta),
         (
             "φ, θ, ψ (deg)",
-            ", ".join(f"{a:g}" for a in design.law_spec.euler_degrees)
-            + f" ({design.law_spec.euler_axes} axes)",
+            f"{angles} ({design.law_spec.euler_axes} axes)",
             "held in the fit; see the check tilt",
         ),
-        (
-            "form, recipe",
-            f"{design.pair.form}, {'given' if design.pair.given else design.pair.confocal}",
-            window.form,
-        ),
+        ("form, recipe", f"{design.pair.form}, {recipe}", window.form),
         ("cells", " × ".join(str(n) for n in design.lattice.count), str(sheet.lattice.cell_count)),
         ("refractive index", index, ", ".join(f"{body.index:.6g}" for body in window.bodies)),
         ("wavelength (nm)", f"{1e9 * design.pair.wavelength:g}", f"{1e9 * report.facts.wavelength:g}"),
@@ -342,5 +320,5 @@ def asked_and_built(report: Report, sheet: Window) -> list[tuple[str, str, str]]
     ]
 
 
-def _pair(values: tuple[float, float]) -> str:
+def _pair(*values: float) -> str:
     return ", ".join(f"{v:.6g}" for v in values)

@@ -278,9 +278,7 @@ def far_field(found: Pupil, wavelength: float) -> FarField:
 
 
 def _spread(found: Pupil) -> Floats:
-    """Area (n,) on the exit plane over that on lens 1, for each ray; the mean where a ray has no
-    neighbour.
-    """
+    """Area (n,) on the exit plane over that on lens 1, for each ray; the mean for one without neighbour."""
     shape = (found.side, found.side, 2)
     place = np.where(found.alive[:, None], found.place, np.nan).reshape(shape)
     slopes = []

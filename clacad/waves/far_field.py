@@ -14,9 +14,7 @@ from clacad.base.types import Floats, Pair2
 Complex = NDArray[np.complex128]
 
 FINE = 16
-"""Least number of points of a far field per λ/w: half-maximum points are then accurate to a thousandth of
-it.
-"""
+"""Fewest points of a far field per λ/w: half-maximum points are then accurate to a thousandth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +61,7 @@ class Marginal:
 
     @property
     def half_energy(self) -> float:
-        """Width from the first quartile of the light to the third: .544 λ/w behind a slit of width w;
-        radians.
-        """
+        """Width from the first to the third quartile: .544 λ/w behind a slit of width w; radians."""
         step = self.off[1] - self.off[0]
         risen = np.cumsum(self.density) * step
         low, high = np.interp((0.25 * risen[-1], 0.75 * risen[-1]), risen, self.off + 0.5 * step)

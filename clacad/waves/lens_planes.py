@@ -13,7 +13,7 @@ lens axes are computed axis by axis, others on a square grid.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, hypot, inf, isfinite
 
 import numpy as np
@@ -27,9 +27,7 @@ MOST = 4096
 """Largest number of points along each side of a square grid; a single axis may have MOST² points."""
 
 FEWEST = (256, 128)
-"""Least number of points across the first rim, in one dimension and in two, to resolve it and its
-diffraction.
-"""
+"""Fewest points across the first rim, in one dimension and in two, to resolve it and its diffraction."""
 
 ROOM = (16.0, 12.0)
 """Width of the grid over the half width of its content, in one dimension and in two.
@@ -99,23 +97,27 @@ def telescope(
     rim : (m, dims) lengths or None
         Of lens 2; None: as `zone`.
     field_lens : bool
-        Whether a lens at the common focus images lens 1 onto lens 2: 1/f = 1/f1 + 1/f2. Its own cells lie on
-        the lines from cell to partner.
+        Add one: 1/f = 1/f1 + 1/f2 at the common focus, its cells on the lines from cell to partner.
 
     Raises
     ------
     ValueError
-        A field lens where the focus is virtual, where an axis has no power, or between foci at different
-        depths.
+        A field lens where the focus is virtual or not common, or where an axis has no power.
     """
-    dims = len(centre)
     power = [tuple(0.0 if not isfinite(f) else 1.0 / f for f in one) for one in focal]
-    first = LensPlane(0.0, power[0], (0.0,) * dims, zone)
+    first = LensPlane(0.0, power[0], (0.0,) * len(centre), zone)
     middle, apex = tuple(map(float, centre)), tuple(map(float, vertex))
-    second = (zone if rim is None else rim) + np.asarray(middle)
-    last = LensPlane(separation, power[1], apex, second)
+    last = LensPlane(separation, power[1], apex, (zone if rim is None else rim) + np.asarray(middle))
     if not field_lens:
         return [first, last]
+    depth = _focus(focal)
+    own = tuple(depth / separation * c for c in middle)
+    between = LensPlane(depth, tuple(a + b for a, b in zip(*power, strict=True)), own, zone + np.asarray(own))
+    return [first, between, replace(last, distance=separation - depth)]
+
+
+def _focus(focal: tuple[Sequence[float], Sequence[float]]) -> float:
+    """Distance of the common focus, where a field lens can be, from lens 1; see `telescope`."""
     depth = focal[0][0]
     if not all(isfinite(f) and f > 0.0 for one in focal for f in one):
         raise ValueError(
@@ -126,9 +128,7 @@ def telescope(
         raise ValueError(
             "the foci of both axes lie at different depths: a field lens is a pair of crossed cylinders there"
         )
-    own = tuple(depth / separation * c for c in middle)
-    between = LensPlane(depth, tuple(a + b for a, b in zip(*power, strict=True)), own, zone + np.asarray(own))
-    return [first, between, LensPlane(separation - depth, power[1], apex, second)]
+    return depth
 
 
 def chief_ray(planes: Sequence[LensPlane], slope: Sequence[float]) -> tuple[list[Floats], Floats]:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.polygons import clip, polygon_area
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.bundle import asked_power
@@ -187,6 +188,12 @@ def _ends(points: Floats) -> Floats:
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 
+NOT_AFOCAL = (
+    "pair.focus: light of such pairs meets at the image, not far away; clacad image says how sharply,"
+    " and waves are computed of afocal pairs"
+)
+
+
 def situation(
     design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
 ) -> LitSheet:
@@ -215,10 +222,7 @@ def situation(
     refuse_uncountable(design)
     sheet = prescribe(design)
     if asked_power(sheet).any():
-        raise BadRequest(
-            "pair.focus: light of such pairs meets at the image, not far away; clacad image says how sharply,"
-            " and waves are computed of afocal pairs"
-        )
+        raise BadRequest(NOT_AFOCAL)
     seen = worst_cell(sheet, design.check.field)
     window = seen.like
     wave = wavelength or window.wavelength or DEFAULT_WAVELENGTH
@@ -227,13 +231,18 @@ def situation(
     found = LitSheet(seen, direction, wave, field_lens)
     if found.built:
         found = replace(found, field_lens=True)
+    _refuse_dark(found)
+    return found
+
+
+def _refuse_dark(found: LitSheet) -> None:
+    """Refuse a direction for which no light obeys the law."""
     if len(found.lit) == 0:
-        x, y = (f"{1e3 * half:.3g}" for half in half_field(found.cells))
+        x, y = (mrad_text(half, 3, unit="") for half in half_field(found.cells))
         raise BadRequest(
             f"no light of slope {found.slope[0]:.4g}, {found.slope[1]:.4g} obeys the law: the field ends {x}"
             f" and {y} mrad off its middle along lens x and y"
         )
-    return found
 
 
 SECONDS = 0.15
@@ -249,9 +258,7 @@ MOST_COLUMNS = 1000
 """Largest number of cells that light may pass over inside a body; the rays then take about ten seconds."""
 
 SECONDS_A_POINT = 0.25e-6
-"""Processor seconds per grid point on the reference machine, for both planes and the propagation between
-them.
-"""
+"""Processor seconds per grid point on the reference machine: both planes and the propagation between."""
 
 
 def wave(

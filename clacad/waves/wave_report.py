@@ -5,14 +5,13 @@ Results of waves and rays as rows of text.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
-from clacad.base.text import digits
+from clacad.base.text import digits, mrad_list, nm_text
 from clacad.base.types import Floats, Pair2
 from clacad.waves.exit_pupil import RaySpread
 from clacad.waves.far_field import FarField, Marginal
@@ -127,7 +126,7 @@ def draw(figure: Figure, found: WaveReport) -> None:
     one = "one telescopelet" if found.cell is None else f"cell ({found.cell[0]}, {found.cell[1]})"
     figure.suptitle(
         no_formula(
-            f"{found.design}: {one}'s far field at {1e9 * found.wavelength:.4g} nm, Fresnel number"
+            f"{found.design}: {one}'s far field at {nm_text(found.wavelength)}, Fresnel number"
             f" {min(found.fresnel):.3g}"
         ),
         fontsize=10,
@@ -174,15 +173,8 @@ HEAD = (
 """Head of `rows`; the last four columns in mrad, along lens x and lens y."""
 
 
-def mrad(values: Sequence[float]) -> str:
-    """Radians as milliradians with four digits."""
-    return ", ".join(digits(1e3 * v, count=4) for v in values)
-
-
 def rows(found: WaveReport) -> list[tuple[str, ...]]:
-    """Waves through the exact surfaces and through ideal lenses, as far as computed, then rays; see
-    `HEAD`.
-    """
+    """Waves through exact surfaces and ideal lenses, as far as computed, then rays; see `HEAD`."""
     told: list[tuple[str, ...]] = []
     for far, name, share in (
         (found.exact, "waves, exact surfaces", found.share),
@@ -195,10 +187,10 @@ def rows(found: WaveReport) -> list[tuple[str, ...]]:
                     name,
                     digits(share, count=4),
                     digits(far.strehl, count=4),
-                    mrad([m.middle for m in one]),
-                    mrad([m.width for m in one]),
-                    mrad([m.width for m in through]),
-                    mrad([m.half_energy for m in one]),
+                    mrad_list([m.middle for m in one], 4),
+                    mrad_list([m.width for m in one], 4),
+                    mrad_list([m.width for m in through], 4),
+                    mrad_list([m.half_energy for m in one], 4),
                 )
             )
     rays = found.rays
@@ -207,10 +199,10 @@ def rows(found: WaveReport) -> list[tuple[str, ...]]:
             "rays, exact surfaces",
             digits(rays.share, count=4),
             "",
-            mrad(rays.mean),
+            mrad_list(rays.mean, 4),
             "",
             "",
-            mrad(rays.half_energy),
+            mrad_list(rays.half_energy, 4),
         )
     )
     return told
@@ -225,7 +217,7 @@ def head(found: WaveReport) -> str:
         else f"cell ({found.cell[0]}, {found.cell[1]}), the worst of {found.tried} tried, "
     )
     return (
-        f"{one}{1e9 * found.wavelength:.4g} nm, slope {x:.4g}, {y:.4g} along lens x, y; Fresnel number "
+        f"{one}{nm_text(found.wavelength)}, slope {x:.4g}, {y:.4g} along lens x, y; Fresnel number "
         f"{digits(min(found.fresnel), count=4)}; holds here: {found.far_field.way}"
     )
 
@@ -240,12 +232,12 @@ def sentences(found: WaveReport) -> list[str]:
         ),
         "Strehl ratio: peak over that of the light that meets the partner, were its wave front flat",
         (
-            f"λ/w of what is lit of lens 2: {mrad(found.slit)} mrad; rays alone miss the law by"
-            f" {mrad([found.rays.rms])} mrad rms"
+            f"λ/w of what is lit of lens 2: {mrad_list(found.slit, 4)} mrad; rays alone miss the law by"
+            f" {mrad_list([found.rays.rms], 4)} mrad rms"
         ),
         (
-            f"in coherent light {cells} cells send orders λ/p = {mrad(found.order)} mrad apart: the law is"
-            " met to ± half of that"
+            f"in coherent light {cells} cells send orders λ/p = {mrad_list(found.order, 4)} mrad apart: the"
+            " law is met to ± half of that"
         ),
         *(f"not computed, {way}: {why}" for way, why in found.refused.items()),
     ]

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from clacad.advice import advise, fewest_keys, fix, judge
-from clacad.advice.levers import levers_of, settings
+from clacad.advice.lever_trials import levers_of, settings
 from clacad.checks.check import kinds
 from clacad.checks.design_kinds import EDGE
 from clacad.checks.light_kinds import RESIDUAL

@@ -49,7 +49,7 @@ VIEWS = (
     View("galilean-near", "eta=.8, width=100 mm, viewing=100 mm, process=moulding", comes_true=False),
 )
 
-FEW = ("galilean", "window-near")
+FEW = ("galilean",)
 """Run among the slow tests; all ten by hand."""
 
 

@@ -40,7 +40,7 @@ CASES = (
          warns=("edge", "fresnel_number")),
 )  # fmt: skip
 
-FEW = ("round-polycarbonate", "galilean-moulded")
+FEW = ("round-polycarbonate",)
 """Run among the slow tests; all ten by hand."""
 
 LIMITS = {"law_rms": 0.003, "law_bias": 0.0025, "eta": 0.01, "delta": 0.005, "throughput": 0.9}

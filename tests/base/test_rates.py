@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clacad.base import machine_rates as rates_module
-from clacad.base.machine_rates import KEPT, Rates, Span, span_text, total
+from clacad.base.machine_rates import KEPT, Rates, Span, total
+from clacad.base.text import span_text
 from clacad.cli.console import Console
 
 

@@ -18,12 +18,11 @@ from often import often
 from clacad import Design, load, prescribe
 from clacad.base.polygons import clip
 from clacad.base.sobol import sobol
-from clacad.effects import Setting, light_reaching_camera, trace_with
+from clacad.effects import NAMES, Setting, light_reaching_camera, trace_with
 from clacad.effects.engine.block import inside_plate
 from clacad.effects.engine.homogeneous_light import overlap
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.probe_rays import cone
-from clacad.effects.registry import NAMES
 from clacad.effects.trace import trace
 from clacad.optics.material.material import Material
 from clacad.optics.rays import Fate, Rays

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from random_situations import draw, fresh
 
+from clacad.effects import NAMES, declared
 from clacad.effects.engine.camera_light import measure
 from clacad.effects.engine.effect import DOUBT
-from clacad.effects.registry import NAMES, declared
 
 SLACK = 1.1
 TINY = 1e-9

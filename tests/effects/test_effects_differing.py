@@ -177,8 +177,8 @@ def test_a_plan_is_bounded_on_the_worst_of_cells_tried_and_says_so():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL)
 def test_what_an_effect_changes_in_the_whole_sheet_is_within_the_bound_of_its_worst_cell(kind):
+    from clacad.effects import declared
     from clacad.effects.engine.stand_ins import worst_bound
-    from clacad.effects.registry import declared
 
     situation = with_stand_ins(replace(situation_of_design(design_of(kind)), setting=SETTING))
     for name in (

@@ -10,9 +10,9 @@ import pytest
 from package_source import syntax
 
 import clacad
+from clacad import effects as registry
 from clacad.cli import main
-from clacad.effects import registry
-from clacad.effects.registry import NAMES, declared
+from clacad.effects import NAMES, declared
 from clacad.explain.look_up import named_things
 
 PACKAGE = Path(clacad.__file__).parent
@@ -70,7 +70,7 @@ def literals(path: Path) -> set[str]:
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in OTHER_MEANINGS])
 def test_the_name_of_an_effect_is_written_in_its_module_and_in_the_list_alone(name: str) -> None:
     found = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if name in literals(path)}
-    assert found == {f"effects/{name}.py", "effects/registry.py"}
+    assert found == {f"effects/{name}.py", "effects/__init__.py"}
 
 
 @pytest.mark.parametrize("name", NAMES)

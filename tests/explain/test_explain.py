@@ -11,6 +11,7 @@ import pytest
 from clacad.cli import main
 from clacad.design.combinations import matrix
 from clacad.design.process_profiles import profiles
+from clacad.design.sections import SECTIONS
 from clacad.effects import NAMES
 from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.explain.look_up import Unexplained, entries, explain
@@ -165,6 +166,11 @@ def test_plain_words_of_newcomers_engineers_and_machinists_are_explained(word):
     entry = explain(word)
     assert len(entry.means) > 30
     assert entry.do or entry.code or entry.name in WORDS
+
+
+def test_a_word_names_a_key_of_the_design_file_or_a_command():
+    paths = {f"{section}.{name}" for section, keys in SECTIONS.items() for name in keys}
+    assert {where for _, where in WORDS.values() if "." in where and " " not in where} <= paths
 
 
 def test_synonyms_are_no_words_and_lead_to_words():

@@ -80,7 +80,7 @@ def test_a_frame_holds_plates_as_large_as_the_wider_array_needs_and_leaves_their
     assert shared(cells) == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_engraved_parts_and_brep_are_masters_by_the_light_of_the_worst_cell(tmp_path):
     from build123d import import_brep, import_step
 

@@ -319,7 +319,7 @@ def test_a_slope_error_is_met(tmp_path: Path) -> None:
     assert 0.01 < manifest.files[0]["slope_error_rms"] <= 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_default_mesh_has_the_coarsest_grid_that_keeps_well_within_the_limit(tmp_path: Path) -> None:
     """Light through the file itself: .95 of the limit is met by the grid that is chosen, and not by half of it."""
     part = design().with_cells((2, 2))

@@ -35,11 +35,10 @@ SHARED = {
 """Files in which every word may occur: why."""
 
 OTHER_MEANINGS = {
-    "baffle": {"design/combinations.py", "explorer/page_facts.py", "explain/glossary.py",
-               "exporting/fixtures/baffle.py"},  # the key body.baffle, the name of the part
+    "baffle": {"design/combinations.py", "explorer/page_facts.py", "exporting/fixtures/baffle.py"},  # the key body.baffle, the name of the part
     "cell-table": {"design/cell_table.py", "design/cell_table_rows.py", "exporting/run.py",
                    "report/pictures.py"},  # the reader of a design's table
-    "drawing": {"explain/glossary.py", "sheet/representative_cells.py"},  # a word of the glossary, a purpose of cells
+    "drawing": {"sheet/representative_cells.py"},  # a purpose of cells
     "frame": {"exporting/fixtures/frame.py", "rendering/photograph_view.py", "report/pictures.py",
               "scene/sections.py"},  # the key camera.frame, the name of the part
     "height-calibration": {"exporting/formats/file_kind.py"},  # written by the formats of two modules
@@ -48,19 +47,19 @@ OTHER_MEANINGS = {
             "imaging/image_by_rays.py", "report/pdf.py", "verification/accuracy/accuracy_plot.py",
             "judging/deviation_map.py", "verification/tolerance/study_files.py",
             "waves/wave_report.py"},  # pictures for people
-    "sag": {"advice/trade_offs.py", "explain/glossary.py", "explain/look_up.py", "optics/surface/__init__.py",
+    "sag": {"explain/look_up.py", "optics/surface/__init__.py",
             "sheet/feasibility/as_rows.py", "checks/design_kinds.py",
-            "verification/stability/measure_cases.py",
+            "verification/stability/__init__.py",
             "verification/tolerance/parameter_sweep.py"},  # the height of a lens, its check and its limit
     "scene": {"cli/export_command.py", "design/sections.py", "scene/model.py", "scene/read.py",
               "scene/rules.py"},  # scene files
-    "step": {"advice/trade_offs.py", "cli/export_command.py", "explain/glossary.py", "exporting/request.py",
+    "step": {"cli/export_command.py", "exporting/request.py",
              "stacking/make_stack.py", "cli/stack_command.py",  # the option --step, a default
              "verification/accuracy/accuracy_plot.py", "verification/accuracy/accuracy_row.py",
              "verification/accuracy/measure_rungs.py",  # a rung
              "judging/damage.py", "verification/tolerance/parameter_sweep.py",  # steps between cells
              "verification/run.py"},  # a task whose time is recorded
-    "stl": {"explain/glossary.py", "exporting/request.py"},  # a synonym, a default
+    "stl": {"exporting/request.py"},  # a default
     "table": {"cli/shape_command.py", "config/edit_text.py", "config/mistakes.py", "design/varying.py",
               "optics/material/catalogue.py", "optics/material/material.py", "report/pdf.py",
               "checks/file_kinds.py"},  # a check, a key, parts of TOML files, pages and formulas

@@ -11,7 +11,7 @@ import pytest
 
 import clacad
 from clacad.exporting.forecast import forecast, outlook
-from clacad.exporting.rough_sizes import RoughSheet
+from clacad.exporting.formats.format import RoughSheet
 from clacad.exporting.tessellations import Meshes
 from clacad.prescription.prescribe import prescribe
 
@@ -55,9 +55,9 @@ def test_rough_sizes_are_near_the_close_ones(name: str) -> None:
 @pytest.mark.slow
 def test_a_check_loads_no_mesher_no_solids_and_no_writer() -> None:
     program = (
-        "import json, sys; from clacad.cli.check_command import Check, run_check; from clacad.cli.console import Console; "
+        "import json, sys; from clacad.cli.check_command import CheckDesign, run_check; from clacad.cli.console import Console; "
         "from pathlib import Path; "
-        "run_check(Check(design=Path('designs/plano.toml')), Console(quiet=True)); print(json.dumps(sorted(sys.modules)))"
+        "run_check(CheckDesign(design=Path('designs/plano.toml')), Console(quiet=True)); print(json.dumps(sorted(sys.modules)))"
     )
     loaded = json.loads(
         subprocess.run(

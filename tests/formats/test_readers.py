@@ -22,8 +22,8 @@ from noworker import without_worker
 
 from clacad.base.arrays import welded
 from clacad.formats.mesh import threemf
-from clacad.formats.mesh.closed_stream import crowded_edges, edge_times, measure
 from clacad.formats.mesh.glb import write_glb
+from clacad.formats.mesh.measure import crowded_edges, edge_times, measure
 from clacad.formats.mesh.ply import read_ply, write_ply
 from clacad.formats.mesh.readers import read_mesh
 from clacad.formats.mesh.stl import read_stl, stl_bytes, write_stl

@@ -14,7 +14,7 @@ from mpmath import mp
 from oracle import thick
 
 from clacad import DesignError, Rays, load, prescribe, tessellate, trace
-from clacad.formats.mesh.closed_stream import measure
+from clacad.formats.mesh.measure import measure
 from clacad.optics.rays import Fate
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.volume_and_extent import body_volume

@@ -10,8 +10,14 @@ import pytest
 from hard import mutations, table
 
 from clacad.cli.entry_point import main
-from clacad.verification.stability import as_dict, as_markdown, as_text, hard_cases, stability_table
-from clacad.verification.stability.measure_cases import worst_shares
+from clacad.verification.stability import (
+    as_dict,
+    as_markdown,
+    as_text,
+    hard_cases,
+    stability_table,
+    worst_shares,
+)
 
 
 @cache

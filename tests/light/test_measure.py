@@ -12,7 +12,7 @@ from clacad.design import Design
 from clacad.effects import dispersion
 from clacad.effects.engine.effect import Setting, Situation
 from clacad.light.compare import Comparison, angles, change_with_shift
-from clacad.light.measure import measure, measure_each
+from clacad.light.measure import deviation, measure, measure_each
 from clacad.optics.law import angle_between, difference_of_laws
 from clacad.optics.material.catalogue import find
 from clacad.optics.rays import Fate
@@ -165,7 +165,7 @@ def test_the_numbers_are_those_of_the_rays():
     assert light.rms == np.sqrt(np.mean(error**2))
     assert light.worst == error.max()
     assert light.share == alive.mean()
-    assert light.counts == seen.counts()
+    assert light.seen.counts() == seen.counts()
     assert light.spread == np.sqrt(np.mean(angle_between(out, out.mean(axis=0)) ** 2))
     dark = replace(light, fewest=int(alive.sum()) + 1)
     assert dark.dark
@@ -184,7 +184,7 @@ def test_bundles_sent_together_have_the_light_of_each_alone():
         alone = measure(lambda one: trace(window, one.rays, path=path), beam, law)
         assert (light.seen.direction == alone.seen.direction).all()
         assert light.bias == alone.bias
-        assert light.deviation.shape == (alone.alive.sum(), 2)
+        assert deviation(light).shape == (alone.alive.sum(), 2)
 
 
 def test_the_focus_of_the_same_light_is_nothing():

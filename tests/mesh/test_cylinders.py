@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import clacad
+from clacad.exporting.formats.format import RoughSheet
 from clacad.exporting.limits import refuse_early
-from clacad.exporting.rough_sizes import RoughSheet
 from clacad.exporting.tessellations import Meshes
 from clacad.mesh import count_facets, tessellate
 from clacad.mesh.tessellation import slope_error_at

@@ -10,7 +10,7 @@ from trust.running import clacad as run
 
 from clacad import Design, DesignError, optimise, prescribe
 from clacad.advice import advise, judge
-from clacad.advice.levers import levers_of
+from clacad.advice.lever_trials import levers_of
 from clacad.optimising import aim as light_in_cells
 from clacad.optimising.face_search import FaceSearch
 from clacad.optimising.search import design_text
@@ -210,7 +210,7 @@ def test_the_text_says_where_lens_2_was_held(better):
     assert f"vertex = {prescribe(start).recipe['d']}" in design_text(found)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_advice_for_a_design_that_was_searched_for_changes_nothing_that_the_search_held(better):
     """Where limits fail that a larger separation would meet: it is advised for the start, and not for the faces found."""
     keys = []

@@ -151,7 +151,7 @@ def test_the_command_draws_it(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "figure",
-    [pytest.param(f, id=f.row, marks=[] if f.row == "V3" else [pytest.mark.slow]) for f in DIFFERING],
+    [pytest.param(f, id=f.row, marks=[] if f.row == "V3" else [pytest.mark.long]) for f in DIFFERING],
 )
 def test_an_entry_of_the_atlas_beyond_the_paper_measures_what_thin_lenses_say(figure):
     from viewscenes import ROOT

@@ -354,7 +354,7 @@ def test_tilted_lenses_move_in_their_own_plane_and_every_ideal_pair_obeys_its_ow
         assert np.abs(seen.direction[k] - window.law_at(seen.cell[k]).refract([x, y, 1.0])).max() < 1e-14
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_files_of_a_tilted_sheet_whose_law_varies_pass_and_level_lenses_are_found_out(tmp_path):
     from dataclasses import replace
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from meshwindows import FORMS, pieces_and_holes, window
 
-from clacad.base.roots import sign_changes
+from clacad.base.sign_changes import sign_changes
 from clacad.mesh import mesh_body
 from clacad.mesh.integer_heights import VOID
 from clacad.sheet.feasibility import body_facts

@@ -68,7 +68,7 @@ def round_of(number: int, folder: Path) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="what a process holds is read from /proc")
 @pytest.mark.parametrize("rounds", [
-    pytest.param(20, marks=pytest.mark.slow), pytest.param(200, marks=[pytest.mark.long, pytest.mark.timeout(3600)]),
+    pytest.param(20, marks=pytest.mark.long), pytest.param(200, marks=[pytest.mark.long, pytest.mark.timeout(3600)]),
 ])  # fmt: skip
 def test_a_process_that_goes_on_holds_no_more_than_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rounds: int

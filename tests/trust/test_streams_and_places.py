@@ -144,7 +144,7 @@ def test_what_is_printed_into_a_closed_stream_ends_up_in_no_file(tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", [
-    {"PYTHONIOENCODING": "ascii"}, {"PYTHONIOENCODING": "latin-1"},
+    {"PYTHONIOENCODING": "ascii"}, pytest.param({"PYTHONIOENCODING": "latin-1"}, marks=pytest.mark.long),
     {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
 ], ids=str)  # fmt: skip
 def test_a_stream_that_lacks_letters_changes_no_status(tmp_path: Path, changes: dict[str, str]) -> None:

@@ -12,7 +12,7 @@ import pytest
 from package_source import syntax
 
 from clacad.advice import advise, judge
-from clacad.advice.levers import levers_of
+from clacad.advice.lever_trials import levers_of
 from clacad.checks import check as checks
 from clacad.checks.check import found_by, kinds
 from clacad.cli import main

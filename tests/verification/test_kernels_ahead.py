@@ -14,7 +14,8 @@ from clacad.design import load
 from clacad.optics.rays import Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.tracing.compiled import surfaces
-from clacad.verification.accuracy.accuracy_table import OF_TABLE, SECONDS, climb, compiling_seconds
+from clacad.tracing.which_path import COMPILING
+from clacad.verification.accuracy.accuracy_table import OF_TABLE, climb, compiling_seconds
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 
@@ -24,8 +25,8 @@ def test_nothing_is_compiled_where_all_is_kept_and_all_where_nothing_is(monkeypa
     homes = ("clacad.base.kernel_cache", "clacad.tracing.compiled.surfaces")
     for home in homes:
         monkeypatch.setattr(f"{home}.is_kept", lambda *_: False)
-    assert compiling_seconds(window, OF_TABLE) == sum(SECONDS.values())
-    assert compiling_seconds(window, ("mesh",)) == SECONDS["mesh"]
+    assert compiling_seconds(window, OF_TABLE) == sum(COMPILING.values())
+    assert compiling_seconds(window, ("mesh",)) == COMPILING["mesh"]
     for home in homes:
         monkeypatch.setattr(f"{home}.is_kept", lambda *_: True)
     assert compiling_seconds(window, OF_TABLE) == 0.0

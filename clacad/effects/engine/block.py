@@ -153,9 +153,7 @@ def plate_crossings(block: RayBlock) -> Iterator[FaceCrossing]:
 
 
 def inside_plate(direction: Floats, axis: Floats, index: float) -> Floats:
-    """Unit directions (m, 3) inside a plane plate of the given normal (3,) and index, light coming from
-    air.
-    """
+    """Unit directions (m, 3) inside a plane plate of normal (3,) and index, light coming from air."""
     from clacad.optics.surface import refract
 
     return refract(direction, np.broadcast_to(axis, direction.shape), direction @ axis, 1.0, index)[0]

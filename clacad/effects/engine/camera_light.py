@@ -20,17 +20,16 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Rung
+from clacad.effects import declared_all
 from clacad.effects.engine.block import RayBlock, unit_rows
 from clacad.effects.engine.effect import Declaration, Effect, Setting, Situation
 from clacad.effects.engine.homogeneous_light import LightRays, join_light, law_light
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.passes import blocks, take_rays, trace_with
-from clacad.effects.registry import declared_all
 from clacad.light.compare import angles
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.surface import Quadric
 from clacad.sheet.face_order import media_of
-from clacad.sheet.need_window import need_one_eta
 from clacad.sheet.window import Window
 from clacad.tracing.layout import lay_out
 
@@ -158,9 +157,7 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
 
 
 MANY = 50_000
-"""Number of rays above which split paths are compiled: loading the code costs as much as some thousand
-rays.
-"""
+"""Number of rays above which split paths are compiled: loading costs as much as some thousand rays."""
 
 
 def light_reaching_camera(
@@ -195,20 +192,13 @@ def light_reaching_camera(
     ghosts = any(kind.shows is Fate.GHOST for kind in kinds)
     result = trace_with(window, rays, rung, effects, setting=setting, **options)
     if rung == "law":
-        if ghosts:
-            need_one_eta(
-                window,
-                "ghosts on rung law",
-                "rungs thin and surfaces trace those of cells with an eta of their own",
-            )
         return law_light(window, rays, result, ghosts), result
     rows = np.flatnonzero(shining(result, names))
     light = LightRays(rows, result.position[rows], result.direction[rows], result.flux[rows])
     if any(kind.splits for kind in kinds) and rung in ("surfaces", "mesh"):
         compiled = options.get("path") == "numba" or (options.get("path") != "numpy" and len(rays) > MANY)
-        light = join_light(
-            light, reflected_paths(window, rays, result, replace(setting, active=names), compiled)
-        )
+        extra = reflected_paths(window, rays, result, replace(setting, active=names), compiled)
+        light = join_light(light, extra)
     return light, result
 
 

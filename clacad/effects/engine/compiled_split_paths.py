@@ -164,9 +164,7 @@ def meet_lens(sheet: Packed, k: int, ray: Ray) -> tuple[float, Vector]:
 def through(
     sheet: Packed, k: int, ray: Ray, n1: float, n2: float, layer: float
 ) -> tuple[float, Ray, float, Ray]:
-    """Cross face k: distance (NaN where the path ends), ray behind it, share reflected, and the reflected
-    ray.
-    """
+    """Cross face k: distance (NaN for none), ray behind it, share reflected, and the reflected ray."""
     x, y, z, u, v, w = ray
     t, (nx, ny, nz) = meet_lens_or_land(sheet, k, ray)
     if not t >= 0.0:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats, Ints, Rows
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.need_window import need_one_eta
 from clacad.sheet.vignetting import (
     ThinCells,
     arrivals,
@@ -70,7 +71,16 @@ FAINT = 1e-6
 
 
 def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> LightRays:
-    """Light of the rays that pass the sheet on rung law."""
+    """Light of the rays that pass the sheet on rung law.
+
+    Raises
+    ------
+    CellsDiffer
+        Ghosts of cells with an eta of their own.
+    """
+    if ghosts:
+        other = "rungs thin and surfaces trace those of cells with an eta of their own"
+        need_one_eta(window, "ghosts on rung law", other)
     rows = np.flatnonzero(result.fate == Fate.ALIVE)
     cells = thin_cells(window)
     slopes = cells.slopes(rays.direction[rows])

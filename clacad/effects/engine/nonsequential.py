@@ -437,9 +437,7 @@ class _Packets:
         other = len(self.layouts[True].bodies) - 1 - number
         here, there = self.layouts[up].bodies[number].level, self.layouts[not up].bodies[other].level
         turned = replace(
-            falls.beam,
-            z=-(falls.beam.z + here) - there,
-            direction=falls.beam.direction * (1.0, 1.0, -1.0),
+            falls.beam, z=-(falls.beam.z + here) - there, direction=falls.beam.direction * (1.0, 1.0, -1.0)
         )
         self.put((not up, other, inside), replace(falls, beam=turned))
 

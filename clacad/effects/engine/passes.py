@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad import effects as registry
 from clacad.base.types import Floats, Rung
-from clacad.effects import registry
+from clacad.effects import declared, declared_all
 from clacad.effects.engine.block import RayBlock, crossings
 from clacad.effects.engine.effect import Effect, Setting, When
-from clacad.effects.registry import declared, declared_all
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.face_order import media_of
 from clacad.sheet.window import Window
@@ -58,9 +58,7 @@ class OrderedResult:
             }
 
     def traced_in_place(self, rows: slice, rays: Rays, wavelength: float | None, keep: bool) -> TraceResult:
-        """Trace a block by the compiled kernels straight into its slice; its hits may be kept for it
-        alone.
-        """
+        """Trace a block by the compiled kernels straight into its slice; hits may be kept for it alone."""
         media = media_of(self.window, wavelength)
         return self.traced(rows, rays, media, 2 * len(self.window.bodies) if keep else 0)
 
@@ -118,9 +116,7 @@ class OrderedResult:
         return ledger.closed()
 
     def lent(self, name: str, faces: int, count: int) -> Floats:
-        """Buffer (faces, count, 3) for a block's hits, reused by the thread: allocating costs a pass's
-        time.
-        """
+        """Buffer (faces, count, 3) for a block's hits, kept by the thread: allocating costs a pass's time."""
         size = faces * count * 3
         room: Floats | None = getattr(_ROOM, name, None)
         if room is None or len(room) < size:

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from clacad import effects as registry
+from clacad.base.text import mrad_text
 from clacad.base.types import Rung
-from clacad.effects import registry
+from clacad.effects import declared, declared_all
 from clacad.effects.engine.effect import Bound, Setting, Situation
 from clacad.effects.engine.probe_rays import choose_rung
 from clacad.effects.engine.stand_ins import with_stand_ins, worst_bound
-from clacad.effects.registry import declared, declared_all
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 
@@ -160,7 +161,7 @@ class Plan:
         where = f" in the worst of {self.tried} cells tried" if self.tried else ""
         return (
             f"rung {self.rung}; simulated: {simulated}; left out: at most {radiance:.2%} of the light and "
-            f"{1e3 * angle:.3g} mrad{where}{note}"
+            f"{mrad_text(angle, 3)}{where}{note}"
         )
 
     def to_dict(self) -> dict[str, Any]:

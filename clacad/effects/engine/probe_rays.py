@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
+from clacad.base.text import mrad_text
 from clacad.base.types import Ints, Rung
 from clacad.base.vectors import picture_axes
 from clacad.effects.dispersion import LINES
@@ -247,13 +248,13 @@ def choose_rung(situation: Situation, asked: str) -> tuple[Rung, str]:
     if rms <= situation.angle and disagree <= situation.radiance:
         return (
             "thin",
-            f"{refused}; ideal lenslets are off by {1e3 * rms:.2g} mrad and {disagree:.2%} of fates",
+            f"{refused}; ideal lenslets are off by {mrad_text(rms, 2)} and {disagree:.2%} of fates",
         )
     return (
         "surfaces",
         (
-            f"{refused}; ideal lenslets are off by {1e3 * rms:.2g} mrad and {disagree:.2%} of fates, "
-            f"{1e3 * situation.angle:.2g} mrad and {situation.radiance:.2%} are allowed"
+            f"{refused}; ideal lenslets are off by {mrad_text(rms, 2)} and {disagree:.2%} of fates, "
+            f"{mrad_text(situation.angle, 2)} and {situation.radiance:.2%} are allowed"
         ),
     )
 
@@ -273,15 +274,15 @@ def homogeneous(situation: Situation) -> tuple[str, str]:
         return f"light steps aside by {seen:.2g} rad as seen from the camera", ""
     rms, _ = compared(situation, "law")
     if rms > situation.angle:
-        return f"lenslets miss the law by {1e3 * rms:.2g} mrad", ""
+        return f"lenslets miss the law by {mrad_text(rms, 2)}", ""
     gap = share_gap(situation)
     if gap > situation.radiance:
         return f"the closed-form share of the light is off by {gap:.2%}", ""
     return (
         "",
         (
-            f"a pixel covers {covered:.2g} lenslets and nothing shows them singly: the law ({1e3 * rms:.2g}"
-            f" mrad off) with the closed-form share of the light ({gap:.2%} off)"
+            f"a pixel covers {covered:.2g} lenslets and nothing shows them singly: the law"
+            f" ({mrad_text(rms, 2)} off) with the closed-form share of the light ({gap:.2%} off)"
         ),
     )
 

@@ -47,10 +47,7 @@ def outlines(x: Floats, front: Floats, back: Floats) -> list[Floats]:
         rows = slice(first, last)
         found.append(
             np.concatenate(
-                [
-                    np.column_stack([x[rows], front[rows]]),
-                    np.column_stack([x[rows], back[rows]])[::-1],
-                ]
+                [np.column_stack([x[rows], front[rows]]), np.column_stack([x[rows], back[rows]])[::-1]]
             )
         )
     return found

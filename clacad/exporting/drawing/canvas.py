@@ -1,6 +1,4 @@
-"""A drawing board for dimensioned drawings: shapes, dimension lines with numbers, leaders; recorded, and
-returned as SVG.
-"""
+"""A drawing board: shapes, dimension lines with numbers, leaders; recorded, and returned as SVG."""
 
 from __future__ import annotations
 
@@ -50,9 +48,7 @@ class CircleMark:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Text at a position, px; `anchor` is start, middle or end; `room`: width, px, of its background, or
-    0.
-    """
+    """Text at a position, px; `anchor`: start, middle or end; `room`: width of its background, px, or 0."""
 
     at: Point
     words: str
@@ -169,9 +165,7 @@ class Canvas:
         self.text((middle[0], middle[1] + 4.0), letter)
 
     def finish(self, tip: Point, letter: str) -> None:
-        """Draw the symbol of surface texture (ISO 21920-1) on a face, with the letter that a table
-        explains.
-        """
+        """Draw the symbol of surface texture (ISO 21920-1) on a face, with its letter in the table."""
         legs = [(-4.6, -8.0), (0.0, 0.0), (9.2, -16.0), (9.2 + 4.0 + CHARACTER * len(letter), -16.0)]
         self.line(np.asarray(legs) + tip, "dim")
         self.text((tip[0] + 10.0, tip[1] - 5.0), letter, "start")

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text
 from clacad.base.units import POWER, millimetres
-from clacad.design.limits import TolerancesSpec
+from clacad.design.limit_sections import TolerancesSpec
 from clacad.exporting.drawing.canvas import CHARACTER, Canvas
 from clacad.exporting.drawing.notes import Allowances, orientation
 from clacad.exporting.drawing.views import LENS_FINISH, OTHER_FINISH, mm_text
@@ -59,9 +60,7 @@ def _radius(value: float, mm: float, half: float) -> str:
 
 
 def faces_table(window: Window, allowed: Allowances) -> Canvas:
-    """Every face: radii and conic constants along its own axes, position of its apex in its cell,
-    rotation.
-    """
+    """Every face: radii and conic constants along its axes, apex in its cell, rotation."""
     mm = millimetres(window.unit)
     head = [
         "face",
@@ -146,9 +145,7 @@ def _layer(window: Window, name: str, bodies: Sequence[Body]) -> list[str]:
 
 
 def sag_table(window: Window) -> Canvas:
-    """Heights of each lens over its apex along its own axes x and y, to the farthest corner of a cell from
-    any apex.
-    """
+    """Heights of each lens over its apex along its axes x and y, to the farthest corner of a cell."""
     mm = millimetres(window.unit)
     curved = structured_faces(window)
     reach = _reach(window)
@@ -164,9 +161,7 @@ def sag_table(window: Window) -> Canvas:
 
 
 def _reach(window: Window) -> float:
-    """Largest distance from its apex at which a lens is used (length): corner distance of a cell plus the
-    lens offset.
-    """
+    """Largest distance from its apex at which a lens is used (length): cell corner plus lens offset."""
     moved = [
         np.hypot(*window.vertices(face, extreme_cells(face.change, window.lattice))[:, :2].T).max()
         for face in window.faces
@@ -188,18 +183,14 @@ def _sag(face: Face, at: float, axis: int, mm: float) -> str:
 
 
 LEAST_CONIC = 1e-12
-"""Conic constants below are rounding errors: they change no lens that fits a sheet by a millionth of a
-wavelength.
-"""
+"""Conic constants below are rounding errors: they change no lens by a millionth of a wavelength."""
 
 MOST_EDGES = 32
 """Edges of a plate that a table lists; a longer boundary is drawn to scale alone."""
 
 
 def plate_tables(design: Design, window: Window) -> list[Canvas]:
-    """Holes of a plate, and the corners of its boundary, about the middle of the cells (mm); none of a plain
-    outline.
-    """
+    """Holes of a plate and corners of its boundary about the middle of the cells (mm), if it is one."""
     plate = window.outline
     if not isinstance(plate, Plate):
         return []
@@ -258,9 +249,9 @@ def errors_table(
     named = {
         "decentre of array 1, array 2 (x and y)": [f"±{mm_text(v)} mm" for v in allowed.decentre if v > 0.0],
         "rotation of array 2 about the normal of A": (
-            [f"±{1e3 * allowed.rotation:.3g} mrad"] if allowed.rotation else []
+            [f"±{mrad_text(allowed.rotation, 3)}"] if allowed.rotation else []
         ),
-        "tilt of array 2 against A": [f"±{1e3 * allowed.tilt:.3g} mrad"] if allowed.tilt else [],
+        "tilt of array 2 against A": [f"±{mrad_text(allowed.tilt, 3)}"] if allowed.tilt else [],
         "lens to lens": [f"±{mm_text(allowed.separation)} mm"] if two and allowed.separation else [],
         "play of the pins (x and y)": (
             []
@@ -270,7 +261,7 @@ def errors_table(
         "centre thickness of the bodies": [
             f"±{mm_text(v)} mm" for v in allowed.thickness[: len(window.bodies)] if v > 0.0
         ],
-        "radii of array 1, array 2": [f"±{100 * v:.3g} %" for v in allowed.radius if v > 0.0],
+        "radii of array 1, array 2": [f"±{percent_text(v)}" for v in allowed.radius if v > 0.0],
     }
     rows = [[name, ", ".join(values), "not studied"] for name, values in named.items() if values]
     rows = rows or [["none stated: [tolerances] of the design is empty", "-", "not studied"]]
@@ -282,9 +273,7 @@ def errors_table(
 
 
 def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
-    """Parameters of a study with the change over the tolerance of each, the largest effect on the law
-    first.
-    """
+    """Parameters of a study with the change over the tolerance, the largest effect on the law first."""
     changes = {
         measure: {row["parameter"]: row["change"] for row in study["ranking"].get(measure, ())}
         for measure in COSTS
@@ -293,7 +282,7 @@ def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
     rows = []
     for p in parameters:
         if p["unit"] == "rad":
-            stated = f"{1e3 * p['tolerance']:.3g} mrad"
+            stated = mrad_text(p["tolerance"], 3)
         elif p["unit"]:
             stated = f"{mm_text(p['tolerance'] * millimetres(design.unit_m))} mm"
         else:
@@ -303,7 +292,7 @@ def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
             [
                 p["name"],
                 ("" if p["one_sided"] else "±") + stated,
-                *("-" if c is None else f"{1e3 * c:.3g}" for c in costs),
+                *("-" if c is None else mrad_text(c, 3, unit="") for c in costs),
             ]
         )
     title = "errors allowed, and what each alone changes (mrad), by a tolerance study of this design"
@@ -317,7 +306,7 @@ def surfaces_table(window: Window, allowed: Allowances, slope_rms: float) -> Can
     What the design does not state is to be agreed: no value is assumed.
     """
     texture = f"Rq {1e6 * allowed.roughness:.3g} nm" if allowed.roughness > 0.0 else AGREE
-    form = f"slope {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else AGREE
+    form = f"slope {mrad_text(slope_rms, 3)} rms" if slope_rms > 0.0 else AGREE
     centred = [allowed.decentre[0] > 0.0, max(allowed.decentre[1], allowed.tilt, allowed.rotation) > 0.0]
     rows = [
         [
@@ -349,7 +338,7 @@ def notes(
         if allowed.roughness > 0.0
         else "to be agreed, the design states no roughness"
     )
-    slope = f", slope error at most {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else ""
+    slope = f", slope error at most {mrad_text(slope_rms, 3)} rms" if slope_rms > 0.0 else ""
     sides = (
         "B: the outermost side towards -y; C: towards -x; holes and corners are placed about the middle of"
         " the cells"

@@ -61,9 +61,7 @@ NO_ALLOWANCES = Allowances()
 
 
 def allowances(design: Design) -> Allowances:
-    """Tolerances of a design; the roughness of its lens faces is that of [tolerances] or [body], the larger
-    of the two.
-    """
+    """Tolerances of a design; roughness of its lens faces: the larger of [tolerances] and [body]."""
     spec, mm = design.tolerances, millimetres(design.unit_m)
     return Allowances(
         (spec.thickness[0] * mm, spec.thickness[1] * mm),
@@ -166,9 +164,7 @@ def _same(one: Floats, other: Floats) -> bool:
 
 
 def _fits(window: Window, ways: tuple[Floats, ...]) -> bool:
-    """Whether a plate rotated in one of these ways coincides with itself; outlines that are no plate always
-    do.
-    """
+    """Whether a plate coincides with itself after one of these rotations; other outlines always do."""
     plate = window.outline
     return not isinstance(plate, Plate) or any(
         np.array_equal(_marks(plate, np.eye(2)), _marks(plate, way)) for way in ways

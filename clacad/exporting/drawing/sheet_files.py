@@ -170,9 +170,7 @@ class _Pen:
         text.set_placement(self._at(words.at), align=where[words.anchor])
 
     def _measure(self, mark: DimensionMark, scale: float | None) -> None:
-        """A DIMENSION whose picture is that of the board: ezdxf's own would measure words by fonts of this
-        machine.
-        """
+        """A DIMENSION with the picture of the board: ezdxf's depends on the fonts of this machine."""
         assert scale is not None, "a dimension belongs to a view to scale"
         factor = 1.0 / (scale * self._unit)
         dimension = self.space.add_linear_dim(

@@ -33,9 +33,7 @@ def frame_box(paper: tuple[float, float]) -> tuple[float, float, float, float]:
 
 
 def zone_edges(low: float, high: float, middle: float) -> list[float]:
-    """Ends of the zones along a side of the frame (mm): an even number, in steps of 50 from the middle of
-    the paper.
-    """
+    """Ends of the zones along a side of the frame (mm): an even number, steps of 50 from the middle."""
     half = max(1, round((high - low) / (2.0 * ZONE)))
     return [low, *(middle + ZONE * k for k in range(1 - half, half)), high]
 
@@ -62,9 +60,7 @@ def _zones(
     axis: int,
     unit: float,
 ) -> None:
-    """Lines between zones and their names on two opposite sides; a centring mark where the middle of the
-    paper is.
-    """
+    """Lines between zones and their names on two opposite sides; a centring mark in the middle."""
     for inner, outer in sides:
         for k, edge in enumerate(edges[1:-1], 1):
             centre = 2 * k == len(edges) - 1
@@ -157,9 +153,7 @@ def _field_width(name: str, value: str) -> float:
 
 
 def _first_angle(canvas: Canvas, at: tuple[float, float]) -> None:
-    """The symbol of first-angle projection (ISO 5456-2): a cone from its side, and from its narrow end to
-    the right.
-    """
+    """The symbol of first-angle projection (ISO 5456-2): a cone from its side and from its narrow end."""
     x, y = at
     canvas.polygon(
         np.array([[x - 20.0, y - 3.5], [x - 4.0, y - 7.0], [x - 4.0, y + 7.0], [x - 20.0, y + 3.5]]), "dim"

@@ -41,9 +41,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """Room for boxes, mm: its size, that of the corner at its lower right that is taken, and the least
-    gap.
-    """
+    """Room for boxes, mm: its size, that of the taken corner at its lower right, and the least gap."""
 
     size: Size
     corner: Size
@@ -98,9 +96,7 @@ def _join(row: _Row, number: int, sizes: Sequence[Size], area: Area) -> bool:
 
 
 def _spread(rows: Sequence[_Row], sizes: Sequence[Size], area: Area) -> dict[int, Box] | None:
-    """Share the room that is left among rows, columns and boxes; the last rows end next to the corner, or
-    above it.
-    """
+    """Share the free room among rows, columns and boxes; the last rows end next to or above the corner."""
     (wide, tall), (taken, low) = area.size, area.corner
     used = sum(row.height for row in rows) + area.gap * (len(rows) - 1)
     for bottom in (tall, tall - low - area.gap):
@@ -119,9 +115,7 @@ def _spread(rows: Sequence[_Row], sizes: Sequence[Size], area: Area) -> dict[int
 
 
 def _row_boxes(row: _Row, y: float, room: float, sizes: Sequence[Size]) -> dict[int, Box]:
-    """Columns spread over the width, the first at the left; boxes of a column spread over the height of the
-    row.
-    """
+    """Columns spread over the width from the left; boxes of a column spread over the height of the row."""
     count = len(row.columns)
     spare = room - sum(column.width for column in row.columns)
     step, x = (spare / (count - 1), 0.0) if count > 1 else (0.0, 0.5 * spare)
@@ -165,9 +159,7 @@ def differing_key(design: Design) -> str:
 
 
 def differing_notes(design: Design, window: Window) -> tuple[str, ...]:
-    """Notes that the sheet is non-uniform, by which key, and where all cells are listed; empty for a uniform
-    sheet.
-    """
+    """Notes that a sheet is non-uniform, by which key, and where all cells are listed."""
     if window.uniform:
         return ()
     return (
@@ -279,9 +271,7 @@ class _Trial:
 
     @property
     def cost(self) -> tuple[int, float, float]:
-        """The fewest sheets are best; of those the fullest, and of equally full ones the largest views and
-        type.
-        """
+        """The fewest sheets are best; then the fullest, then the largest views and type."""
         used = sum((x1 - x0) * (y1 - y0) for page in self.pages for x0, y0, x1, y1 in page.values())
         return len(self.pages), max(self.empty, ENOUGH), -used
 
@@ -363,9 +353,7 @@ NOTES = 560.0
 def _sets_of_views(
     window: Window, facts: Feasibility, allowed: Allowances, unit: float
 ) -> list[list[Canvas]]:
-    """The views at every share of their scales that differs: those of the sheet, and those of its cells,
-    each together.
-    """
+    """The views at every share of their scales that differs: those of the sheet, and those of its cells."""
     ranges = [(body.low, body.high) for body in facts.bodies]
 
     def of_sheet(share: float) -> list[Canvas]:
@@ -391,9 +379,7 @@ def _different(draw: Callable[[float], list[Canvas]]) -> list[list[Canvas]]:
 def _laid_out(
     boards: Sequence[Canvas], corner: Canvas, paper: tuple[float, float], zoom: float
 ) -> _Trial | None:
-    """Boards on the fewest sheets that hold them, the least empty way that was found; None where one fits on
-    none.
-    """
+    """Boards on the fewest sheets that hold them, least empty; None where one fits on no sheet."""
     unit = PIXEL * zoom
     left, top, right, bottom = frame_box(paper)
     size = (right - left - 2.0 * ROOM, bottom - top - 2.0 * ROOM)
@@ -411,9 +397,7 @@ def _laid_out(
 
 
 def _splits(sizes: Sequence[tuple[float, float]], area: Area) -> Iterator[list[dict[int, Box]]]:
-    """Boxes on the fewest sheets, each as full as it gets; the last two share what is left in every way that
-    fits.
-    """
+    """Boxes on the fewest sheets, each as full as it gets; the last two share the rest in every way."""
     left, full = list(range(len(sizes))), list[dict[int, Box]]()
     while (last := _page(sizes, left, area)) is None:
         parts = [(_page(sizes, left[:n], area), _page(sizes, left[n:], area)) for n in range(1, len(left))]
@@ -430,9 +414,7 @@ def _splits(sizes: Sequence[tuple[float, float]], area: Area) -> Iterator[list[d
 
 
 def _page(sizes: Sequence[tuple[float, float]], numbers: Sequence[int], area: Area) -> dict[int, Box] | None:
-    """Boxes on one sheet, in the order of reading or the highest first, as leaves the least empty; None: no
-    room.
-    """
+    """Boxes on one sheet, in reading order or the highest first, whichever is less empty; None: no room."""
     orders = (numbers, sorted(numbers, key=lambda k: -sizes[k][1]))
     (wide, tall), (taken, low) = area.size, area.corner
     title = (wide - taken, tall - low, wide, tall)

@@ -136,9 +136,7 @@ def _assembly_dimensions(
     across: tuple[float, float],
     down: tuple[float, float],
 ) -> None:
-    """Outer sizes, heights of the bodies, datum A, the finish of the sides, and the direction of the
-    light.
-    """
+    """Outer sizes, heights of the bodies, datum A, finish of the sides, and direction of the light."""
     mm = millimetres(window.unit)
     x0, x1, _, _ = whole_extent(window)
     low, high = window.z_range
@@ -226,9 +224,7 @@ def plan(window: Window, paper: OnPaper | None = None) -> Canvas:
 
 
 def _outline(canvas: Canvas, window: Window, at: tuple[float, float], size: tuple[float, float]) -> None:
-    """The outline of the sheet, its mark and its datums; `at`: upper left corner, `size`: width and height,
-    px.
-    """
+    """Outline of the sheet, its mark and datums; `at`: upper left corner, `size`: width and height, px."""
     (left, top), (wide, tall) = at, size
     x0, x1, y0, y1 = whole_extent(window)
     scale = wide / (x1 - x0)
@@ -255,9 +251,7 @@ def _outline(canvas: Canvas, window: Window, at: tuple[float, float], size: tupl
 
 
 def _free_way(place: float, taken: Sequence[float]) -> float:
-    """Least offset (px) of a datum letter from its place, so that no extension line (at `taken`) crosses
-    it.
-    """
+    """Least offset (px) of a datum letter from its place that keeps extension lines (`taken`) off it."""
     ways = sorted((4.0 * k for k in range(-40, 41)), key=lambda way: (abs(way), way))
     return next((way for way in ways if all(abs(place + way - line) > 9.0 for line in taken)), 0.0)
 
@@ -312,16 +306,13 @@ STEP_DOWN, STEP_OUT = 20.0, 44.0
 """Distance of successive dimension lines, px."""
 
 MOST_PLACES = 4
-"""Largest number of distinct hole distances along an axis that a view dimensions; the table of holes has all.
-"""
+"""Largest number of hole distances along an axis that a view dimensions; the table of holes has all."""
 
 Distance = tuple[float, float, str]
 
 
 def _inner_distances(window: Window) -> tuple[list[Distance], list[Distance]]:
-    """Stretches (low, high, words) along x and along y, lengths, to be dimensioned: clear aperture, places
-    of holes.
-    """
+    """Stretches (low, high, words) along x and y, lengths, to be dimensioned: clear aperture, holes."""
     clear = _clear_aperture(window)
     found = [places if len(places) <= MOST_PLACES else [] for places in _hole_places(window)]
     return clear[0] + found[0], clear[1] + found[1]
@@ -354,9 +345,7 @@ def _hole_places(window: Window) -> tuple[list[Distance], list[Distance]]:
 
 
 def _extreme_places(plate: Plate) -> tuple[float, float]:
-    """X of the lowest and y of the leftmost points of a plate (lengths), away from the middle of a straight
-    side.
-    """
+    """X of the lowest and y of the leftmost points of a plate (lengths), off the middle of a side."""
     boundary = plate.polygons(360)[0]
     x, y = boundary.T
     near = 1e-6 * max(plate.reach)
@@ -572,9 +561,7 @@ def _shape_words(lens: LensFacts, mm: float) -> tuple[str, str]:
 
 
 def _lens_finish(canvas: Canvas, x: Floats, face: Floats, at: Callable[..., Floats], below: bool) -> None:
-    """The symbol of surface texture on a lens face, next to its apex; of a face seen from below at the end
-    of a leader.
-    """
+    """The symbol of surface texture on a lens face next to its apex; on a leader where seen from below."""
     known = np.flatnonzero(np.isfinite(face))
     if not len(known):
         return
@@ -589,9 +576,7 @@ def _lens_finish(canvas: Canvas, x: Floats, face: Floats, at: Callable[..., Floa
 
 
 def _curved_side(body: Body, array: int) -> int | None:
-    """Side of a body that carries this lens where the other side does not: 0 front, 1 back; None where both
-    do.
-    """
+    """Side of a body that carries this lens where the other does not: 0 front, 1 back; None where both do."""
     sides = [k for k, face in enumerate((body.front, body.back)) if face.array == array]
     return sides[0] if len(sides) == 1 else None
 
@@ -612,9 +597,7 @@ def _detail_dimensions(
     base: float,
     half: float,
 ) -> None:
-    """Draw pitch, and sag of a lens on a plate, or thicknesses of a separate lens at the middle and the
-    edge.
-    """
+    """Draw pitch, and sag of a lens on a plate, or middle and edge thickness of a separate lens."""
     front, back = faces
     (xa, ya), (xb, _) = at(x[0], _low(front)), at(x[-1], _low(front))
     edge = min(float(ya), base)

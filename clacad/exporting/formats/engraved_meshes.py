@@ -23,7 +23,7 @@ LETTER_POINTS = 30
 
 
 def _write_stl(job: Job) -> list[FileRecord]:
-    from clacad.exporting.fixtures.marked_meshes import engraved, with_marks
+    from clacad.exporting.fixtures.engraving import engraved, with_marks
 
     made = engraved(job)
     parts = [
@@ -35,7 +35,7 @@ def _write_stl(job: Job) -> list[FileRecord]:
 
 def _write_threemf(job: Job) -> list[FileRecord]:
     """Write one 3MF file, in which no cell is repeated."""
-    from clacad.exporting.fixtures.marked_meshes import engraved, with_marks
+    from clacad.exporting.fixtures.engraving import engraved, with_marks
 
     made = replace(engraved(job), stem=f"{job.stem}.marked")
     return [with_marks(indexed_meshes.threemf_record(made, plain=True), made)]

@@ -8,15 +8,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.format import BASE, Forecast, own_cells_note
+from clacad.exporting.formats.format import BASE, STREAM_FACET, Forecast, own_cells_note
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from clacad.base.types import Floats
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.formats.maps.sag import HeightMap
     from clacad.sheet.window import Body, Face, Window
 
@@ -117,7 +117,7 @@ class FileKind:
     word: str
     family: Literal["mesh", "solid", "map", "other"]
     ends: tuple[str, ...] = ()
-    bytes_a_facet: float = 50.0
+    bytes_a_facet: float = STREAM_FACET
     states_unit: bool = False
     native: bool = False
     like: str = ""
@@ -175,9 +175,7 @@ def _saddle_facts(job: Job, saddles: int, scale: float) -> dict[str, Any]:
 
 
 def of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
-    """Row of a mesh with the cost of a non-uniform sheet: each cell is cut and joined to its neighbours
-    separately.
-    """
+    """Row of a mesh with the cost of a non-uniform sheet: each cell is cut and joined separately."""
     if window.uniform:
         return row
     bodies = sum(any(f.change is not None for f in (body.front, body.back)) for body in window.bodies)

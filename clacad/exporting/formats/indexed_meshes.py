@@ -16,9 +16,9 @@ from clacad.exporting.roles import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORM
 
 if TYPE_CHECKING:
     from clacad.base.types import Floats
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
     from clacad.formats.placements import Piece, Places
     from clacad.sheet.window import Window
@@ -132,9 +132,7 @@ def _row(word: str, size: int, held: int, facets: int, places: int, quads: int) 
 
 
 def _vertices(held: int, quads: int) -> float:
-    """Vertices of welded facets: half of one a facet, and more where walls and rims split them by their
-    normals.
-    """
+    """Vertices of welded facets: half of one a facet, and more where walls and rims split them."""
     return held * (0.5 + 1.9 / max(quads, 2))
 
 
@@ -146,7 +144,7 @@ def _forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
 
 def threemf_row(meshes: Meshes, quads: int) -> Forecast:
     """Forecast a 3MF file, without the cost of a non-uniform sheet."""
-    from clacad.exporting.rough_sizes import RoughSheet
+    from clacad.exporting.formats.format import RoughSheet
 
     window, repeated = meshes.window, meshes.repeatable
     held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)
@@ -182,9 +180,7 @@ def _forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
 
 
 def _listed(sheet: RoughSheet) -> int:
-    """Places that a 3MF file lists and its reader keeps: all, or for a large sheet its rows and one row's
-    cells.
-    """
+    """Places that a 3MF file lists and its reader keeps: all, or of a large sheet its rows and one row."""
     from clacad.formats.placements import FLAT_LIMIT
 
     in_rows = sheet.repeats and sheet.cells > FLAT_LIMIT
@@ -316,12 +312,7 @@ def _node_bytes(window: Window) -> float:
 
 
 def _refuse_places(window: Window, _asked: Request) -> None:
-    """Refuse a 3MF file that lists more places than its reader takes.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """Refuse (LimitRefused) a 3MF file that lists more places than its reader takes."""
     from clacad.exporting.limits import refuse_many_places
     from clacad.formats.mesh.threemf import MOST_PLACES
 
@@ -330,12 +321,7 @@ def _refuse_places(window: Window, _asked: Request) -> None:
 
 
 def _refuse_nodes(window: Window, asked: Request) -> None:
-    """Refuse a GLB file that has more nodes than its reader takes.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """Refuse (LimitRefused) a GLB file that has more nodes than its reader takes."""
     from clacad.exporting.limits import refuse_many_places
     from clacad.formats.mesh.glb import MOST_NODES
 

@@ -158,8 +158,4 @@ FORMATS = (
     ),
 )
 
-FILES = (
-    map_kind(MASK_SVG, ".mask.svg"),
-    map_kind(MASK_DXF, ".mask.dxf"),
-    map_kind(GDS, ".gds", native=True),
-)
+FILES = (map_kind(MASK_SVG, ".mask.svg"), map_kind(MASK_DXF, ".mask.dxf"), map_kind(GDS, ".gds", native=True))

@@ -11,19 +11,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.exporting.formats import step
+from clacad.exporting.formats import step, stl
 from clacad.exporting.formats.file_kind import FileKind
-from clacad.exporting.formats.format import STREAM_MEMORY, Forecast, Format
-from clacad.exporting.formats.stl import KIND as STL
-from clacad.exporting.formats.stl import seconds as stream_seconds
+from clacad.exporting.formats.format import Forecast, Format
 from clacad.exporting.roles import EXACT_FACES
 from clacad.storage.errors import FileDisagrees, LimitRefused
 
 if TYPE_CHECKING:
     from clacad.exporting.fixtures import BaffleMesh
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
     from clacad.storage.worker import Worker
@@ -38,21 +36,14 @@ MOST_BREP_CELLS = 2500
 
 
 def _write_baffle(job: Job) -> list[FileRecord]:
-    """Write each honeycomb as binary STL and compare it with its closed-form volume.
-
-    Raises
-    ------
-    NoFixture
-        The design has no baffle.
-    FileDisagrees
-    """
+    """Write each honeycomb as binary STL and compare it with its closed-form volume."""
     from clacad.exporting.fixtures import baffle_meshes
 
     return [_baffle_record(job, baffle) for baffle in baffle_meshes(job.window)]
 
 
 def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
-    from clacad.formats.mesh.closed_stream import measure
+    from clacad.formats.mesh.measure import measure
     from clacad.formats.mesh.readers import read_mesh
     from clacad.formats.mesh.stl import write_stl
 
@@ -73,7 +64,7 @@ def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
         "float": "f32",
         "mode": "fused",
     }
-    return job.record(path, STL, bodies=[baffle.name], facts=facts, checks=("closed", "volume"))
+    return job.record(path, stl.KIND, bodies=[baffle.name], facts=facts, checks=("closed", "volume"))
 
 
 def refuse_many(window: Window, what: str) -> None:
@@ -248,9 +239,7 @@ def _require_solids(window: Window, what: str) -> None:
 
 
 def _require_room(text: str, width: float, height: float, worker: Worker) -> None:
-    """Require room (mm) for a line of text, estimated from its number of letters or measured by drawing
-    it.
-    """
+    """Require room (mm) for a line of text, estimated from its letters or measured by drawing it."""
     from clacad.solid.marks import surely_fits
 
     if not surely_fits(text, width, height):
@@ -273,8 +262,7 @@ def _forecast_baffle(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     window = meshes.window
     honeycombs = max(1, len(window.bodies) - 1)
     facets = 6 * len(window.lattice.steps) * window.lattice.cell_count * honeycombs
-    size = 84 * honeycombs + 50 * facets
-    return Forecast(BAFFLE, size, False, facets, None, stream_seconds(facets), STREAM_MEMORY)
+    return stl.stream_row(BAFFLE, facets, honeycombs, None, exact=False)
 
 
 def _solid_row(word: str, size: int | None, meshes: Meshes, _quads: int, _asked: Request) -> Forecast:

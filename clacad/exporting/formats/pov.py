@@ -48,9 +48,7 @@ def _bytes(window: Window) -> int:
 
 
 def _reading_seconds(cells: int, own: int) -> float:
-    """Seconds for POV-Ray to read the lenses of a scene, all arrays together; `own` lenses are defined per
-    cell.
-    """
+    """Seconds for POV-Ray to read the lenses of all arrays; `own` lenses are defined per cell."""
     return 7.6e-6 * cells + 2.4e-5 * own
 
 

@@ -49,11 +49,7 @@ def _write_optiland(job: Job) -> list[FileRecord]:
     job.progress(f"read back {path.name}", 0.5)
     start, direction = (rows.tolist() for rows in optiland_json.rays_for(job.window))
     found = job.worker.run(
-        f"{optiland_json.__name__}:optiland_directions",
-        str(path),
-        start,
-        direction,
-        timeout=TIMEOUT,
+        f"{optiland_json.__name__}:optiland_directions", str(path), start, direction, timeout=TIMEOUT
     )
     optiland_json.check_optiland(job.window, path.name, np.array(found, dtype=np.float64))
     series = [told["faces"]] if told["largest_slope_error"] else []

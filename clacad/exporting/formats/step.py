@@ -11,9 +11,9 @@ from clacad.exporting.formats.format import ChosenMesh, Forecast, Format, about_
 from clacad.exporting.roles import EXACT_FACES
 
 if TYPE_CHECKING:
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.plate import Plate
     from clacad.sheet.window import Window
@@ -49,9 +49,7 @@ def _seconds(size: int, mode: str) -> float:
 
 
 def _rough_bytes(sheet: RoughSheet, fused: bool) -> int:
-    """Bytes within 20 % for an assembly, within a factor of two for fused solids: walls depend on the
-    neighbours.
-    """
+    """Bytes within 20 % for an assembly, within a factor of two for fused solids with their walls."""
     if not fused:
         return sheet.bodies * (20_000 + 500 * sum(sheet.count))
     kind = "tilted" if sheet.tilted else "hexagonal" if sheet.hexagonal else "straight"

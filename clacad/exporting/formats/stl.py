@@ -6,13 +6,21 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.exporting.formats.file_kind import FileKind
-from clacad.exporting.formats.format import BASE, STREAM_MEMORY, ChosenMesh, Forecast, Format, about_number
+from clacad.exporting.formats.format import (
+    BASE,
+    STREAM_MEMORY,
+    ChosenMesh,
+    Forecast,
+    Format,
+    about_number,
+    stream_bytes,
+)
 from clacad.exporting.roles import IN_SHEET
 
 if TYPE_CHECKING:
+    from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
-    from clacad.exporting.rough_sizes import RoughSheet
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
 
@@ -68,9 +76,9 @@ def seconds(facets: int) -> float:
     return BASE + PER_FACET * facets
 
 
-def stream_row(word: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
-    """Forecast binary STL files: 84 bytes a file and 50 a facet."""
-    size = 84 * files + 50 * facets
+def stream_row(word: str, facets: int, files: int, quads: int | None, exact: bool) -> Forecast:
+    """Forecast binary STL files."""
+    size = stream_bytes(facets, files)
     return Forecast(word, size, exact, facets, quads, seconds(facets), STREAM_MEMORY)
 
 

@@ -45,9 +45,7 @@ def _forecast(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
 
 
 def _bytes(window: Window) -> int:
-    """Size of the two files of the surface table: the JSON generated in full, the CSV from its first row of
-    cells.
-    """
+    """Size of both files of the surface table: JSON generated in full, CSV from its first row of cells."""
     import io
 
     from clacad.formats.maps.pose_table import pose_lines, surface_table
@@ -76,8 +74,4 @@ FORMATS = (
     ),
 )
 
-FILES = (
-    map_kind(POSES, ".poses.csv"),
-    map_kind(SURFACES, ".surfaces.json"),
-    FileKind(CELL_TABLE, "other"),
-)
+FILES = (map_kind(POSES, ".poses.csv"), map_kind(SURFACES, ".surfaces.json"), FileKind(CELL_TABLE, "other"))

@@ -82,9 +82,7 @@ def hair(window: Window) -> float:
 
 
 def keeps_off(window: Window, array: int) -> float:
-    """Gap between the lenses of an array and the borders of their cells (length); negative where they overlap
-    them.
-    """
+    """Gap between the lenses of an array and their cells' borders (length); negative where they overlap."""
     own = any(face.change is not None for face in window.faces if face.array == array)
     return -2.0 * hair(window) if own else hair(window)
 
@@ -98,9 +96,7 @@ def prism(
     zone: bool = False,
     spare: float | None = None,
 ) -> str:
-    """A cell of an array, or its optical zone, between two heights, less `spare` (a gap, `keeps_off`) at each
-    border.
-    """
+    """A cell of an array, or its optical zone, between two heights, less `spare` (a gap) at each border."""
     lattice = window.lattice_of(array)
     loss, spare = (
         0.5 * window.land.seam if zone else 0.0,
@@ -133,9 +129,7 @@ def _bounded(lattice: Lattice, units: float, span: HeightRange, room: float = 0.
 
 # -- how lenses move from cell to cell ---------------------------------------------------------
 MOVE = "translate Move"
-"""Placeholder of a part for the position of its cell's lens; the number of the way in which lenses move
-follows.
-"""
+"""Placeholder of a part for the position of its cell's lens; the number of its kind of move follows."""
 
 
 def changes(window: Window) -> list[VertexChange]:
@@ -166,9 +160,7 @@ def moved(window: Window, face: Face) -> str:
 
 
 def tables(window: Window) -> Iterator[str]:
-    """Moves of the lenses of kept cells, row by row, in the sheet's own unit, where they follow no
-    formula.
-    """
+    """Moves of the lenses of kept cells, row by row, in the sheet's unit, where they follow no formula."""
     for k, change in enumerate(changes(window)):
         if change.table is None:
             continue
@@ -184,9 +176,7 @@ def tables(window: Window) -> Iterator[str]:
 
 
 def _moves(window: Window, units: float) -> Iterator[str]:
-    """Lines within a loop that compute the moves of the lenses of its cell, from the cell's position in the
-    lattice.
-    """
+    """Lines within a loop that compute the moves of the lenses of its cell from its lattice position."""
     for k, change in enumerate(changes(window)):
         (xx, xy), (yx, yy) = change.gradient
         yield f"      #declare C = <{_place(window.lattice, (0.0, 0.0), units)}>;"
@@ -241,9 +231,7 @@ def in_every_cell(
     span: HeightRange,
     look: Substance,
 ) -> Iterator[str]:
-    """Declare a solid of parts and put it into every cell of an array; a macro where a part needs its cell
-    (`moved`).
-    """
+    """Declare a solid and put it into every cell; a macro where a part needs its cell (`moved`)."""
     kind = "merge" if len(parts) > 1 else "intersection"
     inside = "\n  ".join(parts)
     moving = any(MOVE in part for part in parts)

@@ -224,9 +224,7 @@ def _screen(scene: Scene, thing: SceneObject) -> Shapes:
 
 
 def _coordinates(w: float, h: float) -> str:
-    """Red and green rise from 0 to 1 across the screen, blue is 1: an average of three maps, each three times
-    as strong.
-    """
+    """Red and green rise from 0 to 1 across the screen, blue is 1: mean of three maps, thrice as strong."""
     across = (
         f"gradient x color_map {{ [0 rgb 0] [1 rgb <3, 0, 0>] }} scale {number(w)} translate"
         f" <{number(-0.5 * w)}, 0, 0>"
@@ -248,9 +246,7 @@ def _mesh(scene: Scene, thing: SceneObject) -> Shapes:
 
 
 def _floor(thing: SceneObject) -> str:
-    """Unit cubes of the checker pattern: their middle plane is laid on the floor, so that no edge falls on
-    it.
-    """
+    """Unit cubes of the checker pattern, their middle plane on the floor so that no edge falls on it."""
     odd, even = thing.colours
     side, y = SCALE * thing.tile, SCALE * thing.height
     # POV-Ray's first colour fills the cube at the origin, where floor(x) + floor(z) is even

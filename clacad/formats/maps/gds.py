@@ -183,9 +183,7 @@ def grey_cell(window: Window, body: Body, face: Face, label: str, levels: int, s
 
 
 def _pixels(map_: HeightMap) -> tuple[Floats, Floats, tuple[float, float]]:
-    """Middles x, y (rows, columns) of the pixels of a cell, from its centre, and their width and height,
-    lengths.
-    """
+    """Middles x, y (rows, columns) of the pixels from the middle of a cell; width and height, lengths."""
     assert map_.face.array is not None
     lattice = map_.window.lattice_of(map_.face.array)
     tile = lattice.tile()
@@ -219,9 +217,7 @@ def _range_of_cells(map_: HeightMap) -> tuple[float, float]:
 
 
 def _outward(map_: HeightMap, points: Floats, index: Ints) -> Floats:
-    """Heights (n,) of a face over points (n, 2) of the cells `index` (n, 2), away from the material; NaN in
-    holes.
-    """
+    """Heights (n,) of a face over points (n, 2) of cells (n, 2), away from the material; NaN in holes."""
     window, body, face = map_.window, map_.body, map_.face
     if body.columnar:
         z = column(window, body, points[:, 0], points[:, 1], index)[0 if face is body.front else 1]
@@ -241,9 +237,7 @@ def _levels_in(map_: HeightMap, levels: int, cell: Ints) -> Ints:
 
 
 def _levels_at(one: Window, body: Body, map_: HeightMap, levels: int, x: Floats, y: Floats) -> Ints:
-    """Level (n,) of a face at points (n,) from the centre of its cell, 0 the lowest; −1 outside the cell or
-    the lens.
-    """
+    """Level (n,) of a face at points (n,) from the centre of its cell, 0 the lowest; −1 outside the lens."""
     assert map_.face.array is not None
     index, _, _ = one.lattice_of(map_.face.array).locate(x, y)
     dx, dy = one.shifts[map_.face.array]
@@ -286,9 +280,7 @@ def write_gds(cell: GreyCell, path: Path, scale: float) -> int:
 
 
 def _write_each(cell: GreyCell, path: Path, scale: float, name: str) -> int:
-    """Write cells that vary one after another, in the memory of one, and then the sheet of references to
-    them.
-    """
+    """Write cells that vary one after another, in the memory of one, then the sheet of references to them."""
     import gdstk
 
     writer = gdstk.GdsWriter(str(path), "clacad", unit=1e-6, precision=GRID * 1e-6, timestamp=_DATE)

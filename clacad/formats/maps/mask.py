@@ -70,9 +70,7 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
 
 
 def _refuse_rims(window: Window, body: Body, face: Face, zone: Floats) -> None:
-    """Reject a non-uniform sheet where a cell does not fill its optical zone at its corners, sides or
-    middle.
-    """
+    """Reject a non-uniform sheet where a cell does not fill its optical zone at corners, sides or middle."""
     at = (1.0 - 1e-9) * np.concatenate([zone, 0.5 * (zone + np.roll(zone, 1, axis=0)), [[0.0, 0.0]]])
     cells = window.lattice.cells()
     index = np.repeat(cells, len(at), axis=0)
@@ -109,9 +107,7 @@ def _proud(window: Window, body: Body, face: Face, points: Floats) -> NDArray[np
 
 
 def _inside_point(window: Window, body: Body, face: Face, zone: Floats) -> Floats | None:
-    """Point of the zone that lies deepest inside the lens: the apex, or the nearest grid point on the
-    lens.
-    """
+    """Point of the zone that lies deepest inside the lens: apex, or nearest grid point on the lens."""
     u = np.linspace(zone[:, 0].min(), zone[:, 0].max(), 65)
     v = np.linspace(zone[:, 1].min(), zone[:, 1].max(), 65)
     x, y = np.meshgrid(u, v)

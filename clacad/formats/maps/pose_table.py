@@ -1,6 +1,4 @@
-"""Surface equation and pose table: the data that a tool-path programmer needs to cut the faces without
-CAD.
-"""
+"""Surface equation and pose table: what a tool-path programmer needs to cut the faces without CAD."""
 
 from __future__ import annotations
 
@@ -91,9 +89,7 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
 
 
 def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
-    """Additional entries of a face on a non-uniform sheet: the pitch of its array, and that the pose table
-    has its apexes.
-    """
+    """Additional entries of a face on a non-uniform sheet: pitch of its array, and home of its apexes."""
     found: dict[str, Any] = {}
     place = None if face.array is None else window.placements[face.array]
     if place is not None and place.pitch is not None:
@@ -164,9 +160,7 @@ def write_table_json(window: Window, path: Path, scale: float) -> None:
 
 
 def write_table_csv(window: Window, path: Path, scale: float) -> int:
-    """Write one line for each lenslet face of each cell: apex and Euler angles. Returns the number of
-    lines.
-    """
+    """Write apex and Euler angles of each lenslet face of each cell; return the number of lines."""
     count = 0
     with path.open("w", encoding="ascii", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")

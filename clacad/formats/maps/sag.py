@@ -68,9 +68,7 @@ class HeightMap:
         return (self.high - self.low) / 65534.0 or 1.0
 
     def calibration(self, scale: float) -> dict[str, object]:
-        """Data that a machine needs to use the map, in millimetres (`scale` = millimetres per design
-        unit).
-        """
+        """Data that a machine needs to use the map, in millimetres (`scale`: millimetres per design unit)."""
         return {
             "face": self.label,
             "pixel_mm": self.pixel * scale,
@@ -147,7 +145,9 @@ def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int
     plain = plain_map(window, body, face, label, per_cell)
     alike = body.front.change is None and body.back.change is None
     low, high = range_of_cell(window, body, face, per_cell) if alike else _range_of_pixels(plain)
-    return replace(plain, low=low, high=high) if high >= low else _empty(plain)
+    if not high >= low:
+        raise FileDisagrees(f"{label}: the face has no height anywhere; there is nothing to draw")
+    return replace(plain, low=low, high=high)
 
 
 def plain_map(window: Window, body: Body, face: Face, label: str, per_cell: int) -> HeightMap:
@@ -160,10 +160,6 @@ def plain_map(window: Window, body: Body, face: Face, label: str, per_cell: int)
     # A map that is not a whole number of pixels wide is centred on the cells.
     origin = (dx + 0.5 * (x0 + x1 - width * pixel), dy + 0.5 * (y0 + y1 - height * pixel))
     return HeightMap(window, body, face, label, pixel, width, height, origin, face.vertex[2], 0.0, 0.0)
-
-
-def _empty(map_: HeightMap) -> HeightMap:
-    raise FileDisagrees(f"{map_.label}: the face has no height anywhere; there is nothing to draw")
 
 
 def range_of_cell(window: Window, body: Body, face: Face, per_cell: int) -> tuple[float, float]:

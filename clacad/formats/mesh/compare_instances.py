@@ -18,7 +18,7 @@ from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
 from clacad.base.vectors import doubled_normals
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
-from clacad.formats.mesh.measure_instances import objects
+from clacad.formats.mesh.measure import objects
 from clacad.formats.placements import fill
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
@@ -220,10 +220,7 @@ def placing_room(window: Window) -> float:
 
 
 def _in_rows(mesh: FileMesh, window: Window, factor: float, limit: float) -> tuple[RowPlaces, ...]:
-    """Repeated parts of a file whose rows fill the lattice, each within the limit.
-
-    Empty if any part does not fill it, or if two parts represent the same lenses.
-    """
+    """Repeated parts of a file whose rows fill the lattice within the limit; empty if any does not."""
     found: list[RowPlaces] = []
     for parts in objects(mesh):
         one = _row_places(parts, window, factor)
@@ -282,9 +279,7 @@ def _stand(parts: list[Part], window: Window, factor: float) -> PartPlaces | Non
 
 
 def _steps(centre: Floats, basis: Floats, first: int) -> tuple[Ints, Floats]:
-    """Whole index steps (m, 2) of centres (m, 3) from number `first`, and their residuals (m, 3) from the
-    majority.
-    """
+    """Whole index steps (m, 2) of centres (m, 3) from number `first`; residuals (m, 3) from the majority."""
     u = np.linalg.solve(basis.T, (centre[:, :2] - centre[first, :2]).T).T
     # phase of the majority between two whole steps: a mean of phases, which one stray place hardly changes
     phase = np.angle(np.exp(2j * np.pi * u).mean(axis=0)) / (2.0 * np.pi)
@@ -298,9 +293,7 @@ def _steps(centre: Floats, basis: Floats, first: int) -> tuple[Ints, Floats]:
 def _covered(
     parts: Sequence[Part], window: Window, place: Floats, factor: float
 ) -> tuple[dict[Side, Ints], bool]:
-    """Cells (k, 2) that facets at one place (4, 3) lie over, by body and side, lens faces only; whether they
-    spill.
-    """
+    """Cells (k, 2) under the lens facets at one place (4, 3), by body and side; whether the facets spill."""
     area: dict[tuple[Side, Cell], float] = {}
     for part in parts:
         for corners, _ in part.pairs_at(place):
@@ -341,9 +334,7 @@ def _lying(corners: Floats, window: Window) -> Iterator[tuple[Side, Ints, Floats
 def _covering(
     found: Sequence[PartPlaces], mesh: FileMesh, window: Window, factor: float
 ) -> tuple[list[Cell], list[Cell], list[Cell], tuple[int, int, int]]:
-    """Cells without a place, cells with several, and places outside the sheet: the first few, and the
-    counts.
-    """
+    """Cells without a place, cells with several, places outside the sheet: the first few, and the counts."""
     lattice = window.lattice
     whole = {number for number in range(len(window.bodies)) if not _stands_once(mesh, window, number, factor)}
     missing, doubled, outside = [_NONE], [_NONE], [_NONE]

@@ -8,10 +8,9 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.base.vectors import doubled_normals
-from clacad.formats.mesh.closed_stream import Measure
 from clacad.formats.mesh.compare_instances import standing
 from clacad.formats.mesh.file_mesh import FileMesh
-from clacad.formats.mesh.measure_instances import measure_mesh
+from clacad.formats.mesh.measure import Measure, measure_mesh
 from clacad.mesh.border_samples import in_corners
 from clacad.sheet.volume_and_extent import Integral, distance_to_face, least_extent, whole_extent
 from clacad.sheet.window import WALL, Window

@@ -1,4 +1,4 @@
-"""Sums over a stream of triangles in one pass, compiled: see `clacad.formats.mesh.closed_stream`."""
+"""Sums over a stream of triangles in one pass, compiled: see `clacad.formats.mesh.measure`."""
 
 from __future__ import annotations
 
@@ -31,9 +31,7 @@ def point_hash(words: Words, facet: int, corner: int, seed: np.uint64) -> np.uin
 
 @inlined
 def edge_hash(start: np.uint64, end: np.uint64, seed: np.uint64) -> np.uint64:
-    """Hash of a directed edge: the undirected one's, negative if traversed backwards, 0 from a point to
-    itself.
-    """
+    """Hash of a directed edge: the undirected one's, negative if traversed backwards; 0 for no length."""
     if start == end:
         return ZERO
     low, high = (start, end) if start < end else (end, start)

@@ -21,11 +21,6 @@ CHUNK = 1 << 16
 MOST_EXPANDED = 100_000_000
 """Facets up to which a file that repeats its parts may be walked as if each of them were written out."""
 
-SURVEYED = 200_000
-"""Facets by which a file too large to walk is located."""
-
-GOLDEN = 0.5 * (5.0**0.5 - 1.0)
-
 ONE_PLACE = np.concatenate([np.eye(3), np.zeros((1, 3))])[None]
 
 
@@ -127,9 +122,7 @@ class Part:
         return found
 
     def welded(self) -> tuple[Floats, Ints]:
-        """Vertices (v, 3) of its facets before placing, equal ones merged, and facets (t, 3) of their
-        numbers.
-        """
+        """Vertices (v, 3) of its facets before placing, equal ones merged, and facets (t, 3) by number."""
         if self.soup is not None:
             return welded(self.corners(0, self.facet_count))
         assert self.vertices is not None
@@ -228,9 +221,7 @@ class FileMesh:
 
     @property
     def expandable(self) -> bool:
-        """Whether its facets are few enough to visit all of them at every placement; always true without
-        repeats.
-        """
+        """Whether its facets are few enough to visit all at every placement; true without repeats."""
         return self.facet_count <= max(MOST_EXPANDED, self.stored_count)
 
     def chunks(self, size: int = CHUNK) -> Iterator[Floats]:
@@ -239,7 +230,7 @@ class FileMesh:
         Raises
         ------
         UnreadableFile
-            Its repeated parts represent more facets than MOST_EXPANDED: examine each part once, or `thinned`.
+            Its repeated parts represent more facets than MOST_EXPANDED: examine each part once.
         """
         if not self.expandable:
             raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")
@@ -252,66 +243,6 @@ class FileMesh:
             raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")
         for part in self.parts:
             yield from part.pairs(size)
-
-    def thinned(self, count: int) -> Floats:
-        """Corners of about `count` facets spread evenly over parts, placements and facets, (k, 3, 3), file
-        unit.
-
-        Nothing is expanded; a mesh of fewer facets is returned whole. The selection is deterministic.
-        """
-        total = self.facet_count
-        if total <= count:
-            return np.concatenate([np.zeros((0, 3, 3)), *self.chunks()])
-        found = []
-        for part in self.parts:
-            every = part.facet_count * len(part.places)
-            many = min(every, int(np.ceil(count * every / total)))
-            k = np.arange(many)
-            # placements in order, facets by the golden ratio: the two sequences have no common stride
-            place = (k * len(part.places)) // max(1, many)
-            share = (k * GOLDEN) % 1.0 if part.repeated else (k + 0.5) / max(1, many)
-            corners = part.picked((share * part.facet_count).astype(np.int64))
-            spots = part.placed_at(place)
-            found.append(np.einsum("kcx,kxy->kcy", corners, spots[:, :3]) + spots[:, None, 3])
-        return np.concatenate(found)
-
-    def survey(self, count: int = SURVEYED) -> Iterator[Floats]:
-        """Chunks from which the pose of a part is found: all facets, or an even selection of a file with too
-        many.
-
-        The selection is `thinned`, with the facets at its extremes in many directions, so that its box and
-        hull are complete.
-        """
-        if self.expandable:
-            yield from self.chunks()
-            return
-        found = np.concatenate([self.thinned(count), self._ends()])
-        for start in range(0, len(found), CHUNK):
-            yield found[start : start + CHUNK]
-
-    def _ends(self) -> Floats:
-        """Facets (k, 3, 3) that contain the farthest corner along each of many directions."""
-        k = np.arange(256)
-        z, turn = 1.0 - (2 * k + 1) / len(k), 2.0 * np.pi * GOLDEN * k
-        around = np.sqrt(1.0 - z * z)
-        signs = np.array(
-            [[x, y, w] for x in (-1, 0, 1) for y in (-1, 0, 1) for w in (-1, 0, 1)], dtype=np.float64
-        )
-        ways = np.concatenate([np.column_stack([around * np.cos(turn), around * np.sin(turn), z]), signs])
-        found = []
-        for part in self.parts:
-            for linear, rows in kinds(part):
-                reach, facet = np.full(len(ways), -np.inf), np.zeros(len(ways), dtype=np.int64)
-                for start in range(0, part.facet_count, CHUNK // 16):
-                    along = (part.corners(start, start + CHUNK // 16) @ linear @ ways.T).max(axis=1)
-                    best = along.argmax(axis=0)
-                    farther = along[best, np.arange(len(ways))] > reach
-                    reach[farther] = along[best, np.arange(len(ways))][farther]
-                    facet[farther] = best[farther] + start
-                place = np.array([int(np.argmax(part.placements[rows, 3] @ way)) for way in ways])
-                spots = part.placements[rows[place]]
-                found.append(np.einsum("kcx,kxy->kcy", part.picked(facet), spots[:, :3]) + spots[:, None, 3])
-        return np.concatenate(found)
 
     def box(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner, (3,) each, file unit."""
@@ -330,9 +261,7 @@ class FileMesh:
 
 
 def kinds(part: Part) -> list[tuple[Floats, Ints]]:
-    """Group placements of a part by rotation and scale: linear map (3, 3) and row numbers, the commonest
-    first.
-    """
+    """Group placements of a part by rotation and scale: linear map (3, 3), row numbers; commonest first."""
     linear = part.placements[:, :3].reshape(-1, 9)
     if (linear == linear[0]).all():
         return [(linear[0].reshape(3, 3), np.arange(len(linear)))]
@@ -347,9 +276,7 @@ def kinds(part: Part) -> list[tuple[Floats, Ints]]:
 
 
 def kinds_and_ends(part: Part) -> list[tuple[Floats, int, Floats, Floats]]:
-    """Groups as of `kinds` with their counts, and the least and greatest moves (3,) of each; rows are not
-    written out.
-    """
+    """Groups as of `kinds` with counts, least and greatest moves (3,) of each; rows are not written out."""
     if part.places.in_rows:
         return [(np.eye(3), len(part.places), low, high) for _, low, high in part.places.ends()]
     moves = [(linear, part.placements[rows, 3]) for linear, rows in kinds(part)]
@@ -357,9 +284,7 @@ def kinds_and_ends(part: Part) -> list[tuple[Floats, int, Floats, Floats]]:
 
 
 def turned_normals(normals: Floats, place: Floats) -> Floats:
-    """Normals (k, 3, 3) of a part after placing; unit normals stay unit where the map rotates, mirrors and
-    scales.
-    """
+    """Normals (k, 3, 3) of a part after placing; unit normals stay unit."""
     linear = place[:3]
     size = abs(float(np.linalg.det(linear)))
     if size == 0.0:

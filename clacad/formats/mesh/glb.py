@@ -457,21 +457,13 @@ def _parts(file: _Buffers, number: int, places: Placements) -> list[Part]:
         if not np.isfinite(vertices).all() or (normals is not None and len(normals) != len(vertices)):
             raise UnreadableFile(f"mesh {number} has a vertex that is not a number, or too few normals")
         found.append(
-            Part(
-                str(mesh.get("name", "")),
-                vertices,
-                corners.reshape(-1, 3),
-                normals=normals,
-                places=places,
-            )
+            Part(str(mesh.get("name", "")), vertices, corners.reshape(-1, 3), normals=normals, places=places)
         )
     return found
 
 
 def _accessed(file: _Buffers, number: int, width: int) -> np.ndarray[Any, Any]:
-    """The array (count, width) that an accessor describes; each use of an accessor counts, because each makes
-    an array.
-    """
+    """The array (count, width) of an accessor; each use of an accessor counts, as each makes an array."""
     document, binary = file.document, file.binary
     accessor = document["accessors"][int(number)]
     view = document["bufferViews"][int(accessor["bufferView"])]

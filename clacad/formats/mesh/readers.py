@@ -165,10 +165,7 @@ def _take(spent: Spending, found: _Found, words: list[bytes]) -> None:
 
 
 def _corner(word: bytes, vertices: int, normals: int) -> Corner:
-    """Zero-based (vertex, normal) of one corner; normal −1 where there is none.
-
-    Negative numbers count back.
-    """
+    """Zero-based (vertex, normal) of one corner, −1 where it has no normal; negative numbers count back."""
     fields = word.split(b"/")
     v = int(fields[0])
     n = int(fields[2]) if len(fields) == 3 and fields[2] else 0

@@ -24,9 +24,7 @@ from clacad.storage.reading import Overheard, Spending
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 HEADER = 80
 PIECE = 1 << 12
-"""Facets that are checked together: their temporaries stay in the second-level cache, and in memory already
-allocated.
-"""
+"""Facets that are checked together: their temporaries stay in the second-level cache."""
 
 
 class FacetStream(Protocol):
@@ -104,13 +102,7 @@ def _write_rows(stream: IO[bytes], rows: Floats, scale: float) -> int:
 
 
 def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
-    """Bytes (k, 50) of facets (k, 3, 3) as they are written; −0 and 0 are one position and one bit pattern.
-
-    Raises
-    ------
-    FileDisagrees
-        A corner is not a finite float32 number.
-    """
+    """Bytes (k, 50) of facets (k, 3, 3) as written; −0 and 0 are one position and one bit pattern."""
     from clacad.formats.mesh.compiled_facets import facet_numbers
 
     numbers = np.empty((len(corners), 4, 3), dtype="<f4")

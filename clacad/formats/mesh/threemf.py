@@ -289,9 +289,7 @@ _BETWEEN_WHOLE = bytes.maketrans(b'<>/="triangleve\r\n\t', b" " * 18)
 
 
 def _runs(model: _Model) -> dict[str, ElementRun]:
-    """Readers of elements that occur by the million, in their most common form: `_on_vertex` and similar,
-    many at once.
-    """
+    """Readers of elements that occur by the million in their most common form: `_on_vertex` and similar."""
 
     def vertices(text: bytes) -> None:
         numbers = text.replace(b"vertex", b"").translate(_BETWEEN)

@@ -173,12 +173,7 @@ def _frame(place: Floats, turn: Floats) -> dict[str, Any]:
 
 
 def _geometry(one: Station) -> tuple[dict[str, Any], float]:
-    """Geometry of a face, and the deviation of its slope from the face's (radians).
-
-    Raises
-    ------
-    NotPossible
-    """
+    """Geometry of a face, and the deviation of its slope from the face's (radians)."""
     (cx, cy), (kx, ky) = one.curvature, one.conic
     if one.flat:
         return {"type": "Plane", "radius": inf}, 0.0

@@ -96,9 +96,7 @@ class Station:
 
 
 def _rotational(terms: tuple[float, ...]) -> bool:
-    """Whether terms of one order are a multiple of (x² + y²)^k, to the rounding of numbers written by
-    hand.
-    """
+    """Whether terms of one order are a multiple of (x² + y²)^k, to the rounding of numbers in text."""
     wanted = [terms[0] * comb(len(terms) - 1, j) for j in range(len(terms))]
     return all(abs(a - b) <= 4.0 * ULP * abs(b) for a, b in zip(terms, wanted, strict=True))
 
@@ -135,9 +133,7 @@ def _terms(surface: Surface, scale: float) -> tuple[A4, A6, A8]:
 
 
 def _reach(window: Window, face: Face, scale: float) -> tuple[float, float]:
-    """Half extents (mm) of a cell about a face's apex along its axes, a tenth more; tilt carries heights into
-    them.
-    """
+    """Half extents (mm) of a cell about a face's apex along its axes, a tenth more because of tilt."""
     if face.array is None:
         return inf, inf
     turn = face.rotation

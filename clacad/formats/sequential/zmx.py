@@ -104,9 +104,7 @@ def _surfaces(window: Window) -> Iterator[str]:
 
 
 def _breaks(x: float, y: float, turn: Floats) -> list[list[str]]:
-    """COORDBRK blocks that decentre by x and y (mm), then rotate from the sheet's axes by R (3, 3): z, x,
-    z.
-    """
+    """COORDBRK blocks that decentre by x and y (mm), then rotate from the sheet's axes by R: z, x, z."""
     phi, theta, psi = (degrees(angle) for angle in euler_angles(turn))
     found = [_break((x, y), 5, psi)] if x or y or psi else []
     return found + [_break((0.0, 0.0), about, angle) for about, angle in ((3, theta), (5, phi)) if angle]
@@ -124,13 +122,7 @@ def _break(decentre: tuple[float, float], about: int, angle: float) -> list[str]
 
 
 def _face(one: Station) -> list[str]:
-    """Block of one face; its thickness is filled in later.
-
-    Raises
-    ------
-    NotPossible
-        Even terms that are not those of a surface of revolution.
-    """
+    """Block of one face; its thickness is filled in later. NotPossible: even terms without revolution."""
     (cx, cy), (kx, ky) = one.curvature, one.conic
     if one.polynomial and not one.rotational:
         raise NotPossible(

@@ -179,9 +179,7 @@ class Units:
 
 
 class Assembly:
-    """Collector of the entities of the assembly structure while a file is scanned; composes them
-    afterwards.
-    """
+    """Collector of the entities of the assembly structure in a scan; composes them afterwards."""
 
     def __init__(self) -> None:
         self.directions = Vectors()
@@ -292,9 +290,7 @@ class Assembly:
         return self._merged.of(node)
 
     def _merge(self) -> None:
-        """Merge into one part the representations of one product definition, and those related without a
-        transformation.
-        """
+        """Merge the representations of a product definition, and those related without a transformation."""
         for shape, representation in self._represented:
             definition = self._shape_of.get(shape, 0)
             if definition and definition not in self._uses:

@@ -22,9 +22,7 @@ from clacad.formats.step.lens_placements import LensPoints, Measured, measured
 from clacad.sheet.window import Window
 
 SAMPLE = 20_000
-"""Patches, in their placements, whose points are compared with the design; the position of every instance is
-checked.
-"""
+"""Patches, in their placements, with points compared with the design; every instance's position is."""
 
 NEAR = 1e-5
 """Pitches within which a lens counts as on its cell when the pose of the whole part is found."""
@@ -33,9 +31,7 @@ MOVED = 1e-7
 """Pitches from its cell beyond which a lens is reported as off the lattice."""
 
 LOST = 128.0 * 2.0**-52
-"""Relative to the farthest coordinates: more than the rounding of five positions, each of about eight
-roundings.
-"""
+"""Relative to the farthest coordinates: more than the rounding of five positions, of eight each."""
 
 Cell = tuple[int, int]
 
@@ -247,9 +243,7 @@ class _Board:
                 self._instanced(face, error, *copies.each)
 
     def _instanced(self, face: int, error: float, index: Ints, away: Floats) -> None:
-        """One lens of a part, moved from its best fit to all its placements, cells (k, 2), `away` (k,) mm
-        from them.
-        """
+        """One lens of a part, moved from its best fit to all placements: cells (k, 2), offsets (k,) mm."""
         self._count(face, index, np.maximum(away, error), repeated=True)
         self._moved += int((away > MOVED * min(self._window.lattice.pitch) * self._scale).sum())
         worst = int(np.argmax(away))
@@ -279,9 +273,7 @@ class _Board:
         )
 
     def _whole(self, face: int) -> _Held | None:
-        """Content of all cells for a lens; None where one part fills the lattice with it and nothing else
-        does.
-        """
+        """Content of all cells for a lens; None unless one part alone fills the lattice with it."""
         filled, held = self._filled.get(face, []), self._held.get(face)
         if held is None and len(filled) == 1:
             return None

@@ -170,9 +170,7 @@ class Part21:
         return definition, representation
 
     def component(self, parent: tuple[int, int], child: tuple[int, int], name: str, placement: int) -> None:
-        """Put an instance of `child` into the assembly `parent` at a placement listed in its
-        representation.
-        """
+        """Put an instance of `child` into the assembly `parent` at a placement of its representation."""
         use = self.add(
             f"NEXT_ASSEMBLY_USAGE_OCCURRENCE({quoted(name)},{quoted(name)},'',#{parent[0]},#{child[0]},$)"
         )

@@ -194,10 +194,7 @@ _COLUMNS: dict[tuple[Any, ...], Any] = {}
 
 
 def _column(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]) -> Any:
-    """Intersector of the faces that reach into a column; kept for the next call.
-
-    None where there is no face.
-    """
+    """Intersector of the faces that reach into a column, kept for the next call; None without a face."""
     from OCP.BRep import BRep_Builder
     from OCP.IntCurvesFace import IntCurvesFace_ShapeIntersector
     from OCP.TopoDS import TopoDS_Compound
@@ -253,9 +250,7 @@ class _Ray:
         return 0
 
     def _next_border(self) -> tuple[Floats, Floats, bool] | None:
-        """Next point where light enters or leaves material, the unit normal there, and whether the face is
-        curved.
-        """
+        """Next point where light enters or leaves material, unit normal there, whether the face is curved."""
         for together in self._groups():
             distance, normal, curved, way = together[0]
             net = sum(one[3] for one in together)

@@ -14,9 +14,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from clacad.base.untrusted_files import BUDGETS
-from clacad.formats.step.lens_placements import SheetPlace
+from clacad.formats.step.lens_placements import (
+    SheetPlace,
+    engraved_in,
+    holes_in,
+    layer_volumes,
+    occ_lenses,
+    sampled_lenses,
+)
 from clacad.formats.step.lenses_on_cells import lens_facts
-from clacad.formats.step.occ_faces import engraved_in, holes_in, layer_volumes, occ_lenses, sampled_lenses
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
 from clacad.formats.step.text_health import Scan, patch_points, scan_step
 from clacad.sheet.window import Window
@@ -120,9 +126,7 @@ def read_brep(
 
 
 def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = None) -> dict[str, Any]:
-    """Facts of the text; with a window also every lens patch of it, in all its placements, compared with
-    that.
-    """
+    """Facts of the text; with a window every lens patch in all its placements is compared with it too."""
     facts: dict[str, Any] = {
         "schema": scan.schema,
         "name": scan.name,
@@ -161,9 +165,7 @@ def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = No
 def _held(
     solids: int, shells: int, faces: int, pieces: Sequence[tuple[str, bool, int, int]]
 ) -> dict[str, Any]:
-    """Content that a workshop will find in a file; pieces: (name, whether it is a solid, faces,
-    instances).
-    """
+    """What a workshop finds in a file; pieces: (name, whether it is a solid, faces, instances)."""
     rows = [
         {"name": name, "solid": solid, "faces": each, "instances": many} for name, solid, each, many in pieces
     ]
@@ -178,10 +180,7 @@ def _occ_facts(
     points: int,
     place: SheetPlace | None = None,
 ) -> dict[str, Any]:
-    """Facts that OCC finds in a file; with a window also its sampled lens faces compared with that.
-
-    Lengths in mm.
-    """
+    """Facts that OCC finds in a file (mm); with a window its sampled lens faces are compared with that."""
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
 
     from clacad.solid.occ_writer import engraved_volume, is_valid, surface_area, volume

@@ -75,9 +75,7 @@ def _under(top: Floats, placements: Placements) -> Placements:
 
 
 def _parts_held(shape: Any) -> tuple[dict[Any, Any], dict[Any, list[tuple[Any, Floats]]]]:
-    """Every part of a shape by its own key, unplaced, in the order met; children of each, with placements (k,
-    3, 4).
-    """
+    """Every part of a shape by its key, unplaced, in order; children of each, with placements (k, 3, 4)."""
     from OCP.TopAbs import TopAbs_SOLID
     from OCP.TopoDS import TopoDS_Iterator
 

@@ -21,9 +21,7 @@ _KEPT = 200_000
 
 
 class Recent:
-    """Numbers of recently written entities, by their text: memory stays bounded, recent duplicates are
-    written once.
-    """
+    """Numbers of recently written entities by their text: bounded memory, recent duplicates written once."""
 
     __slots__ = ("_now", "_before")
 

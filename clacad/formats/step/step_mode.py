@@ -1,6 +1,4 @@
-"""Whether a STEP file contains every lenslet, fused, or one and its placements: known before any writer is
-loaded.
-"""
+"""Whether a STEP file holds every lenslet (fused), or one and its placements; loads no writer."""
 
 from __future__ import annotations
 

@@ -380,9 +380,7 @@ def patch_points(scan: Scan, per_side: int = 3) -> LensPoints:
 
 
 def _evaluate(poles: Floats, weights: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """Points and unit normals du × dv of rational Bézier patches (k, m, n) at the grid t × t, by de
-    Casteljau.
-    """
+    """Points and unit normals du × dv of rational Bézier patches (k, m, n) at the grid t × t."""
     homogeneous = np.concatenate([poles * weights[..., None], weights[..., None]], axis=-1)
     points, normals = [], []
     for u in t:

@@ -19,6 +19,7 @@ from typing import Literal, get_args, overload
 
 import numpy as np
 
+from clacad.base.text import nm_text
 from clacad.base.types import Floats
 
 Coefficients = tuple[float, ...]
@@ -343,7 +344,7 @@ def _within(wavelength: Floats, known: tuple[float, float] | None, what: str) ->
     outside = (wavelength < known[0] * (1 - _EDGE)) | (wavelength > known[1] * (1 + _EDGE))
     if outside.any():
         worst = float(np.atleast_1d(wavelength)[np.atleast_1d(outside)][0])
-        said = f"{worst * 1e9:.6g} nm" if worst < 1.0 else f"{worst:.6g} m"
+        said = nm_text(worst, 6) if worst < 1.0 else f"{worst:.6g} m"
         raise WavelengthNotKnown(
-            f"wavelength {said}: {what} from {known[0] * 1e9:.6g} to {known[1] * 1e9:.6g} nm only"
+            f"wavelength {said}: {what} from {known[0] * 1e9:.6g} to {nm_text(known[1], 6)} only"
         )

@@ -39,9 +39,7 @@ def suits(sheet: Packed) -> bool:
 
 @exact
 def pass_quick(sheet: Packed, launched: Launched, position: Floats, direction: Floats) -> int:
-    """Trace one launched ray; write where it leaves to row 0 of (1, 3), or return UNDECIDED and write
-    nothing.
-    """
+    """Trace one launched ray; write where it leaves to row 0 of (1, 3), or return UNDECIDED."""
     faces, bodies, lat, rows, media = sheet.faces, sheet.bodies, sheet.lattice, sheet.rows, sheet.media
     i, j, x, y, z, L, M, N, _ = launched
     half_x, half_y = lat[slot.HALF], lat[slot.HALF + 1]

@@ -20,11 +20,7 @@ from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDE
 from clacad.rendering.compiled.scene_hits import Pad, look_block, new_pad
 from clacad.rendering.compiled.scene_tables import BLOCK, Tables
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.launch import launch_block, launch_ray
-from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
-from clacad.tracing.compiled.straight_path import centres, straight
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     CI,
     CI0,
     CJ,
@@ -39,15 +35,18 @@ from clacad.tracing.compiled.straight_path_slots import (
     SCRATCH,
     X,
     Z,
+    centres,
     lane,
     lanes,
 )
+from clacad.tracing.compiled.launch import launch_block, launch_ray
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
+from clacad.tracing.compiled.straight_path import straight
 from clacad.tracing.compiled.walk import walk_ray
 
 BESIDE, BLACK, SHINES, BEFORE = range(4)
-"""States of a ray: passes outside the sheet, brings no light, goes on behind the sheet, met an object before
-it.
-"""
+"""States of a ray: outside the sheet, without light, goes on behind the sheet, met an object before it."""
 
 ALIVE, GHOST, LAND, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.MISSED)
 
@@ -215,9 +214,7 @@ def _look_out(eye: Eye, pixels: Ints, done: int, step: int, spare: Floats, ray: 
 
 @exact
 def pass_sheet(pane: Pane, tables: Tables, m: int, pad: Pad, walk: Walk, state: Ints, front: Floats) -> None:
-    """Trace the pad's rays past the sheet or through it; set their `state`, and the light of objects before
-    the sheet.
-    """
+    """Trace the pad's rays past or through the sheet; set `state`, and light of objects before it."""
     if pane.before or pane.opaque:
         level = pane.numbers[FRONT]
         for i in range(m):
@@ -241,9 +238,7 @@ def pass_sheet(pane: Pane, tables: Tables, m: int, pad: Pad, walk: Walk, state: 
 
 @exact
 def _law(numbers: Floats, m: int, ray: Floats, state: Ints) -> None:
-    """Trace through a homogeneous sheet in z = 0: directions matrix · d, where d · axis > 0 and they go on
-    forwards.
-    """
+    """Trace through a homogeneous sheet in z = 0: matrix · d, where d · axis > 0 and it goes on forwards."""
     x, y, z, u, v, w, out = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m], state[:m]
     matrix, axis, edges = numbers[MATRIX:AXIS], numbers[AXIS:EDGES], numbers[EDGES:SCALE]
     a, b, c, d, e, f = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4], matrix[5]
@@ -282,9 +277,7 @@ def _crosses(numbers: Floats, m: int, ray: Floats, near: Floats) -> int:
 
 @exact
 def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
-    """Trace through the exact surfaces: straight where the conditions of the block trace hold, else
-    walked.
-    """
+    """Trace through the exact surfaces: straight where the conditions of block trace hold, else walked."""
     near, ray, s = pad.near, pad.ray, walk.s
     for i in range(m):
         state[i] = BESIDE

@@ -94,8 +94,7 @@ def look_all(
     met: NDArray[np.bool_],
     distance: Floats,
 ) -> None:
-    """Write the light of each ray, whether it met an object and its distance; see
-    `rendering.scene_hits.look`.
+    """Write the light of each ray, whether it met an object and its distance; see `scene_hits.look`.
 
     Parameters
     ----------

@@ -12,14 +12,7 @@ from clacad.tracing.facets.hierarchy import ROOT, Hierarchy
 
 # Columns of `Tables.prim`.
 KIND, PAINT, PATTERN, PIECE, END, ROWS, COLUMNS, SIZE, BOUND, ORIGIN, TURN, COLOUR = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
+    *range(8),
     11,
     17,
     20,

@@ -24,9 +24,7 @@ Place = tuple[float, float, float, float]
 
 
 class CellRule(NamedTuple):
-    """Positions of a lattice's cells: cell (i, j) is i − across + skew j pitches from x0, and j − along rows
-    from y0.
-    """
+    """Cells' positions: cell (i, j) lies i − across + skew j pitches from x0, and j − along rows from y0."""
 
     skew: float
     across: float
@@ -171,9 +169,7 @@ def _into_own(lattices: Floats, of: int, array: int, i: float, j: float, x: floa
 
 @exact
 def in_plate(edges: Floats, x: float, y: float) -> bool:
-    """Whether a point lies in the material that edges (e, EDGE_NUMBERS) bound; see
-    `clacad.sheet.plate_edges.inside`.
-    """
+    """Whether a point is in the material that edges (e, EDGE_NUMBERS) bound (`sheet.plate_edges.inside`)."""
     found = False
     for n in range(len(edges)):
         low, high = edges[n, Y0] <= y, edges[n, Y1] <= y
@@ -192,9 +188,7 @@ def in_plate(edges: Floats, x: float, y: float) -> bool:
 
 @exact
 def next_edge(edges: Floats, x: float, y: float, L: float, M: float, after: float) -> float:
-    """Least distance beyond `after` at which a ray's projection on the sheet crosses an edge; infinite
-    without one.
-    """
+    """Least distance beyond `after` at which a ray's projection crosses an edge; inf for none."""
     nearest = inf
     for n in range(len(edges)):
         u, v = edges[n, X1] - edges[n, X0], edges[n, Y1] - edges[n, Y0]

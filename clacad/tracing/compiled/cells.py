@@ -14,14 +14,14 @@ cell's faces matters. Where a decision is within the rounding error, `column.fir
 
 from __future__ import annotations
 
-from math import copysign, floor, inf
+from math import copysign, floor, inf, isfinite
 
 from clacad.base.compiled import exact, inlined, less_multiple, two_product, two_sum
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.face import height, lens_roots, to_lens, to_sheet, upward
 from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import DISTANCE, KIND, PLACE, CellRay, Ray
+from clacad.tracing.compiled.records import DISTANCE, KIND, MOST_ARRAYS, PLACE, CellRay, Ray
 from clacad.tracing.ledger import ABOVE, BACK, FRONT
 
 
@@ -58,7 +58,7 @@ def to_array(
 ) -> tuple[float, float, float, float]:
     """Cell and local coordinates in another array of a point given in the cells of array `of`."""
     if array != of:
-        at = slot.BETWEEN + 4 * (slot.MOST_ARRAYS * of + array)
+        at = slot.BETWEEN + 4 * (MOST_ARRAYS * of + array)
         x, y = x - lat[at], y - lat[at + 1]
         i, j = i - lat[at + 2], j - lat[at + 3]
     di, dj, x, y = relocate(lat, x, y)
@@ -107,9 +107,7 @@ def _hexagon_step(u: float, v: float, half: float, slant: float) -> tuple[float,
 
 @exact
 def hexagon_steps(u: float, v: float, half: float, slant: float, middle: float) -> tuple[float, float]:
-    """Step (i, j) over a slanted border of a hexagon, without a branch, in the precision of `middle` =
-    0.5.
-    """
+    """Step (i, j) over a slanted border of a hexagon, branchless, in the precision of `middle` = 0.5."""
     one, zero = middle + middle, middle - middle
     two, three = middle * u + slant * v, -middle * u + slant * v
     second = (one if two >= half else zero) - (one if two < -half else zero)
@@ -211,9 +209,7 @@ COLUMNS = 4
 
 @inlined
 def quick_change(sheet: Packed, b: int, ray: CellRay, stage: int, event: Floats) -> bool:
-    """Fill in the event that `first_change` would find and return True, or return False where `first_change`
-    must decide.
-    """
+    """Fill in the event of `first_change` and return True; False where `first_change` must decide."""
     faces, bodies, lat, rows = sheet.faces, sheet.bodies, sheet.lattice, sheet.rows
     array, i, j, x, y, z, L, M, N = ray
     if bodies[b, slot.QUICK] == 0.0 or array != int(bodies[b, slot.ENTRY]):
@@ -295,3 +291,19 @@ def _crossing(
             return inf, False
         found = t
     return found, True
+
+
+@exact
+def reach(lat: Floats, x: float, y: float, u: float, v: float, i: float, j: float) -> float:
+    """How far along the gap a ray gets before the honeycomb; see `clacad.tracing.reference.launch`."""
+    u, v = less_steps(lat, u, v, -i, -j)
+    first = inf
+    for n in range(int(lat[slot.BORDERS])):
+        ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
+        here, there = ux * x + uy * y, ux * u + uy * v
+        free = lat[slot.HALF + n] - 0.5 * lat[slot.BAFFLE]
+        if abs(here) > free:
+            first = 0.0
+        elif abs(there) > free:
+            first = min(first, (copysign(free, there - here) - here) / (there - here))
+    return 1.0 if (i != 0.0 or j != 0.0) and not isfinite(first) else first

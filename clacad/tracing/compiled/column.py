@@ -17,6 +17,7 @@ from clacad.tracing.compiled.records import (
     DISTANCE,
     HOME,
     KIND,
+    MOST_ARRAYS,
     PLACE,
     START,
     STEP,
@@ -114,9 +115,7 @@ def _solid(sheet: Packed, b: int, ray: Ray, t: float, work: Floats) -> bool:
 
 @exact
 def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
-    """Fill in the distances that divide the ray (sheet frame) into stretches, with the cause of each; return
-    their number.
-    """
+    """Distances that divide the ray (sheet frame) into stretches, with their causes; return their number."""
     faces, lat = sheet.faces, sheet.lattice
     sheet_x, sheet_y, z, L, M, N = ray
     count = 0
@@ -178,9 +177,7 @@ def divide_outline(bodies: Floats, b: int, ray: Ray, times: Floats, causes: Ints
 
 @exact
 def edge_ahead(sheet: Packed, b: int, ray: Ray, since: float) -> float:
-    """Distance at which a ray (sheet frame) next crosses an edge of the plate that bounds body b; inf without
-    a plate.
-    """
+    """Distance at which a ray (sheet frame) next crosses an edge of body b's plate; inf without a plate."""
     if sheet.bodies[b, slot.OUTLINE] != slot.PLATE:
         return inf
     return next_edge(sheet.edges, ray.x, ray.y, ray.L, ray.M, since + sheet.lattice[slot.TINY])
@@ -216,7 +213,7 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
 def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
     """Record the cell and the start of a ray in each of the arrays of body b."""
     array, i, j, x, y, _, _, _, _ = ray
-    for k in range(2 * slot.MOST_ARRAYS):
+    for k in range(2 * MOST_ARRAYS):
         work[STEP + k] = 0.0
     for k in range(2):
         at = int(sheet.bodies[b, slot.CELLS + k])
@@ -243,9 +240,7 @@ def enter_cell(lat: Floats, at: int, work: Floats) -> tuple[float, float]:
 
 @inlined
 def _next_border(sheet: Packed, b: int, ray: Ray, work: Floats) -> tuple[float, int, int, float]:
-    """Enter the present cells; return the distance to their first border, which border, of which array, and
-    the sense.
-    """
+    """Enter the present cells; distance to their first border, which border, of which array, and sense."""
     border, across, across_array, sense = inf, 0, 0, 1.0
     for k in range(2):
         at = int(sheet.bodies[b, slot.CELLS + k])
@@ -308,7 +303,7 @@ def _first_stretch(
 def write_event(sheet: Packed, kind: int, distance: float, work: Floats, event: Floats) -> None:
     """Write what was met, how far, and cell and start for each array."""
     event[KIND], event[DISTANCE] = kind, distance
-    for at in range(slot.MOST_ARRAYS):
+    for at in range(MOST_ARRAYS):
         place = PLACE + 4 * at
         event[place] = work[HOME + 2 * at] + work[STEP + 2 * at]
         event[place + 1] = work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1]
@@ -323,9 +318,7 @@ def write_event(sheet: Packed, kind: int, distance: float, work: Floats, event: 
 
 @inlined
 def ends_of_body(sheet: Packed, b: int, ray: CellRay, inside: bool) -> tuple[Ray, float, float]:
-    """The ray in the sheet's frame, and its distances to above body b (inf inside the material) and out of
-    its box.
-    """
+    """Ray in the sheet's frame; distances to above body b (inf inside the material) and out of its box."""
     array, i, j, x, y, z, L, M, N = ray
     sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, i, j, x, y)
     aside = max(box_span(sheet.lattice, sheet.bodies, b, sx, sy, L, M)[1], 0.0)
@@ -341,8 +334,7 @@ def first_change(
     `reference.column.first_change`.
 
     `work` (WORK_NUMBERS,) and `causes` (DIVISIONS,) are scratch. Writes `event` (EVENT_NUMBERS,): what, the
-    distance,
-    and the cell and start for each of the body's arrays.
+    distance, and the cell and start for each of the body's arrays.
     """
     lat = sheet.lattice
     start_search(sheet, b, ray, work)

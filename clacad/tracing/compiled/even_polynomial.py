@@ -1,6 +1,4 @@
-"""An even polynomial, compiled: one ray, one face; the same steps as
-`clacad.optics.surface.roots`.
-"""
+"""An even polynomial, compiled: one ray, one face; the same steps as `clacad.optics.surface.roots`."""
 
 from __future__ import annotations
 
@@ -17,10 +15,7 @@ from clacad.tracing.compiled.records import Ray, Vector
 def polynomial_over(
     faces: Floats, row: int, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
-    """Normal G towards +z over (x, y), its z component w (0 beyond the equator), the height of z over the
-    face, and
-    the size of what is subtracted.
-    """
+    """Normal G towards +z over (x, y), its z component w, height of z over the face, size of the terms."""
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     xx, yy = x * x, y * y
     p = (1.0 + faces[row, slot.KX]) * cx * cx * xx + (1.0 + faces[row, slot.KY]) * cy * cy * yy
@@ -60,9 +55,7 @@ def _lateral(
 
 @exact
 def _even_terms(faces: Floats, row: int, xx: float, yy: float) -> tuple[float, float, float]:
-    """Height of the terms, and its slopes over x and y, from x² and y²; see
-    `clacad.optics.surface.sag_and_normal`.
-    """
+    """Height of the terms, and its slopes over x and y, from x² and y² (`optics.surface.sag_and_normal`)."""
     a, b, c = faces[row, slot.A40], faces[row, slot.A22], faces[row, slot.A04]
     height, px, py = (
         xx * (a * xx + b * yy) + yy * (c * yy),
@@ -84,9 +77,7 @@ def _even_terms(faces: Floats, row: int, xx: float, yy: float) -> tuple[float, f
 
 @exact
 def polynomial_root(faces: Floats, row: int, ray: Ray, base: Vector) -> float:
-    """Distance from the base point to where the ray crosses the face in its direction of travel; NaN without
-    a crossing.
-    """
+    """Distance from the base point to where the ray crosses the face in its direction; NaN for none."""
     bx, by, bz = base
     sense = -1.0 if ray.N < 0.0 else 1.0
     L, M, N = sense * ray.L, sense * ray.M, sense * ray.N
@@ -127,9 +118,7 @@ def polynomial_root(faces: Floats, row: int, ray: Ray, base: Vector) -> float:
 
 @exact
 def _real_stretch(faces: Floats, row: int, x: float, y: float, L: float, M: float) -> tuple[float, float]:
-    """Ends of the stretch of the line over which the base is real; see
-    `clacad.optics.surface.roots`.
-    """
+    """Ends of the stretch of the line over which the base is real; see `clacad.optics.surface.roots`."""
     cx, cy = faces[row, slot.CX], faces[row, slot.CY]
     a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
     square = -(a * L * L + b * M * M)

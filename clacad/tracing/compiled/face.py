@@ -17,8 +17,7 @@ from clacad.tracing.compiled.even_polynomial import polynomial_normal, polynomia
 from clacad.tracing.compiled.records import Ray, Vector
 
 ROOT_STEPS = 60
-"""Steps of the simultaneous search for the roots of a quartic; a dozen suffice unless roots nearly coincide.
-"""
+"""Steps of the joint search for the roots of a quartic; a dozen suffice unless roots nearly coincide."""
 
 
 class Conic(NamedTuple):
@@ -133,9 +132,7 @@ def _biconic_parts(faces: Floats, row: int, x: float, y: float) -> tuple[float, 
 
 @exact
 def _biconic_root(faces: Floats, row: int, ray: Ray, base: Vector) -> tuple[float, float]:
-    """Newton on the azimuth's own quadric, see `clacad.optics.surface.roots`; root search where it does not
-    converge.
-    """
+    """Newton on the azimuth's own quadric (`optics.surface.roots`); root search where it diverges."""
     bx, by, bz = base
     _, _, _, L, M, N = ray
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
@@ -285,9 +282,7 @@ def bend(square: float, incident: float, weight: float) -> float:
 
 @exact
 def snell(direction: Vector, normal: Vector, root: float, n1: float, n2: float) -> Vector:
-    """Direction behind a surface whose normal, turned along the ray, makes root = D·G; NaN at total
-    reflection.
-    """
+    """Direction behind a surface whose normal, turned along the ray, makes root = D·G; NaN for TIR."""
     L, M, N = direction
     gx, gy, gz = normal
     mu = n1 / n2
@@ -376,9 +371,7 @@ def _finite(t: float) -> float:
 
 @exact
 def upward(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Normal G towards +z at a point near a lens (lens frame), and the height of the point over the lens,
-    times |G|.
-    """
+    """Normal G towards +z at a point near a lens (lens frame), and its height over the lens, times |G|."""
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     if faces[row, slot.BICONIC] == 0.0:
         kappa = faces[row, slot.KX]

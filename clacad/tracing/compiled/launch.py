@@ -10,11 +10,7 @@ from clacad.base.compiled import exact, least, multiply_add, pair_product, pair_
 from clacad.base.types import Floats
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import hexagon_steps, locate
-from clacad.tracing.compiled.column import box_span
-from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import Launched
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     CI,
     CJ,
     DX,
@@ -30,6 +26,10 @@ from clacad.tracing.compiled.straight_path_slots import (
     lane,
     lanes,
 )
+from clacad.tracing.compiled.cells import hexagon_steps, locate
+from clacad.tracing.compiled.column import box_span
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Launched
 
 SANE = 1e100
 """Directions with components above this, or all below its inverse, are scaled before use."""
@@ -39,9 +39,7 @@ SANE = 1e100
 def carried_to(
     lat: Floats, plane: float, x: float, y: float, z: float, L: float, M: float, N: float
 ) -> tuple[float, float, float, float, float]:
-    """Carry a start along an unrounded direction to a plane: the step, and cell and local coordinates
-    there.
-    """
+    """Carry a start along an unrounded direction to a plane: step, cell and local coordinates there."""
     rise, rest = two_sum(plane, -z)
     step = rise / N
     product, over = two_product(step, N)
@@ -122,9 +120,7 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _normalise(s: Floats, m: int) -> None:
-    """Scale directions to length 1, and quantities counted in their lengths accordingly, where the length is
-    not 1.
-    """
+    """Scale directions to length 1, and quantities counted in their lengths accordinglywhere it is not 1."""
     dx, dy, dz, path = lanes(s, (DX, DY, DZ, PATH))
     for k in range(m):
         a, b, c = dx[k], dy[k], dz[k]

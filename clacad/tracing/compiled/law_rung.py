@@ -21,13 +21,7 @@ from clacad.light.sums import ordinary
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import in_zone, kept
-from clacad.tracing.compiled.chunk import blank_row, load_block, queue_undecided, store_block
-from clacad.tracing.compiled.launch import launch_block
-from clacad.tracing.compiled.packing import Packed, pack_array_1
-from clacad.tracing.compiled.records import Outcome
-from clacad.tracing.compiled.straight_path import arrive, copy_row, hold_in_zone
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     BLOCK,
     CI,
     CI0,
@@ -47,22 +41,29 @@ from clacad.tracing.compiled.straight_path_slots import (
     STEEP,
     X,
     Y,
+    arrive,
+    blank_row,
+    copy_row,
+    hold_in_zone,
     lane,
     lanes,
+    load_block,
+    queue_undecided,
+    store_block,
 )
+from clacad.tracing.compiled.cells import in_zone, kept
+from clacad.tracing.compiled.launch import launch_block
+from clacad.tracing.compiled.packing import Packed, pack_array_1
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
 
 NEAR = 2.0**-30
-"""Share of a cell, or cosine, within which nothing is decided: a million times the rounding error of either
-path.
-"""
+"""Share of a cell, or cosine, where nothing is decided: a million times the rounding of either path."""
 
 FAR = 2.0**40
-"""Cells from the start to the sheet beyond which nothing is decided: rounding could hide whether a ray misses
-the sheet.
-"""
+"""Cells from the start to the sheet beyond which nothing is decided: rounding could hide a miss."""
 
 
 def rows_left(
@@ -112,9 +113,7 @@ def surely_beside(sheet: Packed, s: Floats, k: int) -> bool:
 
 @exact
 def surely_unmet(sheet: Packed, s: Floats, k: int, sane: float, carried: float) -> bool:
-    """Whether launched ray k, whose direction is `sane` > 0, misses the sheet laterally or started behind
-    it.
-    """
+    """Whether launched ray k, whose direction is `sane` > 0, misses the sheet sideways or started behind."""
     reach = sheet.lattice[slot.REACH]
     if not (sane > 0.0 and abs(carried) < FAR * reach and abs(s[X, k]) + abs(s[Y, k]) < inf):
         return False
@@ -123,9 +122,7 @@ def surely_unmet(sheet: Packed, s: Floats, k: int, sane: float, carried: float) 
 
 @exact
 def miss(s: Floats, block: Rows, start: Floats, ray: Floats, out: Outcome) -> None:
-    """Reset the undecided rows of a block to the launched rays; rays that miss or cannot be launched become
-    decided.
-    """
+    """Reset undecided rows to the launched rays; rays that miss or cannot be launched become decided."""
     for k in range(len(block)):
         if s[GOOD, k] == 0.0:
             launchable = blank_row(block[k], start, ray, out)
@@ -138,9 +135,7 @@ SANE = STEEP
 
 
 def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
-    """Write the rows of rays (n) that clearly cross a kept cell in z = 0; return the other rows (k,), not yet
-    written.
-    """
+    """Write the rows of rays (n) that clearly cross a kept cell in z = 0; return the other rows (k,)."""
     law = law_numbers(layout.window.law)
     if not ordinary(law):
         return np.arange(len(rays))
@@ -182,9 +177,7 @@ def law_chunk(
 
 @exact
 def _refract(law: Floats, s: Floats, m: int) -> None:
-    """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and the margin by which they exist into
-    GZ.
-    """
+    """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and their margin into GZ."""
     dx, dy, dz, out_x, out_y, out_z, sure = lanes(s, (DX, DY, DZ, LEFT_X, LEFT_Y, ROOT, GZ))
     eta_x, eta_y, delta_x, delta_y = law[ETA_X], law[ETA_Y], law[DELTA_X], law[DELTA_Y]
     a, b, c = law[R0], law[R0 + 1], law[R0 + 2]

@@ -11,13 +11,12 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.packing import OwnCells, Packed, lattice_row, pack_array_1
+from clacad.tracing.compiled.records import MOST_ARRAYS
 from clacad.tracing.layout import FacePlan, Layout, prepared
 
 
 def pack_own(layout: Layout) -> Packed:
-    """Pack the layout of a non-uniform sheet, with the indices of the design's wavelength; kept with the
-    layout.
-    """
+    """Pack the layout of a non-uniform sheet, with indices of the design's wavelength; kept with it."""
     made: Packed | None = prepared(layout).get("packed_own")
     if made is None:
         sheet = pack_array_1(layout)
@@ -32,7 +31,7 @@ def pack_own(layout: Layout) -> Packed:
 def _lattices(layout: Layout) -> Floats:
     """Numbers of every array, one row each; rows of missing arrays repeat the last array."""
     last = len(layout.lattices) - 1
-    return np.array([_lattice_row(layout, min(array, last)) for array in range(slot.MOST_ARRAYS)])
+    return np.array([_lattice_row(layout, min(array, last)) for array in range(MOST_ARRAYS)])
 
 
 def _own_cells(layout: Layout) -> OwnCells:

@@ -19,11 +19,7 @@ from clacad.tracing.compiled.array_cells import (
     steps_to,
     times_gradient,
 )
-from clacad.tracing.compiled.cells import hexagon_steps
-from clacad.tracing.compiled.face import height
-from clacad.tracing.compiled.packing import OwnCells, Packed
-from clacad.tracing.compiled.records import Vector
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     AX,
     AY,
     CI,
@@ -41,11 +37,13 @@ from clacad.tracing.compiled.straight_path_slots import (
     lane,
     lanes,
 )
+from clacad.tracing.compiled.cells import hexagon_steps
+from clacad.tracing.compiled.face import height
+from clacad.tracing.compiled.packing import OwnCells, Packed
+from clacad.tracing.compiled.records import Vector
 
 CLEAR = 2.0**-44
-"""Share of half a cell: closer to a border than this no cell is decided here; 100 times the rounding of both
-paths.
-"""
+"""Share of half a cell: closer to a border no cell is decided here; 100 times the rounding of both paths."""
 
 
 @exact

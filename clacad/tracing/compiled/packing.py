@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.optics.surface import EvenPolynomial, Quadric
+from clacad.optics.surface.sag_and_normal import EvenPolynomial, Quadric
 from clacad.sheet.edge_columns import EDGE_NUMBERS
 from clacad.sheet.face_order import media_of
 from clacad.sheet.lattice import runs
+from clacad.tracing.compiled.records import MOST_ARRAYS
 
 if TYPE_CHECKING:
     from clacad.tracing.layout import BodyPlan, FacePlan, Layout
@@ -52,11 +53,6 @@ OUTLINES = {"none": NO_OUTLINE, "circle": CIRCLE, "rectangle": RECTANGLE, "plate
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
 NORMAL, HALF = 11, 17
 OPAQUE, BAFFLE, PLAIN, SHIFT = range(20, 24)
-
-MOST_ARRAYS = 3
-"""Arrays that a packed sheet has room for: from SHIFT two numbers an array, from BETWEEN four an ordered
-pair.
-"""
 
 BETWEEN = SHIFT + 2 * MOST_ARRAYS
 """Displacement of the second array against the first: residual x and y, then whole lattice steps i and j."""
@@ -135,9 +131,7 @@ def pack(layout: Layout) -> Packed:
 
 
 def pack_array_1(layout: Layout) -> Packed:
-    """Pack a layout as `pack` does; non-uniform sheets get the lattice of array 1 and the lens positions of
-    its middle.
-    """
+    """Pack a layout as `pack`; non-uniform sheets get the lattice of array 1 and the lenses of its middle."""
     from clacad.tracing.layout import prepared
 
     kept: Packed | None = prepared(layout).get("packed")
@@ -240,6 +234,7 @@ def _rows(layout: Layout) -> Ints:
     if lattice.outline is None:
         j = np.arange(lattice.count[1] if lattice.hexagonal else 0, dtype=np.int64)
         return np.stack([-(j // 2), lattice.count[0] - j // 2], axis=-1)
+
     found = [runs(lattice.row(k)[:, 0]) for k in range(lattice.count[1])]
     table: Ints = np.zeros((lattice.count[1], 2 * max(1, *map(len, found))), dtype=np.int64)
     for k, several in enumerate(found):

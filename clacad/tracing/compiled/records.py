@@ -8,7 +8,9 @@ import numpy as np
 
 from clacad.base.compiled import making
 from clacad.base.types import Bytes, Cells, Floats, Ints
-from clacad.tracing.compiled.packing import MOST_ARRAYS
+
+MOST_ARRAYS = 3
+"""Arrays that a packed sheet has room for: two numbers an array from SHIFT, four a pair from BETWEEN."""
 
 Vector = tuple[float, float, float]
 
@@ -27,8 +29,7 @@ DEPTH = 64
 """Largest number of boxes waiting on the stack of a tree."""
 
 FACET = 20
-"""Slot in the search's integers of the facets that the arrays are in; the causes of the divisions come first.
-"""
+"""Slot in the search's integers of the facets that the arrays are in; causes of divisions come first."""
 
 # Slots of a ray on its walk: cell, point and direction; optical length; point of the sheet; cells met first,
 # last, and first that differs; the array the cell belongs to; marks; the last face met.
@@ -48,9 +49,7 @@ class Ray(NamedTuple):
 
 
 class CellRay(NamedTuple):
-    """A ray in a cell (i, j) of an array: x and y from the cell's centre, z over the level of the current
-    body.
-    """
+    """A ray in a cell (i, j) of an array: x, y from its centre, z over the level of the current body."""
 
     array: int
     i: float
@@ -64,9 +63,7 @@ class CellRay(NamedTuple):
 
 
 class Launched(NamedTuple):
-    """A ray carried to the first body's reference plane: in the cells of array 0, with the distance from its
-    start.
-    """
+    """A ray carried to the first body's reference plane: in cells of array 0, with the distance so far."""
 
     i: float
     j: float

@@ -1,8 +1,7 @@
 """The straight path, compiled: blocks of rays in the first-level cache, face by face, two loops a face.
 
 The twin of `clacad.tracing.reference.surfaces.in_cell`. Each pass is a plain loop over a block that a
-compiler turns
-into vector instructions: no branch, no call, two square roots and two divisions a face.
+compiler turns into vector instructions: no branch, no call, two square roots and two divisions a face.
 
 Each condition of the straight path is a number that must be positive; the row GOOD keeps the least of them.
 A miss or a total reflection is a NaN that propagates to the exit direction. Rays that fail are walked one by
@@ -20,15 +19,11 @@ from math import inf, sqrt
 import numpy as np
 
 from clacad.base.compiled import exact, inlined, least
-from clacad.base.types import Floats, Ints, Rows
+from clacad.base.types import Floats, Rows
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import row_of
-from clacad.tracing.compiled.cells import hexagon_steps
-from clacad.tracing.compiled.face import bend, height, meet
-from clacad.tracing.compiled.own_straight import carry_own, from_own_lens, own_thick, to_own_lens
-from clacad.tracing.compiled.packing import OwnCells, Packed
-from clacad.tracing.compiled.records import Vector
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
+    BEHIND_START,
     CI,
     CI0,
     CJ,
@@ -51,10 +46,18 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
+    arrive,
+    centres,
+    copy_row,
+    hold_in_zone,
     lane,
     lanes,
 )
-from clacad.tracing.compiled.walk import reach
+from clacad.tracing.compiled.cells import hexagon_steps, reach
+from clacad.tracing.compiled.face import bend, height, meet
+from clacad.tracing.compiled.own_straight import carry_own, from_own_lens, own_thick, to_own_lens
+from clacad.tracing.compiled.packing import OwnCells, Packed
+from clacad.tracing.compiled.records import MOST_ARRAYS, Vector
 from clacad.tracing.facets.compiled_tile_block import cross_facets
 from clacad.tracing.facets.tiles import Tiles
 
@@ -63,16 +66,6 @@ Media = tuple[float, float]
 
 FIELD = 2
 """Array of a field lens."""
-
-BEHIND_START = -8 * 2.0**-52
-"""Share of the travelled distance by which the first face may lie behind the start: rounding error."""
-
-
-@exact
-def copy_row(one: Floats, other: Floats, m: int) -> None:
-    """Copy a row of any precision to another: a plain loop becomes vector moves, a slice does not."""
-    for k in range(m):
-        other[k] = one[k]
 
 
 @exact
@@ -207,23 +200,6 @@ def _proud(face: Floats, s: Floats, m: int) -> None:
 
 
 @exact
-def hold_in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
-    """Require that points plus (ox, oy) lie inside their cell, `margin` from its borders."""
-    x, y, good, real = lane(s, X), lane(s, Y), lane(s, GOOD), s.dtype.type
-    margin, ox, oy, middle = real(margin), real(ox), real(oy), real(0.5)
-    if lat[slot.HEXAGONAL] == 0.0:
-        hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
-        for i in range(m):
-            good[i] = least(good[i], least(hx - abs(x[i] + ox), hy - abs(y[i] + oy)))
-        return
-    half, slant = lat[slot.HALF] - margin, lat[slot.NORMAL + 3]
-    for i in range(m):
-        u, v = x[i] + ox, y[i] + oy
-        one, two, three = abs(u), abs(middle * u + slant * v), abs(middle * u - slant * v)
-        good[i] = least(least(good[i], half - one), least(half - two, half - three))
-
-
-@exact
 def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
     """Require that rays are in their cell, `margin` inside, where they cross a level; scaled by N to avoid a
     division.
@@ -264,7 +240,7 @@ def _carry(
     real = s.dtype.type
     ox, oy, oz = origin
     rise, level, index, middle, one = real(level - oz), real(level), real(index), real(0.5), real(1.0)
-    at = slot.BETWEEN + 4 * (slot.MOST_ARRAYS * arrays[0] + arrays[1])
+    at = slot.BETWEEN + 4 * (MOST_ARRAYS * arrays[0] + arrays[1])
     rx, ry = real(ox - lat[at]), real(oy - lat[at + 1])
     wi, wj = real(lat[at + 2]), real(lat[at + 3])
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
@@ -296,47 +272,6 @@ def _carry(
         y[i] -= b * row
         ci[i] += a - wi
         cj[i] += b - wj
-
-
-@exact
-def arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
-    """Require that rays on a reference plane lie inside a kept cell and are steeper than its lens."""
-    x, y, dz, ci, cj, good = lanes(s, (X, Y, DZ, CI, CJ, GOOD))
-    climb, middle = s.dtype.type(climb), s.dtype.type(0.5)
-    if lat[slot.PLAIN] != 0.0:
-        n1, n2, hx, hy = lat[slot.N1] - middle, lat[slot.N2] - middle, lat[slot.HALF], lat[slot.HALF + 1]
-        for i in range(m):
-            inside = least(least(ci[i] + middle, n1 - ci[i]), least(cj[i] + middle, n2 - cj[i]))
-            local = least(hx - abs(x[i]), hy - abs(y[i]))
-            good[i] = least(least(good[i], dz[i] - climb), least(inside, local))
-        return
-    hold_in_zone(lat, s, m, 0.0, 0.0, 0.0)
-    last = float(len(rows) - 1)
-    for i in range(m):
-        j = min(max(cj[i], 0.0), last)
-        row = int(j) if j == j else 0
-        inside = (cj[i] == j) & (ci[i] >= rows[row, 0]) & (ci[i] < rows[row, 1]) & (dz[i] >= climb)
-        good[i] = good[i] if inside else 0.0
-
-
-@exact
-def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float) -> None:
-    """Sheet-frame x and y of points plus (ox, oy)."""
-    x, y, ci, cj = lanes(s, (X, Y, CI, CJ))
-    sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
-    pitch, row = lat[slot.PITCH], lat[slot.ROW]
-    real = s.dtype.type
-    ox, oy, middle, one, two = real(ox), real(oy), real(0.5), real(1.0), real(2.0)
-    if lat[slot.HEXAGONAL] != 0.0:
-        x0, y0 = lat[slot.X0], lat[slot.Y0]
-        for i in range(m):
-            px[i] = (x0 + (ci[i] + middle * cj[i]) * pitch + sx) + (x[i] + ox)
-            py[i] = (y0 + cj[i] * row + sy) + (y[i] + oy)
-        return
-    across, along = lat[slot.N1] - one, lat[slot.N2] - one
-    for i in range(m):
-        px[i] = ((two * ci[i] - across) * (middle * pitch) + sx) + (x[i] + ox)
-        py[i] = ((two * cj[i] - along) * (middle * row) + sy) + (y[i] + oy)
 
 
 @exact
@@ -518,9 +453,7 @@ def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
 
 @exact
 def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
-    """Add rate · length inside a body to DEPTH: the difference of its end heights over the body's level,
-    divided by N.
-    """
+    """Add rate · length inside a body to DEPTH: the difference of its end heights, divided by N."""
     z, dz, depth, steep = lanes(s, (Z, DZ, DEPTH, STEEP))
     if side == 0:
         for i in range(m):
@@ -603,9 +536,7 @@ def _enter_array(sheet: Packed, f: int, s: Floats, m: int, index: float, array: 
 
 @inlined
 def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex: Vector) -> None:
-    """Require that a hit on a structured face is still in its cell at the face's end, or before the body's
-    other face.
-    """
+    """Require that a hit on a structured face is in its cell at the face's end, or before the other face."""
     face, body = sheet.faces[f], sheet.bodies[f // 2]
     vx, vy, vz = vertex
     if body[slot.COLUMNAR] == 0.0:
@@ -710,7 +641,5 @@ def straight(
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:
-            _in_cell_at(
-                sheet.lattices[row_of(sheet.own, array)], s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0
-            )
+            _in_cell_at(sheet.lattices[row_of(own, array)], s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
     return array

@@ -17,25 +17,8 @@ from clacad.base.types import Floats, Rows
 from clacad.optics.rays import Rays
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import to_array
-from clacad.tracing.compiled.chunk import load_block, queue_undecided, store_block
-from clacad.tracing.compiled.launch import launch_block
-from clacad.tracing.compiled.law_rung import (
-    CLEAR,
-    FAR,
-    MISS,
-    NEAR,
-    arrive_well_inside,
-    miss,
-    near,
-    rows_left,
-    surely_beside,
-    surely_unmet,
-)
-from clacad.tracing.compiled.packing import Packed, pack
-from clacad.tracing.compiled.records import Outcome
-from clacad.tracing.compiled.straight_path import BEHIND_START, copy_row, hold_in_zone
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
+    BEHIND_START,
     BLOCK,
     CI,
     CI0,
@@ -53,9 +36,30 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
+    copy_row,
+    hold_in_zone,
     lane,
     lanes,
+    load_block,
+    queue_undecided,
+    store_block,
 )
+from clacad.tracing.compiled.cells import to_array
+from clacad.tracing.compiled.launch import launch_block
+from clacad.tracing.compiled.law_rung import (
+    CLEAR,
+    FAR,
+    MISS,
+    NEAR,
+    arrive_well_inside,
+    miss,
+    near,
+    rows_left,
+    surely_beside,
+    surely_unmet,
+)
+from clacad.tracing.compiled.packing import Packed, pack
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.layout import Layout, prepared
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.thin import thin_layout, thin_patches
@@ -73,9 +77,7 @@ ORDERS = 64.0
 
 
 def trace_thin_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
-    """Write the rows of rays (n) that clearly pass both lenses; return the other rows (k,), not yet
-    written.
-    """
+    """Write the rows of rays (n) that clearly pass both lenses; return the other rows (k,)."""
     sheet, lenses = thin_pair(layout)
     return rows_left(thin_chunk, sheet, lenses, rays, ledger, threads)
 
@@ -127,9 +129,7 @@ def thin_chunk(
 
 @exact
 def _unit(s: Floats, m: int) -> None:
-    """Divide the directions as given, in LEFT_X, LEFT_Y and ROOT, by their lengths: rounded once, as in
-    numpy.
-    """
+    """Divide the given directions, LEFT_X, LEFT_Y and ROOT, by their lengths: rounded once, as in numpy."""
     dx, dy, dz, given_x, given_y, given_z = lanes(s, (DX, DY, DZ, LEFT_X, LEFT_Y, ROOT))
     for i in range(m):
         u, v, w = given_x[i], given_y[i], given_z[i]

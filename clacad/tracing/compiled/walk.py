@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import copysign, inf, isfinite
+from math import isfinite
 
 from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
@@ -10,7 +10,15 @@ from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import into_array, row_of, vertex
-from clacad.tracing.compiled.cells import ARRIVING, INSIDE, LEAVING, kept, less_steps, quick_change, sheet_xy
+from clacad.tracing.compiled.cells import (
+    ARRIVING,
+    INSIDE,
+    LEAVING,
+    kept,
+    quick_change,
+    reach,
+    sheet_xy,
+)
 from clacad.tracing.compiled.column import box_span, first_change, in_footprint
 from clacad.tracing.compiled.face import meet, snell, to_lens, to_sheet, upward
 from clacad.tracing.compiled.packing import Packed
@@ -74,9 +82,7 @@ def walk_ray(
     out: Outcome,
     scratch: Scratch,
 ) -> None:
-    """Trace one ray from the launch plane and write its row, in which position and direction are its
-    start.
-    """
+    """Trace one ray from the launch plane and write its row, whose position and direction are its start."""
     w, left = scratch.walker, scratch.left
     _begin(launched, out.position, row, w)
     end = GOES_ON
@@ -133,9 +139,7 @@ def _write_row(w: Floats, end: int, row: int, out: Outcome) -> None:
 
 @exact
 def _order(w: Floats) -> tuple[int, int]:
-    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that
-    face.
-    """
+    """Cell of lens 2 minus cell 1; if these agree but a face between differs, that difference."""
     if w[SECOND] == 0.0 or w[FIRST] == NO_CELL or w[LAST] == NO_CELL:
         return NO_CELL, NO_CELL
     i, j = w[LAST] - w[FIRST], w[LAST + 1] - w[FIRST + 1]
@@ -393,24 +397,6 @@ def _cross_gap(sheet: Packed, b: int, w: Floats) -> tuple[float, int]:
     i, j, x, y = into_array(sheet, entry, entry, i, j, x + late * w[DX], y + late * w[DY])
     w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, bodies[b, slot.BODY_LOW] + late * w[DZ], entry
     return gap + late, GOES_ON
-
-
-@exact
-def reach(lat: Floats, x: float, y: float, u: float, v: float, i: float, j: float) -> float:
-    """How far along the gap a ray gets before it meets the honeycomb; see
-    `clacad.tracing.reference.launch`.
-    """
-    u, v = less_steps(lat, u, v, -i, -j)
-    first = inf
-    for n in range(int(lat[slot.BORDERS])):
-        ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
-        here, there = ux * x + uy * y, ux * u + uy * v
-        free = lat[slot.HALF + n] - 0.5 * lat[slot.BAFFLE]
-        if abs(here) > free:
-            first = 0.0
-        elif abs(there) > free:
-            first = min(first, (copysign(free, there - here) - here) / (there - here))
-    return 1.0 if (i != 0.0 or j != 0.0) and not isfinite(first) else first
 
 
 @exact

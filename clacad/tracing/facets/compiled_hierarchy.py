@@ -18,7 +18,17 @@ from clacad.tracing.compiled.cells import sheet_xy, to_array
 from clacad.tracing.compiled.column import box_span
 from clacad.tracing.compiled.face import height
 from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import DEPTH, DISTANCE, FACET_NORMAL, KIND, PLACE, CellRay, Ray, Vector
+from clacad.tracing.compiled.records import (
+    DEPTH,
+    DISTANCE,
+    FACET_NORMAL,
+    KIND,
+    MOST_ARRAYS,
+    PLACE,
+    CellRay,
+    Ray,
+    Vector,
+)
 from clacad.tracing.facets.hierarchy import COUNT, FIRST, LEVELS, ROOT, Hierarchy
 from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
@@ -162,9 +172,7 @@ def search(
 def ways_through(
     trees: Hierarchy, b: int, origin: Vector, ray: Ray, near: float, most: float, stack: Ints
 ) -> int:
-    """Direction in which the ray passes the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0
-    for none.
-    """
+    """How the ray passes the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0 for none."""
     inverse = inverse_of(ray)
     own = Ray(origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z, ray.L, ray.M, ray.N)
     found, stack[0] = 0, 0
@@ -304,7 +312,7 @@ def first_soup_change(
     else:
         kind = FRONT if nz < 0.0 else BACK
     event[KIND], event[DISTANCE] = kind, t
-    for at in range(slot.MOST_ARRAYS):
+    for at in range(MOST_ARRAYS):
         p, q, u, v = to_array(lat, array, at, i, j, x + t * L, y + t * M)
         place = PLACE + 4 * at
         event[place], event[place + 1], event[place + 2], event[place + 3] = p, q, u - t * L, v - t * M

@@ -15,11 +15,7 @@ from clacad.base.compiled import exact, least
 from clacad.base.types import Floats, Rows
 from clacad.optics.rays import Fate
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import in_zone, kept, relocate, sheet_xy
-from clacad.tracing.compiled.face import bend
-from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import Outcome
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     CI,
     CI0,
     CJ,
@@ -39,6 +35,10 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
     lanes,
 )
+from clacad.tracing.compiled.cells import in_zone, kept, relocate, sheet_xy
+from clacad.tracing.compiled.face import bend
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.facets.compiled_hierarchy import LEVEL
 from clacad.tracing.facets.compiled_tile_block import SquareGrid, half_bin, to_level
 from clacad.tracing.facets.squares import (
@@ -176,9 +176,7 @@ def _planes_of_bins(grid: Squares, side: int, s: Floats, m: int) -> None:
 
 @exact
 def _to_planes(squares: SquareGrid, shear: float, s: Floats, m: int, hair: float) -> None:
-    """Distances of rays to their planes: NaN unless over the same half, `hair` bins off its borders; and the
-    half there.
-    """
+    """Distances of rays to their planes: NaN unless over the same half, `hair` bins inside; and the half."""
     x, y, z, dx, dy, dz, bins, far = lanes(s, (X, Y, Z, DX, DY, DZ, HALF, FAR))
     a, b, c = lanes(s, (GX, GY, GZ))
     low_x, low_y, per_x, per_y, nx, ny, first, split = squares
@@ -228,9 +226,7 @@ def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float
 
 @exact
 def _note_cells(sheet: Packed, s: Floats, m: int, array: int, first: bool) -> None:
-    """Cells of an array in which hits certainly lie: first and last of each ray, and whether they ever
-    differ.
-    """
+    """Cells of an array in which hits certainly lie: first and last of each ray, whether they differ."""
     lat = sheet.lattice
     hair, at = INSIDE_CELL * lat[slot.HALF], slot.BETWEEN + 4 * array
     dx, dy, di, dj = lat[at], lat[at + 1], lat[at + 2], lat[at + 3]

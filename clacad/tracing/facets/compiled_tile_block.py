@@ -2,9 +2,8 @@
 
 The first guess is where the ray meets the face's middle height. The facet over that point is intersected,
 then the facet over the hit. If that hit lies over the same facet, it is the hit: a ray steeper than every
-facet has only one.
-Arithmetic runs in vector loops, table loads in separate loops. Rays over bins that contain anything but the
-two halves of a square, and those that need more steps, are looked up one by one.
+facet has only one. Arithmetic runs in vector loops, table loads in separate loops. Rays over bins that
+contain anything but the two halves of a square, and those that need more steps, are looked up one by one.
 """
 
 from __future__ import annotations
@@ -16,9 +15,7 @@ import numpy as np
 from clacad.base.compiled import exact, least
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.face import bend
-from clacad.tracing.compiled.records import Ray, Vector
-from clacad.tracing.compiled.straight_path_slots import (
+from clacad.tracing.compiled.block import (
     DX,
     DY,
     DZ,
@@ -34,6 +31,8 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
     lanes,
 )
+from clacad.tracing.compiled.face import bend
+from clacad.tracing.compiled.records import Ray, Vector
 from clacad.tracing.facets.compiled_tiles import facet_normal, locate_facet
 from clacad.tracing.facets.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
 
@@ -57,9 +56,7 @@ def cross_facets(
     climb: float,
     origin: Vector,
 ) -> None:
-    """Cross one face of facets; positions plus the origin are relative to cell and level, afterwards without
-    the origin.
-    """
+    """Cross one face of facets; positions plus the origin are relative to cell and level, then without it."""
     x, y, z = lanes(s, (X, Y, Z))
     ox, oy, oz = origin
     for i in range(m):
@@ -118,9 +115,7 @@ def _planes_of_bins(tiles: Tiles, side: int, s: Floats, m: int) -> None:
 
 @exact
 def _to_planes(row: Floats, s: Floats, m: int) -> None:
-    """Distances of rays to their planes, without moving them: NaN if the hit lies over another half bin, and
-    that bin.
-    """
+    """Distances of rays to their planes, unmoved: NaN if the hit lies over another half bin, and that bin."""
     x, y, z, dx, dy, dz, bins, far = lanes(s, (X, Y, Z, DX, DY, DZ, HALF, RANGE))
     a, b, c = lanes(s, (GX, GY, GZ))
     low_x, low_y, per_x, per_y, nx, ny, first, split = _squares_of(row)

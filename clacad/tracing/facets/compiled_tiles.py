@@ -22,7 +22,17 @@ from clacad.tracing.compiled.column import (
     write_event,
 )
 from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import CELL, FACET, FACET_NORMAL, START, STEP, CellRay, Ray, Vector
+from clacad.tracing.compiled.records import (
+    CELL,
+    FACET,
+    FACET_NORMAL,
+    MOST_ARRAYS,
+    START,
+    STEP,
+    CellRay,
+    Ray,
+    Vector,
+)
 from clacad.tracing.facets.tiles import (
     BIN,
     BINS_X,
@@ -114,7 +124,7 @@ def _kind(tiles: Tiles, faces: Floats, row: int, facet: int) -> int:
 @inlined
 def _look_up_again(causes: Ints) -> None:
     """Discard the present facets of the arrays."""
-    for at in range(slot.MOST_ARRAYS):
+    for at in range(MOST_ARRAYS):
         causes[FACET + at] = NOT_LOOKED_UP
 
 

@@ -110,9 +110,7 @@ def _unmet(n: int) -> Walkers:
 
 
 def _cells(window: Window, array: int, at: Floats) -> Ints:
-    """Cells (m, 2) of an array that contain points (m, 3), kept or not, from differences that are rounded
-    once.
-    """
+    """Cells (m, 2) of an array that contain points (m, 3), kept or not, from differences rounded once."""
     dx, dy = window.placements[array].shift
     (x, x_low), (y, y_low) = two_sum(at[:, 0], -dx), two_sum(at[:, 1], -dy)
     return window.lattice_of(array).locate(x, y, x_low, y_low)[0]

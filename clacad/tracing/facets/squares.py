@@ -36,16 +36,13 @@ FULLEST = 16
 """Entries for each triangle, on average, beyond which no squares are looked for."""
 
 NEAR = 1e-3
-"""Share of a bin by which corners of facets may deviate from those of the bin: numbers in files are rounded.
-"""
+"""Share of a bin by which facet corners may deviate from those of the bin: numbers in files are rounded."""
 
 ROUNDED = 4.0
 """Multiple of the corner deviation: a point this far from a border is certainly on that side of it."""
 
 WHOLE_OF = (15 - (1 << 0), 15 - (1 << 1), 15 - (1 << 2), 15 - (1 << 3))
-"""Sets of three corners of a bin, by the missing corner; corners are 0, 1 along x and 2, 3 beyond them along
-y.
-"""
+"""Sets of three corners of a bin, by the missing corner; corners 0, 1 lie along x and 2, 3 beyond in y."""
 
 
 class Squares(NamedTuple):
@@ -146,24 +143,12 @@ def _sums(held: Bools, bins: Ints) -> NDArray[np.int32]:
 def _halved(
     place: Floats, corners: Floats, normal: Floats, facet: Ints, where: Ints, bins: Ints
 ) -> tuple[Floats, Floats, float, Floats, Bools]:
-    """Find the bins of a body that facets halve.
+    """Numbers of halved bins, as in `Squares`: split, climb, off, plane; and which bins (b,) are not halved.
 
-    Parameters
-    ----------
-    place : (t, 3, 2)
-        Corners of the facets in the sheet plane, counted in bins.
-    corners : (t, 3, 3) lengths
-    normal : (t, 3)
-    facet, where : (k,) ints
-        Facets that are not walls and the bins they are over, bin after bin.
-    bins : (2,) ints
-
-    Returns
-    -------
-    split, climb : (2,), off : float, plane : (2 bins, 2, 4)
-        As in `Squares`.
-    odd : (bins,) bools
-        Bins that are not halved.
+    place : (t, 3, 2), corners of the facets in the sheet plane, counted in bins
+    corners, normal : (t, 3, 3) lengths, (t, 3)
+    facet, where : (k,), facets that are not walls and the bins they are over, bin after bin
+    bins : (2,)
     """
     count = int(bins.prod())
     split, climb, off = np.ones(2), np.zeros(2), 0.0

@@ -129,9 +129,7 @@ def _nearest(values: Floats) -> Floats:
 
 
 def _interpolation(count: int) -> Floats:
-    """Matrix (n + 2, n + 2) from coefficients to heights at n nodes; the outer rows: no third derivative at
-    the ends.
-    """
+    """Matrix (n + 2, n + 2) from coefficients to heights at n nodes; outer rows: no third derivative."""
     matrix = np.zeros((count + 2, count + 2))
     for k in range(count):
         matrix[k + 1, k : k + 3] = (1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0)
@@ -210,8 +208,7 @@ class FacetFace:
 
     trees : Hierarchy or None
         One body: the facets `trees.corner` (t, 3, 3), lengths relative to `origin`, wound counter-clockwise
-        seen from
-        outside.
+        seen from outside.
     normals : (t, 3)
         Outward, length twice the facet's area.
     origin : (3,) lengths
@@ -257,9 +254,7 @@ class FacetBody:
 
 
 def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> FacetFace:
-    """Prepare facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat
-    land.
-    """
+    """Prepare facets (t, 3, 3) of the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
     flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
     if not len(local):
@@ -273,9 +268,7 @@ def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> Fa
 
 
 def on_land(window: Window, face: Face, corners: Floats) -> Bools:
-    """Which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding
-    allowed.
-    """
+    """Which facets (k, 3, 3) are the face's flat land: all corners at its height, up to float32 rounding."""
     if face.land is None:
         return np.zeros(len(corners), dtype=bool)
     reach = max(abs(v) for v in window.z_range)

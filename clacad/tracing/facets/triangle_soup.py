@@ -31,9 +31,7 @@ MATCH = 0.02
 
 
 class UnusableMesh(ValueError):
-    """A mesh that light cannot be traced through as requested, or that does not belong to this sheet; exit
-    status 2.
-    """
+    """A mesh that light cannot be traced through as requested, or of another sheet; exit status 2."""
 
     exit_status = 2
 

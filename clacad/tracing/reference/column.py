@@ -69,9 +69,7 @@ class RaysInArray(NamedTuple):
 
 
 class RaysInColumn(NamedTuple):
-    """Rays inside one column: for each array the present cell, the start seen from it, and whether it is
-    kept.
-    """
+    """Rays inside one column: for each array present cell, start seen from it, and whether it is kept."""
 
     starts: dict[int, Floats]
     kept: dict[int, Bools]
@@ -84,13 +82,8 @@ class RaysInColumn(NamedTuple):
 def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Event:
     """Find where each ray first enters the body's material, or leaves it.
 
-    Parameters
-    ----------
-    beam : Beam
-        Starts; heights over the body's level.
-    inside : bool
-        Whether the rays are in the material at the start. Rays in air are followed until they have risen
-        past the body's highest point.
+    beam : starts; heights over the body's level
+    inside : whether the rays start in the material; rays in air are followed until above the body
     """
     m, xy = len(beam), sheet_xy(layout, beam)
     grids = [grid_of(layout, beam, array) for array in body.arrays]
@@ -217,15 +210,11 @@ def first_stretch(
     Stretches shorter than `tiny` are joined to the next one, because rounding alone would decide there. Where
     a border and a face are that close, the face is reported.
 
-    Parameters
-    ----------
     divisions : (c, k) distances, and what each is
     span : (k,) distances from and up to which divisions count
     known : (k,) distance since when the present state is known, and the cause of that state
-    inside : bool
-        The present state: in the material.
-    solid : callable
-        Whether rays (p,) among the k lie in the material at distances (p,).
+    inside : the present state: in the material
+    solid : whether rays (p,) among the k lie in the material at distances (p,)
     """
     (times, causes), (earliest, end), (since, cause) = divisions, span, known
     times = np.where((times >= earliest) & (times < end), np.maximum(times, since), np.inf)

@@ -41,13 +41,7 @@ class Hit:
 
 
 def cross(
-    face: FacePlan,
-    local: Floats,
-    z: Floats,
-    direction: Floats,
-    n1: float,
-    n2: float,
-    places: LensPlaces,
+    face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float, places: LensPlaces
 ) -> Hit:
     """Intersect a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's
     level.
@@ -110,9 +104,7 @@ def _hit(places: LensPlaces, point: Floats, distance: Floats, direction: Floats,
 
 
 def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
-    """Normal G towards +z at points near a lens (lens frame), and their heights over it, in units of
-    1/|G|.
-    """
+    """Normal G towards +z at points near a lens (lens frame), and heights over it, in units of 1/|G|."""
     surface = face.surface
     x, y, z = point.T
     if not isinstance(surface, Quadric):
@@ -130,9 +122,7 @@ def cross_land(direction: Floats, n1: float, n2: float) -> Floats:
 
 
 def height(face: FacePlan, local: Floats, places: LensPlaces) -> Floats:
-    """Height (m,) of the lens over the body's level above points (m, 2) of the cell frame; NaN where there
-    is none.
-    """
+    """Height (m,) of the lens over the body's level above points (m, 2) of the cell frame; NaN for none."""
     if face.array is None:
         return np.full(len(local), face.vertex[2])
     lens = (
@@ -166,9 +156,7 @@ def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
 
 
 def well_inside(body: BodyPlan, xy: Floats) -> Bools:
-    """Which sheet points (m, 2) are certainly over the body: the region is convex, so points between two of
-    them are too.
-    """
+    """Which sheet points (m, 2) are certainly over the body: the region is convex, points between too."""
     x, y = (xy - np.asarray(body.centre)).T
     half_x, half_y, radius = body.inner
     inside = (np.abs(x) < half_x) & (np.abs(y) < half_y)
@@ -230,9 +218,7 @@ def _finite(t: Floats) -> Floats:
 
 
 NUDGE = 16 * 2.0**-52
-"""Share of a cell by which a ray is moved beyond its wall, so that rounding does not leave it before the
-wall.
-"""
+"""Share of a cell by which a ray is moved beyond its wall: rounding must not leave it before."""
 
 
 def wall_normals(

@@ -81,9 +81,7 @@ def meet_face(
 
 
 def facets_over(tiles: Tiles, tile: int, xy: Floats) -> Ints:
-    """Facets (m,) over points (m, 2) of the cell frame: those they lie deepest in; −1 far outside the
-    tile.
-    """
+    """Facets (m,) over points (m, 2) of the cell frame: those they lie deepest in; −1 far off the tile."""
     row = tiles.table[tile]
     i, j = _bins(row, xy)
     bins = (row[BIN] + j * row[BINS_X] + i).astype(np.int64)
@@ -105,9 +103,7 @@ def shares(tiles: Tiles, facet: Ints, xy: Floats) -> Floats:
 
 
 def normals_at(face: TiledFace, facet: Ints, xy: Floats) -> Floats:
-    """Normals (m, 3) towards +z, of any length: the facets' own, or those of their corners interpolated at
-    points (m, 2).
-    """
+    """Normals (m, 3) towards +z, of any length: the facets' own, or their corners' at points (m, 2)."""
     tiles, side = face.tiles, face.side
     a, b, _ = tiles.plane[facet, side].T
     own = np.column_stack([-a, -b, np.ones(len(facet))])
@@ -142,9 +138,7 @@ def _facets_met(face: TiledFace, local: Floats, z: Floats, direction: Floats) ->
 def _settled(
     face: TiledFace, guess: Ints, local: Floats, z: Floats, direction: Floats
 ) -> tuple[Ints, Floats]:
-    """Facets and distances from a first guess, moving from each facet to the one over the hit; NaN where none
-    is found.
-    """
+    """Facets and distances from a first guess, moving to the facet over the hit; NaN where none is found."""
     tiles, side = face.tiles, face.side
     found, distance = np.zeros(len(guess), dtype=np.int64), np.full(len(guess), np.nan)
     open_to, facet = np.flatnonzero(guess >= 0), guess[guess >= 0]
@@ -333,9 +327,7 @@ class _FacetSearch:
         return end, across, edge, of
 
     def _levels(self, piece: RaysInColumn, active: Rows, face: TiledFace) -> tuple[Floats, Floats, Kinds]:
-        """Height of a face at the starts, its rise along the rays, NaN for none, (k,) each, and the kind of
-        crossing.
-        """
+        """Height of a face at the starts, its rise along the rays, NaN for none, (k,); kind of crossing."""
         k = len(active)
         lens, land = (FRONT, FRONT_LAND) if face.side == 0 else (BACK, BACK_LAND)
         if face.array is None:
@@ -389,9 +381,7 @@ class _FacetSearch:
             self.normal[active[met]] = normals_at(face, facet[met], piece.starts[face.array][met] + way)
 
     def _skip_middle(self, active: Rows) -> Bools:
-        """Take rays through the solid middle of a thick body, where only side walls can be met; return which
-        rays.
-        """
+        """Take rays through the solid middle of a thick body, with side walls alone; return which."""
         body, beam = self.body, self.beam
         plain = all(face.whole or np.isfinite(face.land) for face in self.faces)
         if not (body.separate and plain and len(active)):

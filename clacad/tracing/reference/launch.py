@@ -23,9 +23,7 @@ from clacad.tracing.ledger import Ledger
 
 
 class Extent(Protocol):
-    """Space that an object occupies: a box seen from above, and heights `low` … `high` over a sheet-frame
-    level.
-    """
+    """Space that an object occupies: a box from above, and heights `low` … `high` over a level."""
 
     @property
     def box(self) -> tuple[float, float, float, float]:
@@ -196,9 +194,7 @@ def to_array(layout: Layout, beam: Beam, array: int) -> Beam:
 
 
 def cell_in(layout: Layout, of: int, array: int, cell: Ints, local: Floats) -> tuple[Ints, Floats, Ints]:
-    """Steps, local coordinates and cell, (m, 2) each, in `array` of points given relative to cells of array
-    `of`.
-    """
+    """Steps, local coordinates and cell, (m, 2), in `array` of points relative to cells of array `of`."""
     if layout.lattices[of] != layout.lattices[array]:
         return _in_other_pitch(layout, of, array, cell, local)
     away = np.zeros(2, dtype=np.int64)

@@ -16,10 +16,10 @@ from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
-from clacad.sheet.lattice import Circle, Rectangle
+from clacad.sheet.lattice import Circle, Outline, Rectangle
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
-from clacad.tracing.layout import Layout, array_numbers, sheet_position
+from clacad.tracing.layout import Box, Layout, array_numbers, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import along_normal
@@ -55,7 +55,7 @@ class ThinPatch:
     level: float
     low: float
     high: float
-    box: tuple[float, float, float, float]
+    box: Box
     centre: tuple[float, float]
     change: VertexChange | None = None
 
@@ -163,24 +163,9 @@ def _patch(
     focal_length: Pair2,
     change: VertexChange | None = None,
 ) -> ThinPatch:
-    """Thin lens of an array whose `vertex` and focal lengths are in lengths, with the space of all its
-    patches.
-    """
+    """Thin lens of an array whose `vertex` and focal lengths are in lengths, with its patches' space."""
     pair, place = layout.window.thin, layout.window.placements[array]
-    box = place.extent(layout.lattice)
     centre = (0.0, 0.0) if layout.window.one_outline else place.shift
-    outline = layout.window.outline
-    if isinstance(outline, Plate):
-        x0, x1, y0, y1 = outline.box
-        box = (min(box[0], x0), max(box[1], x1), min(box[2], y0), max(box[3], y1))
-    elif outline is not None:
-        hx, hy = (
-            (0.5 * outline.diameter, 0.5 * outline.diameter)
-            if isinstance(outline, Circle)
-            else (0.5 * outline.width, 0.5 * outline.height)
-        )
-        cx, cy = centre
-        box = (min(box[0], cx - hx), max(box[1], cx + hx), min(box[2], cy - hy), max(box[3], cy + hy))
     axis = pair.rotation[:, 2]
     tile = layout.lattices[array].tile() - np.array(vertex[:2])
     if change is not None:
@@ -199,10 +184,27 @@ def _patch(
         level=vertex[2],
         low=float(heights.min()) - pad,
         high=float(heights.max()) + pad,
-        box=box,
+        box=_box(place.extent(layout.lattice), layout.window.outline, centre),
         centre=centre,
         change=change,
     )
+
+
+def _box(box: Box, outline: Outline | None, centre: Pair2) -> Box:
+    """Least box around a box and the sheet's outline."""
+    if outline is None:
+        return box
+    if isinstance(outline, Plate):
+        x0, x1, y0, y1 = outline.box
+    else:
+        wide, high = (
+            (outline.diameter, outline.diameter)
+            if isinstance(outline, Circle)
+            else (outline.width, outline.height)
+        )
+        x0, x1 = centre[0] - 0.5 * wide, centre[0] + 0.5 * wide
+        y0, y1 = centre[1] - 0.5 * high, centre[1] + 0.5 * high
+    return min(box[0], x0), max(box[1], x1), min(box[2], y0), max(box[3], y1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,9 +278,7 @@ def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -
 def _stopped(
     layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, met: Met, length: Floats
 ) -> Bools:
-    """End the rays that a honeycomb stops between the array they left and the one they meet, `length` (m,)
-    on; return which (m,).
-    """
+    """End rays that a honeycomb stops before the array they meet, `length` (m,) on; return which (m,)."""
     start = gone.beam
     share = honeycomb.reach(layout, start.local, met.beam.local, met.beam.cell - gone.one.beam.cell)
     stopped = np.isfinite(share) | met.beside

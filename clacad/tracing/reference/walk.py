@@ -410,9 +410,7 @@ def _record_end(here: BodyWalk, walkers: Walkers) -> None:
 
 
 def order_of(walkers: Walkers) -> Ints:
-    """Cell of lens 2 minus cell 1; where these agree but a face between differs, the difference of that
-    face.
-    """
+    """Cell of lens 2 minus cell 1; if these agree but a face between differs, that difference."""
     both = walkers.second & (walkers.first != NO_CELL).all(axis=1) & (walkers.last != NO_CELL).all(axis=1)
     order = walkers.last - walkers.first
     same = (order == 0).all(axis=1) & (walkers.odd != NO_CELL).all(axis=1)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.text import mrad_text
 from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable, pareto
 
 SIZE = (10.4, 6.2)
 AXES = (0.07, 0.3, 0.985, 0.9)
-"""Left, bottom, right and top of both panels, in parts of the figure; legends and the conclusion lie below
-them."""
+"""Left, bottom, right and top of both panels, parts of the figure; legends and conclusion lie below."""
 
 LETTERS = 150
 """Letters in a line of the conclusion."""
@@ -46,8 +46,7 @@ OFFSETS = tuple(
         (-far, -far - 4.0),
     )
 )
-"""Offsets of a label's start (dx > 0) or end (dx < 0) from its point, in points; the first free one is
-used."""
+"""Offsets (points) of a label's start (dx > 0) or end (dx < 0) from its point; the first free one is used."""
 
 Box = tuple[float, float, float, float]
 
@@ -81,7 +80,7 @@ def draw(figure: Any, table: AccuracyTable, target: float | None = None) -> None
         axes.set_ylabel(Y_LABEL)
         if target is not None:
             axes.axhline(
-                1e3 * target, color="#b00020", lw=0.9, ls="--", label=f"target {1e3 * target:g} mrad"
+                1e3 * target, color="#b00020", lw=0.9, ls="--", label=f"target {mrad_text(target, 6)}"
             )
     _draw_seconds(left, table)
     _draw_floors(right, table)
@@ -131,9 +130,7 @@ def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
 
 
 def label_points(axes: Any, labels: Sequence[tuple[str, tuple[float, float]]]) -> None:
-    """Write labels next to their points where they cover no point, line or label; omit labels without
-    room.
-    """
+    """Write labels next to their points where they cover no point, line or label; omit those without room."""
     axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # fix the view before positions are read from it
     scale = 72.0 / axes.figure.dpi
     taken = _drawn_boxes(axes, scale)

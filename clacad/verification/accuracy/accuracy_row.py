@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.text import plain
+from clacad.base.text import mrad_text, plain, size_text
 
 if TYPE_CHECKING:
     from clacad.verification.accuracy.file_floors import Floor
@@ -30,9 +30,8 @@ class AccuracyRow:
     setting : str
         Text for a person: "16 quads, facet normals, float32 vertices".
     model_rms, model_p95, model_max : float, radians
-        Angle to the truth, caused by what the rung leaves out. The truth is rung surfaces in float64; the
-        row of that
-        rung holds its angle to a 50-digit trace of `checked` rays.
+        Angle to the truth, caused by what the rung leaves out. The truth is rung surfaces in float64; the row
+        of that rung holds its angle to a 50-digit trace of `checked` rays.
     law_rms, law_max : float, radians
         Angle to the requested law.
     disagree : float
@@ -137,7 +136,7 @@ def _exact(rows: Sequence[AccuracyRow]) -> str:
         cost = f"cost {exact.seconds_per_ray / law.seconds_per_ray:.2g} × the law and "
     if not isfinite(exact.model_rms):
         return f"Exact faces {cost}were not compared with a trace of more digits."
-    return f"Exact faces {cost}are within {_mrad(exact.model_rms)} mrad rms of a 50-digit trace."
+    return f"Exact faces {cost}are within {mrad_text(exact.model_rms, 2)} rms of a 50-digit trace."
 
 
 def _mesh(rows: Sequence[AccuracyRow]) -> str:
@@ -150,7 +149,7 @@ def _mesh(rows: Sequence[AccuracyRow]) -> str:
     what = f"{best.quads} quads a cell side with {best.normals} normals"
     cost = (
         f"{best.seconds_per_ray / exact.seconds_per_ray:.2g} × the time of exact faces and leaves"
-        f" {_mrad(best.model_rms)} mrad"
+        f" {mrad_text(best.model_rms, 2)}"
     )
     if worth:
         return f"A mesh is worth tracing for speed alone: {what} takes {cost}."
@@ -162,7 +161,6 @@ def _mesh(rows: Sequence[AccuracyRow]) -> str:
 
 def _files(rows: Sequence[AccuracyRow], floors: Sequence[Floor]) -> str:
     from clacad.exporting.formats import stl
-    from clacad.exporting.limits import size_text
 
     step = _row(rows, "step")
     faceted = [
@@ -173,17 +171,13 @@ def _files(rows: Sequence[AccuracyRow], floors: Sequence[Floor]) -> str:
     parts = []
     if step is not None and isfinite(step.model_rms):
         size = "" if step.file_bytes is None else f" in {size_text(step.file_bytes)}"
-        parts.append(f"STEP is within {_mrad(step.model_rms)} mrad{size}")
-    parts += [f"STL comes no closer than {_mrad(one.floor)} mrad at any size" for one in faceted[:1]]
+        parts.append(f"STEP is within {mrad_text(step.model_rms, 2)}{size}")
+    parts += [f"STL comes no closer than {mrad_text(one.floor, 2)} at any size" for one in faceted[:1]]
     return f"Of files, {'; '.join(parts)}." if parts else ""
 
 
 def _row(rows: Sequence[AccuracyRow], rung: str) -> AccuracyRow | None:
     return next((row for row in rows if row.rung == rung and row.float == "f64"), None)
-
-
-def _mrad(radians: float) -> str:
-    return f"{1e3 * radians:.2g}"
 
 
 MOST_DISAGREEMENT = 0.01
@@ -249,8 +243,8 @@ class AccuracyTable:
             return min(good, key=lambda row: (row.predicted_seconds(count), row.model_rms))
         closest = min(open_to, key=lambda row: (row.disagree > MOST_DISAGREEMENT, row.model_rms))
         raise TargetOutOfReach(
-            f"no setting is within {1e3 * target:.4g} mrad; the closest is {closest.rung} {closest.setting}"
-            f" with {1e3 * closest.model_rms:.4g} mrad and {closest.disagree:.2%} of the rays in another fate"
+            f"no setting is within {mrad_text(target)}; the closest is {closest.rung} {closest.setting}"
+            f" with {mrad_text(closest.model_rms)} and {closest.disagree:.2%} of the rays in another fate"
         )
 
     def pareto(self) -> tuple[AccuracyRow, ...]:

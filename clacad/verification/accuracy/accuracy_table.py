@@ -4,9 +4,9 @@ The truth is rung surfaces in float64, which is itself checked against a trace i
 the table therefore has a reference, and the error of the reference is known.
 
 Seconds change from run to run and a report must not. The page therefore shows a forecast of the time from
-the rates below. Times measured in one run go to the run facts, and into the report only on request. Every
-rung traces the few rays of a ladder in numpy: compiling its kernels would take longer than the rest of a
-report. The time to compile the kernels of a table is forecast here, too.
+the rates of rungs (`clacad.tracing.which_path`). Times measured in one run go to the run facts, and into the
+report only on request. Every rung traces the few rays of a ladder in numpy: compiling its kernels would take
+longer than the rest of a report. The time to compile the kernels of a table is forecast here, too.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Progress, silent
 from clacad.sheet.window import Window
+from clacad.tracing.which_path import COMPILING, MICROSECONDS, Kernel
 from clacad.verification.accuracy.accuracy_row import AccuracyRow, AccuracyTable, TargetOutOfReach
 
 if TYPE_CHECKING:
@@ -36,8 +38,7 @@ def accuracy(
     """Measure error against seconds over the rungs and their settings.
 
     For a non-uniform sheet, the rungs that trace it are measured on its worst cell. All rungs are also
-    measured on the
-    uniform equivalent of that cell.
+    measured on the uniform equivalent of that cell.
 
     Parameters
     ----------
@@ -129,8 +130,7 @@ def _measured(
 
 
 OWN_SECONDS, OWN_SECONDS_A_CELL, OWN_SECONDS_A_RAY = 2.3, 2.0e-5, 1.5e-5
-"""Seconds of the rows of a non-uniform sheet: 50 digits, each built cell, and each ray on the rungs without
-facets."""
+"""Seconds of a non-uniform sheet's rows: 50 digits, each built cell, each ray on rungs without facets."""
 
 OWN_SECONDS_A_FACET = 1.2e-3
 """Seconds to sort its facets, per square of the quads."""
@@ -138,14 +138,12 @@ OWN_SECONDS_A_FACET = 1.2e-3
 THROUGH_FACETS, A_QUAD_OF_ONE_LATTICE, A_QUAD_OF_TWO = 2.5e-6, 0.36e-6, 1.2e-6
 """Seconds of a ray through such facets, and the additional seconds per quad of a cell side.
 
-The first additional time is for two arrays on one lattice. The second is for an array 2 with its own
-lattice: cells
-then meet in steps everywhere, and a ray is followed from facet to facet.
+The first additional time is for two arrays on one lattice. The second is for an array 2 with its own lattice:
+cells then meet in steps everywhere, and a ray is followed from facet to facet.
 """
 
 RIM_OF_TWO_SIDES, RIM_OF_ONE_SIDE = 4.2e-9, 1.4e-9
-"""Seconds of the land about a body whose arrays are displaced along both axes or one, per square of its
-points."""
+"""Seconds of the land about a body with arrays displaced along both axes or one, per square of points."""
 
 RIMS_OF_FLOORS = 21_000
 """Sum of the squared grids that are built for the floors of formats."""
@@ -158,11 +156,9 @@ def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = No
     """Processor seconds of the table, by a model of one reference machine (see `clacad.base.machine_rates`).
 
     The 50-digit trace and the STEP spot count once. To them add the rays of every row, the layout of facets,
-    and the
-    floors of each pattern of cells that is meshed. Hexagons have more facets per quad than squares, cells
-    with land are
-    cut along their rims, and turned lenses have no plane of symmetry. A non-uniform sheet is measured itself
-    in addition.
+    and the floors of each pattern of cells that is meshed. Hexagons have more facets per quad than squares,
+    cells with land are cut along their rims, and turned lenses have no plane of symmetry. A non-uniform sheet
+    is measured itself in addition.
     """
     from clacad.verification.accuracy.measure_rungs import QUADS
 
@@ -208,8 +204,8 @@ def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
     notes = [
         (
             "rung law's model error equals rung surfaces' error to the law by definition: "
-            f"{1e3 * surfaces.law_rms:.3g} mrad rms; it also leaves out the ray offset and the ghosts"
-        ),
+            f"{mrad_text(surfaces.law_rms, 3)} rms; it also leaves out the ray offset and the ghosts"
+        )
     ]
     return (*notes, *([step_note] if step_note else []))
 
@@ -217,15 +213,6 @@ def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
 RAYS = 8192
 ORACLE_RAYS = 128
 QUADS = (4, 8, 16, 32)
-
-MICROSECONDS = {"law": 0.05, "thin": 0.25, "surfaces": 0.07, "mesh": 0.16, "mesh, a quad of the side": 0.003}
-"""Forecast of the processor time of one ray in compiled kernels, by rung, µs.
-
-The values are geometric means over traces of 20 000 rays through four shipped designs (plano, window-100mm,
-tilted-biconvex, hexagonal) on one core of an ordinary server. A design may differ from it by a factor of 8,
-because
-tilted lenses and hexagons cost more; another machine scales all points alike.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,35 +242,25 @@ class Ladder:
 
     def measured(self) -> list[dict[str, Any]]:
         """Run facts: seconds of this run, rung by rung."""
-        return [
-            {
-                "rung": r.rung,
-                "setting": r.setting,
-                "seconds": r.seconds,
-                "prepare_s": r.prepare_s,
-                "rays": r.rays,
-            }
-            for r in self.rows
-        ]
+        names = ("rung", "setting", "seconds", "prepare_s", "rays")
+        return [{name: getattr(row, name) for name in names} for row in self.rows]
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Numbers for the report, without measured times."""
+        names = (
+            "rung",
+            "setting",
+            "model_rms",
+            "model_max",
+            "law_rms",
+            "law_max",
+            "disagree",
+            "rays",
+            "quads",
+        )
         return [
-            {
-                "rung": r.rung,
-                "setting": r.setting,
-                "model_rms": r.model_rms,
-                "model_max": r.model_max,
-                "law_rms": r.law_rms,
-                "law_max": r.law_max,
-                "disagree": r.disagree,
-                "rays": r.rays,
-                "quads": r.quads,
-                "normals": r.normals,
-                "triangles": r.triangles,
-                "forecast_us": us,
-            }
-            for r, us in zip(self.rows, self.forecast, strict=True)
+            {name: getattr(row, name) for name in (*names, "normals", "triangles")} | {"forecast_us": us}
+            for row, us in zip(self.rows, self.forecast, strict=True)
         ]
 
 
@@ -321,11 +298,6 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
     return Ladder(tuple(rows), tuple(forecast), known)
 
 
-Kernel = Literal["surfaces", "mesh", "float32", "law", "thin"]
-
-SECONDS: dict[Kernel, float] = {"surfaces": 40.0, "mesh": 41.0, "float32": 20.0, "law": 7.0, "thin": 9.0}
-"""Processor seconds to compile each kernel (`tests/benchmarks/kernel_compile.py`)."""
-
 OF_TABLE: tuple[Kernel, ...] = ("surfaces", "mesh", "float32", "law", "thin")
 """Kernels of an accuracy table."""
 
@@ -341,7 +313,7 @@ def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
     """
     if not window.uniform:
         return 0.0
-    return sum(SECONDS[name] for name in kernels if not _kept(window, name))
+    return sum(COMPILING[name] for name in kernels if not _kept(window, name))
 
 
 def _kept(window: Window, kernel: Kernel) -> bool:

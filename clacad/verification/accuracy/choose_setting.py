@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.machine_rates import Span
-from clacad.base.text import plain
+from clacad.base.text import mrad_text, plain, size_text
 from clacad.exporting.formats.registry import format_of, formats
-from clacad.exporting.limits import MOST_BYTES, size_text
+from clacad.exporting.limits import MOST_BYTES
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError
@@ -70,7 +70,7 @@ class ChosenFacets:
     def __str__(self) -> str:
         """Text of the chosen facets and their error."""
         return (
-            f"{', '.join(self.formats)}: {self.quads} quads a cell side, {1e3 * self.error:.3g} mrad rms"
+            f"{', '.join(self.formats)}: {self.quads} quads a cell side, {mrad_text(self.error, 3)} rms"
             f" through {self.normals} normals"
         )
 
@@ -166,8 +166,7 @@ def _traced(
     """Grid within the target, and the floor's constants corrected by a trace of that grid.
 
     The constant of facets depends slightly on their size. The errors of two successive faces are correlated
-    where the
-    ray shifts by less than a facet between them.
+    where the ray shifts by less than a facet between them.
     """
     power = 2 if floor.normals == "vertex" else 1
     quads = _quads(format, floor, target, seen, smooth)
@@ -189,7 +188,7 @@ def _quads(format: str, floor: Floor, target: float, seen: Probe, smooth: dict[s
         raise _below(format, floor, target, seen, smooth)
     if quads > MOST_QUADS:
         raise TargetOutOfReach(
-            f"{format}: {1e3 * target:.4g} mrad takes {quads} quads a cell side, more than {MOST_QUADS}; "
+            f"{format}: {mrad_text(target)} takes {quads} quads a cell side, more than {MOST_QUADS}; "
             + _other_ways(target, seen, smooth)
         )
     return quads
@@ -200,7 +199,7 @@ def _below(
 ) -> TargetOutOfReach:
     where = "" if floor.best_quads is None else f", reached at {floor.best_quads:.0f} quads a cell side"
     return TargetOutOfReach(
-        f"{format}: {1e3 * target:.4g} mrad is below its floor of {1e3 * floor.floor:.3g} mrad{where} "
+        f"{format}: {mrad_text(target)} is below its floor of {mrad_text(floor.floor, 3)}{where} "
         f"({floor.note}); {_other_ways(target, seen, smooth)}"
     )
 
@@ -247,7 +246,7 @@ class FileWithin:
         how = (
             "exact faces"
             if self.quads is None
-            else f"{self.quads} quads a cell side, {1e3 * self.error:.3g} mrad rms"
+            else f"{self.quads} quads a cell side, {mrad_text(self.error, 3)} rms"
         )
         return f"{self.format} ({how}), about {size_text(self.bytes)}, {self.seconds} of processor time"
 
@@ -292,8 +291,8 @@ def files_within(design: Design, window: Window, floors: Sequence[Floor], target
     found = [*_meshes(design, window, floors, target), *_step(design, window, target)]
     if not found:
         raise TargetOutOfReach(
-            f"no file is within {1e3 * target:.4g} mrad: facets cannot be made so fine, and STEP is within "
-            f"{1e3 * STEP_ERROR:g} mrad where the body can be a solid"
+            f"no file is within {mrad_text(target)}: facets cannot be made so fine, and STEP is within "
+            f"{mrad_text(STEP_ERROR, 6)} where the body can be a solid"
         )
     return sorted(found, key=lambda one: (one.bytes, one.error))
 

@@ -1,10 +1,8 @@
 """A trace in 50 decimal digits, with which the double-precision kernels are compared.
 
 It is written from the textbook equations in the standard library's `decimal` and shares no formula and no
-code with
-the tracer. It follows rays whose faces are already known (the cell and order from the kernel), because the
-choice of
-the face is a question of geometry, not of rounding.
+code with the tracer. It follows rays whose faces are already known (the cell and order from the kernel),
+because the choice of the face is a question of geometry, not of rounding.
 """
 
 from __future__ import annotations
@@ -92,9 +90,7 @@ def _compared(
     cell: Ints,
     order: Ints,
 ) -> list[tuple[int, Compared]]:
-    """Rows that hit every face, each with `compare(direction found, exact direction)` computed in DIGITS
-    digits.
-    """
+    """Rows that hit every face, each with `compare(direction found, exact direction)` in DIGITS digits."""
     rows = []
     with localcontext() as context:
         context.prec = DIGITS

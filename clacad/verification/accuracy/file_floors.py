@@ -1,21 +1,17 @@
 """Floors of file formats: the facet size below which rounding of a file's numbers dominates.
 
 Facets with 1/m of the cell side have an error of a/m radians. Rounding their corners to a file's numbers
-turns each by
-about b·m. The quadrature sum is least at m* = sqrt(a/b), where it is sqrt(2 a b): the floor of the format.
-Interpolated
-exact normals at the corners have an error of a/m² and are almost unaffected by rounding of the corners. Every
-constant is measured by traces, and the optimum (or the finest grid worth tracing) is traced itself.
+turns each by about b·m. The quadrature sum is least at m* = sqrt(a/b), where it is sqrt(2 a b): the floor of
+the format. Interpolated exact normals at the corners have an error of a/m² and are almost unaffected by
+rounding of the corners. Every constant is measured by traces, and the optimum (or the finest grid worth
+tracing) is traced itself.
 
 Effect of a file's number format on a mesh: rounding of its vertices.
 
 The mesher computes heights as whole steps of the float32 spacing at the sheet's greatest height, so that all
-formats
-hold one mesh; a file in double precision keeps exactly these. Float32 files round again, in the file's unit:
-in the
-coordinates of the whole sheet, or of one repeated cell. Height maps have an exact grid and store a height
-above the
-face's own plane, as float32 or in 16 bits.
+formats hold one mesh; a file in double precision keeps exactly these. Float32 files round again, in the
+file's unit: in the coordinates of the whole sheet, or of one repeated cell. Height maps have an exact grid
+and store a height above the face's own plane, as float32 or in 16 bits.
 """
 
 from __future__ import annotations
@@ -136,8 +132,7 @@ def _single(values: NDArray[np.floating]) -> Floats:
 
 RAYS = 4096
 SMALL = 64
-"""Grid on which rounding is measured: fine enough for a measurable effect, and few rays change facets by
-it."""
+"""Grid on which rounding is measured: fine enough to measure it, and few rays change facets by it."""
 CONFIRM = 128
 """Finest grid, in quads per cell side, traced to confirm a forecast; finer ones would take minutes."""
 RAYLEIGH = 1.2011
@@ -270,9 +265,7 @@ class Probe:
         return rms_between(found.direction, self.truth.direction, self._shared(found, self.truth))
 
     def moved(self, found: TraceResult, exact: TraceResult) -> float:
-        """Rms angle (radians) between two traces, by the median, which rays that change facets do not
-        affect.
-        """
+        """Rms angle (radians) between two traces, by the median: rays that change facets do not matter."""
         both = self._shared(found, exact)
         if not both.any():
             return float("nan")

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 QUADS = (4, 8, 16, 32, 64, 128)
 """Tessellations of the ladder, quads per cell side."""
 OWN_FINEST = 32
-"""Finest of them for a non-uniform sheet, whose triangles are not copies of one another and must all be
-sorted."""
+"""Finest of them for a non-uniform sheet, whose triangles are no copies and must all be sorted."""
 ORACLE_RAYS = 1000
 """Rays traced in 50 digits."""
 REPEATS = 3
@@ -63,9 +62,7 @@ class TracedRays:
 
     @classmethod
     def raised(cls, window: Window, rays: Rays, cell: tuple[int, int] | None = None) -> TracedRays:
-        """Trace the truth with the compiled kernel that the table measures; `cell`: the cell whose law
-        applies.
-        """
+        """Trace the truth with the compiled kernel of the table; `cell`: the cell whose law applies."""
         from clacad.tracing.trace import trace
 
         law = window.law if cell is None else window.law_at(cell)
@@ -73,9 +70,7 @@ class TracedRays:
 
 
 def timed(run: Callable[[], TraceResult], repeats: int = REPEATS) -> tuple[TraceResult, float, float]:
-    """Result, processor seconds (best of `repeats` warm runs), and additional seconds of the first call
-    (compiling).
-    """
+    """Result, processor seconds (best of `repeats` warm runs), further seconds of the first (compiling)."""
     began = time.process_time()
     result = run()
     first = time.process_time() - began
@@ -105,9 +100,7 @@ def row(
     prepare: float = 0.0,
     repeats: int = REPEATS,
 ) -> AccuracyRow:
-    """Measure one rung: time, memory, errors against truth and law; without repeats one run, and no
-    memory.
-    """
+    """Measure one rung: time, memory, errors against truth and law; without repeats one run, no memory."""
     result, seconds, compiling = timed(run, repeats)
     memory = peak_memory(run) if repeats else 0
     disagree = result.fate != ladder.truth.fate
@@ -188,9 +181,7 @@ def _with_truth(found: AccuracyRow, checked: dict[str, float], size: int) -> Acc
 
 
 def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
-    """Rungs law, thin and surfaces of a non-uniform sheet, by the code that traces it: law and thin in
-    numpy.
-    """
+    """Rungs law, thin, surfaces of a non-uniform sheet by the code that traces it: law, thin in numpy."""
     from clacad.tracing.trace import trace
 
     window, rays, checked = ladder.window, ladder.rays, reference(ladder)

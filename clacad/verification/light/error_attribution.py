@@ -14,8 +14,7 @@ The same rays are traced through a chain of models. Each model includes one more
 ====  ====================================================================================  =================
 
 A part is the vector difference of two neighbouring models; the five vectors of a ray add up to its whole
-error.
-The lengths of the vectors do not add up. Each part therefore also carries its share of the rms error,
+error. The lengths of the vectors do not add up. Each part therefore also carries its share of the rms error,
 mean(part · whole)/rms(whole); these shares add up to the rms error.
 
 Shares of light through the partner lenslet and as ghosts, over a wide field, with the closed form.
@@ -156,9 +155,7 @@ class Attribution:
 
 @dataclass(frozen=True, eq=False)
 class FacetTraces:
-    """Two ways to trace a bundle through triangles: with exact corners, and with the corners a file
-    stores.
-    """
+    """Two ways to trace a bundle through triangles: with exact corners, with the corners a file stores."""
 
     about: str
     cell: Cell
@@ -205,9 +202,7 @@ def attribute(
 
 
 def _differences(window: Window, facets: FacetTraces, lit: Bundle) -> tuple[Floats, ...] | None:
-    """Direction that each model adds to a ray, (n, 3) each, then the whole; None where no ray gets through
-    all.
-    """
+    """Direction that each model adds to a ray, (n, 3) each, then the whole; None if none gets through all."""
     truth = trace(window, lit.rays, path="size")
     chief, chief_known = _through_middle(window, lit)
     exact, held = facets.exact(lit.rays), facets.held(lit.rays)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.text import mrad_text, percent_text, size_text
 from clacad.base.types import Floats, Progress
 from clacad.checks.check import Check, derived
 from clacad.checks.file_kinds import CONVERGENCE
 from clacad.exporting.formats.registry import formats
 from clacad.exporting.light_forecast import Grader
-from clacad.exporting.limits import size_text
 from clacad.exporting.quads_and_roles import Needed, masters
 from clacad.exporting.tessellations import Meshes
 from clacad.judging.cell_triangles import Gatherer, telescopelet
@@ -43,8 +43,7 @@ def _mesh_formats() -> list[str]:
 
 """Mesh formats for which the size of a master file is reported."""
 ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
-"""Allowed orders: the direction error is first order in the facet size; the mean slope, and so eta, is
-second order."""
+"""Allowed orders: first in the facet size for the direction error, second for the mean slope and eta."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +131,7 @@ def convergence_check(found: Convergence | None, why: str = "") -> Check:
         )
     low, high = ORDERS["direction"]
     row = ", ".join(
-        f"{int(q)}: {1e3 * d:.3g} mrad, eta {100 * e:.2g} %"
+        f"{int(q)}: {mrad_text(d, 3)}, eta {percent_text(e, 2)}"
         for q, d, e in zip(found.quads, found.direction, found.fitted, strict=True)
     )
     sentence = (
@@ -159,7 +158,7 @@ def convergence_check(found: Convergence | None, why: str = "") -> Check:
 
 def _masters_text(found: Convergence) -> str:
     """Number of quads at which a mesh of this design is a master, and the size of such a file."""
-    limit = f"{1e3 * found.law_rms:.3g} mrad rms"
+    limit = f"{mrad_text(found.law_rms, 3)} rms"
     if not found.masters:
         return f"no mesh of up to 1024 quads is a master (light within {limit} of the law)"
     quads = next(iter(found.masters.values())).quads

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.text import digits
+from clacad.base.text import digits, mrad_text, percent_text
 from clacad.base.types import Floats
 from clacad.checks.check import Check, CheckKind, found_by, other
 from clacad.checks.light_kinds import (
@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 MERIDIANS = 0.002
-"""Largest allowed difference of the two meridians' defects of confocality, over the separation, for any
-design."""
+"""Largest allowed difference of the meridians' defects of confocality, over the separation, any design."""
 
 WORTH_SAYING = 0.005
 """Smallest on-axis share of light lost to diffraction that is reported with the traced share."""
@@ -78,7 +77,7 @@ def law_checks(lit: Lit) -> Iterator[Check]:
     """Judge the law with the checks law_rms, law_bias, spread, eta, delta, tilt and accounting."""
     spec, main = lit.design.check, lit.optics.main
     rms = main.rms
-    sentence = f"light leaves {1e3 * rms:.4g} mrad rms from the law, at worst {1e3 * main.worst:.4g} mrad"
+    sentence = f"light leaves {mrad_text(rms)} rms from the law, at worst {mrad_text(main.worst)}"
     if rms != rms:
         sentence = "too few rays reach their partner to say; lattice.aperture or a smaller field would help"
     yield LAW_RMS.judge(rms, spec.law_rms, sentence, bundle=str(main.lit), detail={"worst": main.worst})
@@ -105,7 +104,7 @@ def _bias(limit: float, seen: Optics) -> Check:
     if np.isnan(values).all():
         return _too_dark(LAW_BIAS, limit)
     worst = int(np.nanargmax(values))
-    sentence = f"the mean direction is at most {1e3 * values[worst]:.4g} mrad from the law, " + (
+    sentence = f"the mean direction is at most {mrad_text(values[worst])} from the law, " + (
         "in the middle of the field"
         if worst == 0
         else f"at the rim of the field, {45 * (worst - 1)} deg from +x"
@@ -122,8 +121,8 @@ def _spread(limit: float, seen: Optics) -> Check:
         return _too_dark(SPREAD, limit)
     middle, worst = float(values[0]), float(np.nanmax(values))
     sentence = (
-        f"parallel light in the middle of the field leaves within {1e3 * middle:.4g} mrad rms of its mean,"
-        f" for any part of the lens; {1e3 * worst:.4g} mrad at the rim of the field"
+        f"parallel light in the middle of the field leaves within {mrad_text(middle)} rms of its mean,"
+        f" for any part of the lens; {mrad_text(worst)} at the rim of the field"
     )
     return SPREAD.judge(middle, limit, sentence, **_over_points(values, seen))
 
@@ -225,9 +224,7 @@ def accounting(light: Light) -> Check:
 
 
 def throughput(lit: Lit) -> Iterator[Check]:
-    """Judge the share of light through corresponding lenslets, compared with the closed form of thin
-    lenses.
-    """
+    """Judge the share of light through corresponding lenslets against the closed form of thin lenses."""
     window, seen = lit.like, lit.optics
     cells = thin_cells(window)
     alive = seen.main.share
@@ -244,10 +241,11 @@ def throughput(lit: Lit) -> Iterator[Check]:
     kept = (1.0 - lost[0]) * (1.0 - lost[1])
     if max(lost) >= WORTH_SAYING:
         sentence += (
-            f"; rays: waves may leave {kept:.3f} of that, for diffraction takes up to {100.0 * lost[0]:.2g} %"
+            f"; rays: waves may leave {kept:.3f} of that, for diffraction takes up to"
+            f" {percent_text(lost[0], 2)}"
             " along lens x and "
         )
-        sentence += f"{100.0 * lost[1]:.2g} % along y to neighbours (clacad wave)"
+        sentence += f"{percent_text(lost[1], 2)} along y to neighbours (clacad wave)"
     yield THROUGHPUT.judge(
         value,
         lit.design.check.throughput,

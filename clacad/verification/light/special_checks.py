@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats, Pair2
 from clacad.checks.check import Check
 from clacad.checks.light_kinds import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, IMAGE_POINT, PUPIL, SPOT
 from clacad.imaging.image_by_rays import image, lens_plane
 from clacad.light.confocality import axis_start, field_onto_axis
-from clacad.light.measure import Light
+from clacad.light.measure import Light, rms_of
 from clacad.optics.law.imaging import spot_widths
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, Interface, trace_sequence
@@ -82,9 +83,7 @@ def _focus(window: Window) -> Check:
 
 
 def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: Floats, axis: int) -> float:
-    """Distance (length) along the axis from the crossing of parabasal light and the axis ray to a vertex
-    (3,).
-    """
+    """Distance (length) along the axis from where parabasal light crosses the axis ray to a vertex (3,)."""
     turn = window.thin.rotation
     aside = STEP * window.lattice.circumradius * turn[:, axis]
     rays = Rays(start + np.array([np.zeros(3), aside, -aside]), np.tile(turn[:, 2], (3, 1)))
@@ -172,11 +171,11 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
         for sheet, one in zip((window, plain), lit, strict=True)
     ]
     both = light[0].known & light[1].known
-    rms = [one.rms_of(both) for one in light]
+    rms = [rms_of(one, both) for one in light]
     ratio = rms[0] / rms[1] if rms[1] > 0.0 else np.nan
     sentence = (
-        f"of the light that passes with and without the field lens the rms error is {1e3 * rms[0]:.4g} mrad"
-        f" with it, {1e3 * rms[1]:.4g} mrad without"
+        f"of the light that passes with and without the field lens the rms error is {mrad_text(rms[0])}"
+        f" with it, {mrad_text(rms[1])} without"
     )
     return FIELD_LAW.judge(ratio, LAW, sentence, bundle=str(lit[0]))
 
@@ -200,13 +199,9 @@ def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | No
         planes = spec.conjugates
     if planes is not None:
         return ((0.0, 0.0, planes.object), planes.image) if isfinite(planes.image) else None
-    if (
-        spec is not None
-        and spec.f_image is not None
-        and spec.f_image[0] == spec.f_image[1]
-        and isfinite(spec.f_image[0])
-    ):
-        return (0.0, 0.0, -inf), spec.f_image[0]
+    lengths = None if spec is None else spec.f_image
+    if lengths is not None and lengths[0] == lengths[1] and isfinite(lengths[0]):
+        return (0.0, 0.0, -inf), lengths[0]
     return None
 
 
@@ -220,9 +215,8 @@ def image_checks(lit: Lit) -> Iterator[Check]:
     found = image(window, source, ("surfaces",), IMAGE_RAYS)
     (one,) = found.rungs
     if not np.isfinite(one.found.point).all():
-        yield from (
-            kind.not_run("no light of the requested point gets through") for kind in (IMAGE_POINT, SPOT)
-        )
+        why = "no light of the requested point gets through"
+        yield from (kind.not_run(why) for kind in (IMAGE_POINT, SPOT))
         return
     place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
     across = one.found.point[:2] - one.predicted.point[:2]

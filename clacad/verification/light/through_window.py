@@ -147,9 +147,7 @@ class Lit:
 
 
 def fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Optics:
-    """Optics with η, δ and turn fitted to light of the field centres of all cells, each lit in its own
-    field.
-    """
+    """Optics with η, δ and turn fitted to light of all cells' field centres, each lit in its own field."""
     rays, seen = through_all(tried, FIT_SCALE * field)
     into = Rays(rays.position, _as_in_the_middle(tried, rays.direction))
     narrow = Light(

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from clacad.base.sobol import sobol
+from clacad.base.text import percent_text
 from clacad.base.types import Floats, Ints
 from clacad.checks.check import Check, accepted, wrong
 from clacad.checks.light_kinds import VIEWED
@@ -44,8 +45,7 @@ PLACES = 48
 
 
 FARTHEST = 1000.0
-"""Pitches between a lens and the landing point of undeviated light; beyond, no lens reaches its partner: not
-traced."""
+"""Pitches from a lens to where undeviated light lands; beyond, no lens reaches its partner: not traced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +71,7 @@ class Viewed:
 
 
 def viewer_of(design: Design) -> tuple[float, float, float]:
-    """Position of the eye: on the axis as in [check] viewer; else the aim point of the cells; else 1 m
-    before the sheet.
-    """
+    """Position of the eye: as in [check] viewer, on the axis; else the cells' aim point; else 1 m before."""
     distance, _ = design.viewing_places
     aperture = design.lattice.aperture
     if distance is None and isinstance(aperture, AimedAt):
@@ -120,9 +118,7 @@ def _thin_share(window: Window, cells: Ints, viewer: tuple[float, float, float])
 def share_map(
     window: Window, viewer: tuple[float, float, float]
 ) -> tuple[Floats, tuple[float, float, float, float]]:
-    """Thin share (PLACES, PLACES), [y, x], NaN outside the sheet, and its (x_min, x_max, y_min, y_max),
-    lengths.
-    """
+    """Thin share (PLACES, PLACES), [y, x], NaN off the sheet; its (x_min, x_max, y_min, y_max), lengths."""
     x0, x1, y0, y1 = window.lattice.extent()
     y, x = np.meshgrid(
         *(np.linspace(a, b, 2 * PLACES + 1)[1::2] for a, b in ((y0, y1), (x0, x1))), indexing="ij"
@@ -139,9 +135,7 @@ def _slopes(place: Floats, viewer: tuple[float, float, float]) -> Floats:
 
 
 def _kept_cells(window: Window, unit_square: Floats) -> tuple[Ints, Ints]:
-    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the indices (k,) of their
-    points.
-    """
+    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the indices (k,) of these."""
     lattice = window.lattice
     n1, n2 = lattice.count
     i, j = (np.floor(unit_square * (n1, n2)).astype(np.int64)).T
@@ -167,7 +161,7 @@ def viewed_check(lit: Lit) -> Iterator[Check]:
     eye = _eye(design, found.viewer)
     sentence = _share_of(found.traced, eye)
     if not found.traced >= limit:
-        sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %); the rest meets other lenslets"
+        sentence += f" (ideal lenses: {percent_text(found.thin)}); the rest meets other lenslets"
     check = VIEWED.judge(
         found.traced,
         limit,
@@ -185,7 +179,7 @@ def headline(checks: Sequence[Check]) -> str:
     if check is None:
         return ""
     verdict = {"pass": "passes", "fail": "FAILS", "warn": "a warning"}[check.state]
-    limit = f"limit {100.0 * float(check.limit or 0.0):.4g} %"
+    limit = f"limit {percent_text(float(check.limit or 0.0), 4)}"
     return f"{_share_of(float(check.value or 0.0), check.detail['eye'])} ({limit}: {verdict})"
 
 
@@ -255,7 +249,7 @@ def _remedy_text(checks: list[Check], design: Design, window: Window, viewer: Po
     found = [*_keys(_failing(checks, design), design, viewer), *_farther(design, window, viewer)]
     if not found:
         return "neither aimed cells nor a field lens nor a viewer farther away mends it alone"
-    return f"{100.0 * design.check.viewed:.4g} % is reached by {', or by '.join(found)}"
+    return f"{percent_text(design.check.viewed, 4)} is reached by {', or by '.join(found)}"
 
 
 def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) -> Iterator[str]:
@@ -268,13 +262,11 @@ def _keys(failing: frozenset[tuple[str, str]], design: Design, viewer: Point) ->
         share = _share(design, changes, viewer)
         if share >= design.check.viewed and _fails_no_more(design, changes, failing):
             keys = " with ".join(f"{key} = {value_text(value)}" for key, value in changes.items())
-            yield f"{keys} ({100.0 * share:.3g} %)"
+            yield f"{keys} ({percent_text(share)})"
 
 
 def _share(design: Design, changes: dict[str, Any], viewer: Point) -> float:
-    """Share of the viewer's light with some keys changed; aimed cells use paraxial lenses. 0: it cannot be
-    built.
-    """
+    """Viewer's share of light with some keys changed; paraxial lenses for aimed cells; 0: not buildable."""
     try:
         asked = design.replace(changes)
         if isinstance(asked.lattice.aperture, AimedAt):

@@ -1,11 +1,9 @@
 """Fabrication errors and their effect on light: tolerances, sensitivities, yield; and parameter sweeps.
 
 `tolerance` perturbs the window as built (array poses, radii, index, thickness, roughness) and traces it. It
-reports the
-results in the terms of lenslet sheets: image shift, moiré, residual power, blur, throughput. `sweep` varies
-any keys
-of the design instead. Both run point by point on an executor and resume from a checkpoint. Names resolve
-when first used.
+reports the results in the terms of lenslet sheets: image shift, moiré, residual power, blur, throughput.
+`sweep` varies any keys of the design instead. Both run point by point on an executor and resume from a
+checkpoint. Names resolve when first used.
 """
 
 from __future__ import annotations

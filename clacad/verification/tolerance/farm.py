@@ -38,8 +38,7 @@ from clacad.storage.errors import CannotWrite
 from clacad.storage.worker import safe_children
 
 Work = Callable[[str, Any], list[Any]]
-"""Takes a study as text and a piece of it; must be a module-level function, so that other processes can
-import it."""
+"""Takes a study as text and a piece of it; a module-level function, which other processes can import."""
 
 PER_WORKER = 3
 """Pieces queued ahead for each worker."""
@@ -343,9 +342,7 @@ class Checkpoint:
             self._write([self.header])
 
     def _read(self, content: bytes) -> tuple[list[Any], int]:
-        """Records of the valid prefix, and its length in bytes. A complete first line of another study: [],
-        > 0.
-        """
+        """Records of the valid prefix, and its length, bytes. A whole first line of another study: [], >0."""
         records: list[Any] = []
         good = 0
         for line in content.splitlines(keepends=True):

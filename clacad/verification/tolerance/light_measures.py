@@ -3,23 +3,19 @@ number.
 image shift
     Change of the exit direction of the ray through the middle of lens 1's cell; caused by decentred arrays.
 slip, moiré period
-    Change of that direction from cell to cell, expressed as the rate at which array 2 slips relative to
-    array 1
-    (the change per decentre is traced too). The moiré pattern repeats where the slip reaches one pitch:
-    Hutley,
-    Hunt, Stevens, Savander, Pure Appl. Opt. 3, 133 (1994).
+    Change of that direction from cell to cell, expressed as the rate at which array 2 slips relative to array
+    1 (the change per decentre is traced too). The moiré pattern repeats where the slip reaches one pitch:
+    Hutley, Hunt, Stevens, Savander, Pure Appl. Opt. 3, 133 (1994).
 residual power
     Convergence: minus the change of exit slope with entrance height of parabasal rays about that ray, 0 for
-    an
-    afocal pair. In dioptres.
+    an afocal pair. In dioptres.
 blur
     Rms spread of the exit directions of parallel light over a cell.
 throughput
     Share of the light of the field that stays in its telescopelet and is not scattered by rough faces.
 law_rms, law_bias, eta, delta, kept
-    Defined as in the checks of the same names (kept: throughput over the closed form), with fewer rays.
-    Blur, law_rms
-    and law_bias are those of the worst of the traced cells, the middle one and the farthest ones.
+    Defined as in the checks of the same names (kept: throughput over the closed form), with fewer rays. Blur,
+    law_rms and law_bias are those of the worst of the traced cells, the middle one and the farthest ones.
 law_rms_x, law_rms_y
     Centre of the cell with that law_rms.
 """
@@ -48,7 +44,7 @@ from clacad.verification.tolerance.misaligned import Errors, telescopelet
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.design.limits import CheckSpec
+    from clacad.design.limit_sections import CheckSpec
 
 
 RAYS = 256
@@ -100,9 +96,8 @@ class Bench:
     window : Window
     law : RequestedLaw
     bundles : mapping
-        Name to bundle, its rays about the cell's centre: the cone, the parallel beams, the narrow fit
-        bundle, the
-        parabasal rays.
+        Name to bundle, its rays about the cell's centre: the cone, the parallel beams, the narrow fit bundle,
+        the parabasal rays.
     places : (m, 2) lengths
         Traced cells: the middle one and the farthest ones, nominal centres of cell 1.
     chief : (2,) slopes
@@ -149,9 +144,7 @@ class Bench:
         }
 
     def light(self, errors: Errors, place: Floats | None = None) -> dict[str, Light]:
-        """Light of each bundle through one cell of the sheet made with these errors; default the sheet's
-        middle.
-        """
+        """Light of each bundle through one cell of a sheet with these errors; default the sheet's middle."""
         bundles = list(self.bundles.values())
         seen = measure_each(self._sender(errors, place), bundles, self.law)
         return {
@@ -227,8 +220,7 @@ def bench(
     window : Window
     rays : int
         Rays of each bundle. The cone, whose rays are counted, has four times as many; the parallel beams
-        other than
-        the middle one have a quarter.
+        other than the middle one have a quarter.
     incident : (x, y) slopes or None
         Middle of the field along the sheet's x and y, in place of `check.field_centre`.
     """
@@ -280,9 +272,7 @@ def _per_decentre(table: Bench) -> Floats:
 
 
 def _chief_rays(window: Window, middle: Floats, low: float) -> Rays:
-    """The ray through the cell's middle, and four parabasal rays along lens x and y, from below the
-    window.
-    """
+    """Ray through the cell's middle, and four parabasal rays along lens x and y, from below the window."""
     u, v, _ = window.thin.rotation.T
     size = STEP * window.lattice.circumradius
     at = np.array([0.0 * u, u, -u, v, -v]) * size

@@ -77,8 +77,7 @@ class Telescopelet:
         WALL.
 
         Directions are NaN where a ray ended on the way. A ray counts if it hits every lens face in the
-        optical zone
-        of this cell, where the lens is not buried in land, and leaves forwards.
+        optical zone of this cell, where the lens is not buried in land, and leaves forwards.
         """
         result = trace_sequence(self.seq, rays, record=True)
         through = result.fate == Fate.ALIVE
@@ -109,8 +108,7 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
     window : Window
         As designed.
     errors : mapping
-        Parameter name (`clacad.verification.tolerance.misaligned`) to error, in design units, radians or
-        as a
+        Parameter name (`clacad.verification.tolerance.misaligned`) to error, in design units, radians or as a
         ratio; parameters without an entry have no error.
     """
     at = np.zeros(2) if centre is None else np.asarray(centre, dtype=np.float64)
@@ -173,9 +171,7 @@ def as_made(window: Window, errors: Errors) -> Window:
 
 
 def _thicker_outside(body: Body, change: float, number: int) -> Body:
-    """First or second plate of a slab with a field lens, `change` (length) thicker; inner faces keep the air
-    gap.
-    """
+    """First or second plate of a slab with a field lens, `change` (length) thicker; the air gap is kept."""
     if number == 1:
         x, y, z = body.front.vertex
         return replace(body, front=replace(body.front, vertex=(x, y, z - change)))
@@ -207,9 +203,7 @@ def _field(errors: Errors) -> Motion:
 
 
 def _second(window: Window, errors: Errors) -> Motion:
-    """Motion of array 2: decentred, turned about the sheet's normal, tilted about x and y, its spacer too
-    high.
-    """
+    """Motion of array 2: decentred, turned about the normal, tilted about x and y, its spacer too high."""
     heights = [face.vertex[2] for face in window.faces if face.array == 1]
     pivot = np.array([*window.shifts[1], sum(heights) / len(heights)])
     up = errors.get("separation", 0.0)
@@ -233,9 +227,7 @@ def _middle_of_pins(window: Window, pivot: Floats) -> Floats:
 
 
 def _turned(about_x: float, about_y: float, about_z: float) -> Floats:
-    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues); no axis order is
-    involved.
-    """
+    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues); no order of axes."""
     vector = np.array([about_x, about_y, about_z])
     angle = float(np.linalg.norm(vector))
     x, y, z = vector
@@ -281,9 +273,7 @@ class Parameter:
 
 
 def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
-    """Parameters of all tolerances in the design's [tolerances], in a fixed order; tolerances of 0 are
-    omitted.
-    """
+    """Parameters of the design's [tolerances], in a fixed order; tolerances of 0 are omitted."""
     spec, unit = design.tolerances, design.unit
     found: list[Parameter] = []
     for array, half in enumerate(spec.decentre, 1):
@@ -313,13 +303,10 @@ def _play(design: Design) -> list[Parameter]:
     """Parameters of the play that pins leave array 2 relative to array 1.
 
     A pin of diameter d in holes of d + p has p/2 of room all round in either plate. Plate 2 therefore moves
-    up to p
-    relative to plate 1 along x and along y. Where the pins farthest apart, at distance L, allow opposite
-    motions, it
-    turns by 2 p/L about the middle of the pins. Nothing centres a plate in its play: all positions are
-    equally likely.
-    The three are drawn independently; together they cover every pose that the pins allow, and some that they
-    do not.
+    up to p relative to plate 1 along x and along y. Where the pins farthest apart, at distance L, allow
+    opposite motions, it turns by 2 p/L about the middle of the pins. Nothing centres a plate in its play: all
+    positions are equally likely. The three are drawn independently; together they cover every pose that the
+    pins allow, and some that they do not.
     """
     pins = design.body.pins
     if pins is None:
@@ -362,8 +349,7 @@ def draw(
     sample : int ≥ 0
     distribution : "normal" or "uniform"
         Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the limit, as always for
-        parameters
-        with `uniform`. One-sided parameters take the absolute value.
+        parameters with `uniform`. One-sided parameters take the absolute value.
     """
     found = {}
     for p in chosen:

@@ -56,9 +56,8 @@ BEAM: Mapping[str, str] = {
 }
 """Measures of the parallel beam in the middle of the light.
 
-By trace: mean exit slopes of its ALIVE rays along the sheet's x and y. Shares of thin lenses: of the
-partner, of all
-ghosts, and of each order "i,j" of at least `clacad.sheet.vignetting.LEAST_SHARE`.
+By trace: mean exit slopes of its ALIVE rays along the sheet's x and y. Shares of thin lenses: of the partner,
+of all ghosts, and of each order "i,j" of at least `clacad.sheet.vignetting.LEAST_SHARE`.
 """
 
 BUILT: Mapping[str, str] = {
@@ -101,10 +100,8 @@ class Sweep:
     axes : tuple of (key, values)
     rows : list of mappings
         In the order of the grid, the last axis fastest: the varied keys, "state" ("ok", "failed": a check of
-        the
-        design rules fails, or "error": the point cannot be built), "failed" and "message", then `BUILT`,
-        `TRACED`
-        and `BEAM`.
+        the design rules fails, or "error": the point cannot be built), "failed" and "message", then `BUILT`,
+        `TRACED` and `BEAM`.
     incident : (x, y) slopes or None
         Middle of the light at every point; None: the middle of the field of each point.
     """
@@ -124,8 +121,7 @@ def parse_vary(text: str) -> Axis:
     """Read "key=from:to:count", "key=from:to:count:log" or "key=a,b,c".
 
     Values may carry a unit ("5 um:20 um:4"); whole numbers stay whole. The steps of a linear range are
-    rounded
-    once, from exact fractions.
+    rounded once, from exact fractions.
 
     Raises
     ------
@@ -312,13 +308,7 @@ def sweep(
     whole = [[key, list(values)] for key, values in axes]
     asked = {"axes": whole, "rays": rays, "incident": None if incident is None else list(incident)}
     text = json.dumps({**named_design(design), **asked}, sort_keys=True)
-    header = {
-        "kind": "sweep",
-        "format": FORMAT,
-        "clacad": __version__,
-        "design": design.sha256,
-        **asked,
-    }
+    header = {"kind": "sweep", "format": FORMAT, "clacad": __version__, "design": design.sha256, **asked}
     found = worked(make_points, text, header, count, farm or Farm(), checkpoint, progress, piece=1)
     rows = [point | row for point, row in zip(grid(axes), found, strict=True)]
     if not any(row["state"] != "error" for row in rows):

@@ -112,9 +112,7 @@ class Study:
         return np.where(np.isfinite(found), found, np.inf)
 
     def place(self, parameter: str) -> tuple[float, float]:
-        """Centre (metres) of the cell with the worst law error at the worse end of a parameter's
-        tolerance.
-        """
+        """Centre (metres) of the cell of the worst law error at the worse end of a parameter's tolerance."""
         number = [p.name for p in self.parameters].index(parameter)
         return _centre(
             self.ends[number, int(np.argmax(np.nan_to_num(self.ends[number, :, _LAW], nan=np.inf)))]
@@ -138,9 +136,7 @@ class Study:
         return kept
 
     def yields(self) -> tuple[float, float, float]:
-        """Share of good sheets, and the ends of its 95 % interval (Wilson, J. Am. Stat. Assoc. 22, 209
-        (1927)).
-        """
+        """Share of good sheets, ends of its 95 % interval (Wilson, J. Am. Stat. Assoc. 22, 209 (1927))."""
         n = len(self.measures)
         if n == 0:
             return float("nan"), 0.0, 1.0
@@ -268,8 +264,7 @@ def tolerance(
         Executor of the work; None: all cores of this machine.
     checkpoint : path or None
         Results are stored here as they arrive. Stored results are not computed again, and more samples
-        continue
-        from them. A checkpoint of another study raises OtherStudy.
+        continue from them. A checkpoint of another study raises OtherStudy.
     progress : callable or None
         (stage, done 0 … 1).
     """
@@ -280,16 +275,8 @@ def tolerance(
     seed = design.tolerances.seed if seed is None else seed
     count = 1 + ENDS * len(chosen) + (design.tolerances.samples if samples is None else samples)
     text = json.dumps({**named_design(design), "rays": rays, "seed": seed}, sort_keys=True)
-    header = {
-        "kind": "tolerances",
-        "format": FORMAT,
-        "clacad": __version__,
-        "design": design.sha256,
-        "seed": seed,
-        "rays": rays,
-        "parameters": [p.name for p in chosen],
-        "measures": list(MEASURES),
-    }
+    header = {"kind": "tolerances", "format": FORMAT, "clacad": __version__, "design": design.sha256}
+    header |= {"seed": seed, "rays": rays, "parameters": [p.name for p in chosen], "measures": [*MEASURES]}
     rows = worked(make_cases, text, header, count, farm or Farm(), checkpoint, progress)
     study = _study(design, chosen, seed, rays, np.array(rows, dtype=np.float64))
     i, j = (int(v) for v in seen.cell)
@@ -297,9 +284,7 @@ def tolerance(
 
 
 def named_design(design: Design) -> dict[str, Any]:
-    """A design as a study passes it to workers: its keys, and its path if a table of cells lies next to
-    it.
-    """
+    """A design as workers get it: its keys, and its path if a table of cells lies next to it."""
     varying = design.law_spec.varying
     beside = varying is not None and varying.table is not None
     return {"design": design.to_dict(), **({"path": design.path} if beside else {})}

@@ -18,6 +18,7 @@ import numpy as np
 
 from clacad import __version__
 from clacad.base.drawn_figure import drawn
+from clacad.base.text import percent_text
 from clacad.formats.study_file import FORMAT, TOLERANCES
 from clacad.storage.atomic import Stage, canonical_json
 from clacad.verification.tolerance.light_measures import MEASURES
@@ -112,9 +113,7 @@ def _csv(lines: Sequence[Sequence[str]]) -> str:
 
 
 def harmless_cell(cell: str) -> str:
-    """Return a cell with an apostrophe before text that a spreadsheet would run as a formula; numbers are
-    unchanged.
-    """
+    """Put an apostrophe before text that a spreadsheet would run as a formula; numbers are unchanged."""
     try:
         float(cell)
     except ValueError:
@@ -229,16 +228,12 @@ BAR, LINE, LIMIT = "#1f4e79", "#e07b39", "#b00020"
 
 
 def plot_tolerances(study: Study) -> bytes:
-    """Draw the ranked contributors of each measure, and its distribution over the Monte-Carlo sheets, as
-    PNG.
-    """
+    """Draw ranked contributors of each measure, and its distribution over Monte-Carlo sheets, as PNG."""
     return _png((11.0, 9.6), lambda figure: _draw_study(figure, study))
 
 
 def plot_sweep(found: Sweep) -> bytes:
-    """Draw measures as PNG: over one key as lines, over two as maps, over more against the first, one line
-    each.
-    """
+    """Draw measures as PNG: over one key lines, over two maps, over more against the first, one line each."""
     if len(found.axes) == 2:
         return _png((11.0, 6.4), lambda figure: _draw_maps(figure, found))
     return _png((11.0, 6.4), lambda figure: _draw_lines(figure, found))
@@ -251,8 +246,10 @@ def _png(size: tuple[float, float], draw: Callable[[Figure], None]) -> bytes:
 def _draw_study(figure: Figure, study: Study) -> None:
     share, low, high = study.yields()
     figure.suptitle(
-        f"{study.name}: {len(study.measures)} sheets, {100 * share:.1f} % good "
-        f"(95 %: {100 * low:.1f} to {100 * high:.1f}); bars: largest change over each tolerance alone",
+        f"{study.name}: {len(study.measures)} sheets, {percent_text(share, 1, fixed=True)} good "
+        f"(95 %: {percent_text(low, 1, fixed=True, unit='')} to"
+        f" {percent_text(high, 1, fixed=True, unit='')});"
+        " bars: largest change over each tolerance alone",
         fontsize=10,
     )
     axes = figure.subplots(4, 3).ravel()

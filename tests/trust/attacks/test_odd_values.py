@@ -88,7 +88,7 @@ SEARCHED = (
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SEARCHED else name for name in FORMER]
+    "name", [pytest.param(name, marks=pytest.mark.long) if name in SEARCHED else name for name in FORMER]
 )
 def test_what_was_an_internal_error_once_is_a_sentence(name: str, tmp_path: Path) -> None:
     base, changes, status = FORMER[name]

@@ -42,8 +42,7 @@ class Allowed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckSpec:
-    """Section [check]: limits for checks of the built design and its files. Angles in radians, lengths in
-    design units.
+    """Section [check]: limits for checks of the built design and its files. Radians, design units.
 
     None means that the process profile gives the limit (`clearance edge neck radius sag part_height
     part_width materials pitch tool wall draft slope voxel layer aspect`), or that `law_rms` applies
@@ -113,9 +112,7 @@ class CheckSpec:
 
     @property
     def of_light(self) -> tuple[float, float, float, float, float]:
-        """Limits for light through a file: rms and bias (radians), relative error of eta, error of delta,
-        confocality.
-        """
+        """Limits of light through a file: rms and bias (radians), eta (relative), delta, confocality."""
         rms = self.law_rms if self.mesh_law_rms is None else self.mesh_law_rms
         return rms, self.law_bias, self.eta, self.delta, self.confocality
 
@@ -167,7 +164,5 @@ class TolerancesSpec:
         return halves[array] if array < 2 else max(halves)
 
     def of_body(self, number: int, bodies: int) -> float:
-        """Tolerance (length) of the thickness of body 1, 2 …;
-        for a plate between two, the larger of theirs.
-        """
+        """Tolerance (length) of the thickness of body 1, 2 …; of a plate between two, the larger one."""
         return max(self.thickness) if 1 < number < bodies else self.thickness[min(number, 2) - 1]

@@ -42,9 +42,7 @@ CONIC_STEPS: Final = (0.25, 0.12, 0.06, 0.03)
 """Steps around the best of `CONICS`."""
 
 ROOM: Final = 1.3
-"""A length that a process limits is also tried at this factor of the limit: from 1.25 on it is no longer
-near.
-"""
+"""A process's length is also tried at this factor of the limit: from 1.25 on it is no longer near."""
 
 
 INTENTS: Final = frozenset({LATTICE.aperture, BODY.border})
@@ -58,9 +56,7 @@ _HELD: Final = (PAIR.separation, PAIR.thickness, LATTICE.pitch, LATTICE.aperture
 
 
 def is_tried(check: Check) -> bool:
-    """Whether keys are tried for a check: not for an eye that is only assumed, where `viewed` names what was
-    tried.
-    """
+    """Whether keys are tried for a check: not for an assumed eye, where `viewed` names what was tried."""
     return check.kind is not VIEWED or check.state == "fail"
 
 
@@ -177,9 +173,7 @@ def _lacking(design: Design, checks: Iterable[Check], lever: Lever) -> float:
 
 
 def _thicknesses(design: Design, way: str, judged: Judged | None, lack: float) -> tuple[Changes, ...]:
-    """The word auto first, then numbers from the present thickness: by ratio, and by shares of the
-    shortfall.
-    """
+    """The word auto, then numbers from the present thickness: by ratio, and by shares of the shortfall."""
     given = design.pair.thicknesses
     auto: tuple[Changes, ...] = () if given is None else ({PAIR.thickness: "auto"},)
     if given is None and judged is not None:
@@ -231,17 +225,13 @@ def _ladder(present: float, way: str) -> list[float]:
 
 
 def nice(value: float, count: int = 2) -> float:
-    """Value rounded to `count` digits; a whole number becomes an int, so that it is written without a
-    point.
-    """
+    """Value rounded to `count` digits; a whole number becomes an int, written without a point."""
     rounded = float(f"{value:.{count - 1}e}")
     return int(rounded) if rounded.is_integer() and abs(rounded) < 1e6 else rounded
 
 
 def size_of(changes: Changes, design: Design) -> float:
-    """Size of changes, for the choice among sets of equal length: for a length the weighted logarithm of its
-    ratio.
-    """
+    """Size of changes, to choose among equally many: for a length the weighted logarithm of its ratio."""
     total = 0.0
     for key, value in changes.items():
         section, name = key.split(".")
@@ -263,9 +253,7 @@ WEIGHTS: Final = {
     PAIR.thickness: 0.3,
     PAIR.field_lens: 0.6,
 }
-"""Weight of a change of a key: other cells mean other pixels, other faces other tools, another aperture
-another view.
-"""
+"""Weight of a change of a key: other cells mean other pixels, faces other tools, an aperture another view."""
 
 
 Wish = Callable[[Judged], bool]
@@ -346,9 +334,7 @@ class Trials:
         return None
 
     def shaped(self, before: Changes, settings: Sequence[Changes]) -> Changes | None:
-        """The conic that is nearest to passing, among some settings and then finer ones; None if none can be
-        built.
-        """
+        """Conic nearest to passing, among some settings and then finer ones; None if none can be built."""
         bad, best = min(
             ((self._bad({**before, **one}), k) for k, one in enumerate(settings)), default=(inf, 0)
         )
@@ -378,9 +364,7 @@ def found_in(judged: Judged, check: Check) -> Check | None:
 
 
 def settled(judged: Judged, check: Check) -> bool:
-    """Whether a trial mends a check: it passes clearly, warns instead of failing, is allowed, or no longer
-    applies.
-    """
+    """Whether a trial mends a check: it clearly passes, warns after failing, is allowed, or is gone."""
     now = found_in(judged, check)
     if now is None:
         return True  # a body or step that no longer exists
@@ -390,9 +374,7 @@ def settled(judged: Judged, check: Check) -> bool:
 
 
 def badness(judged: Judged | None, design: Design) -> float:
-    """Distance of a trial from passing: 0 if it surely passes; each failing check counts 0.5 plus up to 1 by
-    its excess.
-    """
+    """Distance of a trial from passing: 0 if it surely does; a failing check counts 0.5 up to 1.5."""
     if judged is None:
         return inf
     return sum(0.5 + _beyond(check, design) for check in wrong(judged.checks)) + 0.1 * len(judged.tight)

@@ -1,0 +1,210 @@
+"""Measure of a stream of triangles: whether it is closed, its volume, area and box, in one pass.
+
+Every facet has three directed edges. A surface is closed and consistently wound when each edge is traversed
+as often forwards as backwards. Two independent 64-bit hashes of the undirected edge are added for one sense
+and subtracted for the other. The sums vanish for a closed surface, and for anything else only with
+probability 2^-128. A facet left out, turned over or moved by one bit is detected. A repeated part of a file
+is measured once per orientation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import fsum
+
+import numpy as np
+
+from clacad.base.types import Floats, Ints, Words
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds_and_ends
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """Results of one pass over a mesh.
+
+    Parameters
+    ----------
+    facets : int
+    imbalance : (int, int)
+        Hash sums over directed edges; (0, 0) for a closed, consistently wound surface.
+    volume : float
+        Enclosed volume, file unit³ (positive when facets are wound counter-clockwise from outside).
+    area : float
+        File unit².
+    low, high : (3,) tuples
+        Corners of the bounding box.
+    """
+
+    facets: int
+    imbalance: tuple[int, int]
+    volume: float
+    area: float
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    @property
+    def closed(self) -> bool:
+        """Whether every edge is traversed as often forwards as backwards."""
+        return self.facets > 0 and self.imbalance == (0, 0)
+
+
+def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
+    """Measure a mesh given as chunks of corners (k, 3, 3).
+
+    Parameters
+    ----------
+    chunks : iterable of (k, 3, 3) arrays
+    origin : (3,) array or None
+        Point the volume's cones start from; a point near the mesh keeps digits. Default: its first corner.
+
+    Notes
+    -----
+    Corners are one vertex when all bits of their float64 coordinates agree (−0 is 0). The volume is the
+    divergence sum of det(a, b, c)/6. The rounding errors of that sum and of the area's are kept in addition.
+    """
+    from clacad.formats.mesh.compiled_measure import AREA, VOLUME, add_facets
+
+    facets = 0
+    sums, totals = np.zeros(2, dtype=np.uint64), np.zeros(4)
+    box = np.array([[np.inf] * 3, [-np.inf] * 3])
+    for corners in chunks:
+        if not len(corners):
+            continue
+        if origin is None:
+            origin = corners[0, 0].copy()
+        facets += len(corners)
+        whole = np.ascontiguousarray(corners)
+        add_facets(whole, whole.view(np.uint64), np.asarray(origin, dtype=np.float64), sums, totals, box)
+    if np.isnan(totals[VOLUME]):  # a corner that is no number has no position
+        box[:] = np.nan
+    volume, area = (float(totals[k] + totals[k + 1]) for k in (VOLUME, AREA))
+    bottom, top = ((float(corner[0]), float(corner[1]), float(corner[2])) for corner in box)
+    return Measure(facets, (int(sums[0]), int(sums[1])), volume / 6.0, 0.5 * area, bottom, top)
+
+
+def crowded_edges(times: Ints) -> int:
+    """Count undirected edges traversed by other than two facets, from the result of `edge_times`.
+
+    `measure` accepts an edge that four facets share (a saddle that touches itself); strict slicers do not.
+    """
+    return int(np.count_nonzero(times != 2))
+
+
+def edge_times(facets: Ints) -> Ints:
+    """Number of the facets (t, 3), given by numbers of vertices, that traverse each undirected edge, (e,)."""
+    if not len(facets):
+        return np.zeros(0, dtype=np.int64)
+    start, end = facets.ravel(), facets[:, [1, 2, 0]].ravel()
+    edges = np.minimum(start, end) * np.int64(facets.max() + 1) + np.maximum(start, end)
+    edges.sort()
+    last = np.append(np.flatnonzero(edges[1:] != edges[:-1]), len(edges) - 1)
+    return np.diff(last, prepend=-1)
+
+
+def vertex_hashes(corners: Floats) -> Words:
+    """One 64-bit number for each corner, (k, 3), from the bits of its coordinates; −0 is 0."""
+    from clacad.formats.mesh.compiled_measure import hash_corners
+
+    found = np.empty(corners.shape[:2], dtype=np.uint64)
+    hash_corners(np.ascontiguousarray(corners, dtype=np.float64).view(np.uint64), found)
+    return found
+
+
+MOST_KINDS = 16
+"""Largest number of orientations and scales of one part that are measured; a sheet needs one."""
+
+
+def measure_mesh(
+    mesh: FileMesh, factor: float, passing: Callable[[Floats], Floats] = lambda corners: corners
+) -> Measure:
+    """Measure a file in design units; a repeated part is measured once per orientation.
+
+    Parameters
+    ----------
+    mesh : FileMesh
+    factor : float
+        Design units per file unit.
+    passing : callable
+        Receives and returns the corners (k, 3, 3) of the unrepeated parts, file unit.
+    """
+    single = [part for part in mesh.parts if not part.repeated]
+    return joined(
+        [
+            measure(
+                (passing(chunk) * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)
+            ),
+            measure_repeated(mesh, factor),
+        ]
+    )
+
+
+def measure_repeated(mesh: FileMesh, factor: float) -> Measure:
+    """Measure the repeated parts; the result is closed if each of them is closed by itself.
+
+    Parts that share one list of places are one object, as a GLB mesh of several primitives is.
+    """
+    found = []
+    for parts in objects(mesh):
+        imbalance = [0, 0]
+        for part in parts:
+            for one in _measures(part, factor):
+                imbalance = [(a + b) % (1 << 64) for a, b in zip(imbalance, one.imbalance, strict=True)]
+                found.append(_with(one, (0, 0)))
+        found.append(Measure(0, (imbalance[0], imbalance[1]), 0.0, 0.0, (np.inf,) * 3, (-np.inf,) * 3))
+    # an open object is not closed by another with the opposite gap
+    whole = joined([_with(one, (0, 0)) for one in found])
+    return _with(whole, next((one.imbalance for one in found if one.imbalance != (0, 0)), (0, 0)))
+
+
+def objects(mesh: FileMesh) -> list[list[Part]]:
+    """Repeated parts, grouped by identical lists of places."""
+    found: dict[int, list[Part]] = {}
+    for part in mesh.parts:
+        if part.repeated:
+            found.setdefault(id(part.places), []).append(part)
+    return list(found.values())
+
+
+def joined(measures: Sequence[Measure]) -> Measure:
+    """Combined measures of several meshes."""
+    if not measures:
+        return measure(())
+    low = np.min([one.low for one in measures], axis=0)
+    high = np.max([one.high for one in measures], axis=0)
+    sums = [sum(one.imbalance[k] for one in measures) % (1 << 64) for k in (0, 1)]
+    return Measure(
+        sum(one.facets for one in measures),
+        (sums[0], sums[1]),
+        fsum(one.volume for one in measures),
+        fsum(one.area for one in measures),
+        _triple(low),
+        _triple(high),
+    )
+
+
+def _measures(part: Part, factor: float) -> Iterator[Measure]:
+    """Measure a part for each orientation, times the number of its places in that orientation."""
+    for number, (linear, times, first, last) in enumerate(kinds_and_ends(part)):
+        if number == MOST_KINDS:  # too many orientations: the comparison of its places fails anyway
+            break
+        turn = linear * factor
+        one = measure(
+            (part.corners(k, k + CHUNK) @ turn for k in range(0, part.facet_count, CHUNK)), origin=np.zeros(3)
+        )
+        yield Measure(
+            one.facets * times,
+            one.imbalance,
+            one.volume * times,
+            one.area * times,
+            _triple(one.low + first * factor),
+            _triple(one.high + last * factor),
+        )
+
+
+def _with(one: Measure, imbalance: tuple[int, int]) -> Measure:
+    return Measure(one.facets, imbalance, one.volume, one.area, one.low, one.high)
+
+
+def _triple(values: Floats) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
