@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.solid.face_pattern import Kind
 from clacad.solid.rational_conics import Arc, RationalPatch, line, ruled_wall
 from clacad.solid.wall_segments import TOLERANCE, Column, SegmentShape, WallShape
 from clacad.topology.complex_parts import linked, runs_round
+
+if TYPE_CHECKING:
+    from clacad.solid.face_pattern import Kind
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -9,18 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import atan2, pi, tau
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import NodeCells, Step, node_cells
 from clacad.solid.edge_classes import Levels, linked_levels
-from clacad.solid.outline_path import Path
-from clacad.solid.repeated_cell import Cell
-from clacad.solid.shells import NodeVertices, Shells
 from clacad.solid.wall_segments import Column, column_of_side
+
+if TYPE_CHECKING:
+    from clacad.sheet.lattice import Lattice
+    from clacad.solid.outline_path import Path
+    from clacad.solid.repeated_cell import Cell
+    from clacad.solid.shells import NodeVertices, Shells
 
 State = Literal["cell", "outside", "empty", "beyond"]
 

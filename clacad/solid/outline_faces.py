@@ -8,6 +8,7 @@ face. Between touches there is land, bounded by the outline itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,14 @@ from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats
 from clacad.solid.edge_classes import Cylinder, Plane
 from clacad.solid.face_pattern import encloses
-from clacad.solid.node_sectors import Touch
-from clacad.solid.outline_path import Path
 from clacad.solid.rational_conics import line, ruled_wall
-from clacad.solid.repeated_cell import CellFace
 from clacad.solid.shells import FlatEdge, Loop, LoopEdge, Shells, reverse
-from clacad.solid.tilings import Columns
+
+if TYPE_CHECKING:
+    from clacad.solid.node_sectors import Touch
+    from clacad.solid.outline_path import Path
+    from clacad.solid.repeated_cell import CellFace
+    from clacad.solid.tilings import Columns
 
 
 @dataclass(eq=False)

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
 from clacad.base.arrays import Groups
 from clacad.base.types import Floats
-from clacad.solid.edge_classes import Levels, SegmentClass, Surface, WallEnd
 from clacad.solid.rational_conics import Arc, RationalPatch, line
 from clacad.solid.wall_segments import TOLERANCE
+
+if TYPE_CHECKING:
+    from clacad.solid.edge_classes import Levels, SegmentClass, Surface, WallEnd
 
 Role = Literal["lens", "land", "wall", "plane", "side"]
 
