@@ -353,9 +353,7 @@ def strip(
         The wedges' tags in both rings.
     rings : (ring at p, ring at q)
 
-    Returns
-    -------
-    list of triangles of vertices (point, level), outward.
+    Returns triangles of vertices (point, level), outward.
     """
     lines = _lines(left, right)
     triangles: list[tuple[Vertex, Vertex, Vertex]] = []
@@ -371,9 +369,8 @@ def strip(
             [(point, z) for z in (ring.chain(low, high, tag) if low < high else [low])]
             for point, ring, low, high in zip((p, q), rings, below[:2], above[:2])
         )
-        faces = zipper(
-            first, second
-        )  # seen from the right hand of p → q, p on the left: outward of the left column
+        # seen from the right hand of p → q, p on the left: outward of the left column
+        faces = zipper(first, second)
         triangles += faces if solid[0] else [(a, c, b) for a, b, c in faces]
     return triangles
 

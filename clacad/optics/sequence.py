@@ -131,10 +131,8 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
     -------
     TraceResult
         ALIVE, BACKWARD (d_z <= 0 after the last surface), TIR, VIGNETTED, MISSED or INVALID. A hit at
-        negative
-        distance is a miss (the start lies behind the first surface, or the ray passes outside the rim where
-        two
-        faces cross), and TIR if it is also beyond the critical angle.
+        negative distance is a miss (the start lies behind the first surface, or the ray passes outside the
+        rim where two faces cross), and TIR if it is also beyond the critical angle.
 
     Raises
     ------
@@ -156,8 +154,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
         ledger.enter(k, interface, live, crossing)
         going = crossing.fate == Fate.ALIVE
         live, offset, direction = live[going], crossing.offset[going], crossing.direction[going]
-    backward = ~(direction[:, 2] > 0)
-    ledger.fate[live[backward]] = Fate.BACKWARD
+    ledger.fate[live[~(direction[:, 2] > 0)]] = Fate.BACKWARD
     return ledger.closed()
 
 

@@ -161,6 +161,18 @@ def _refuse_small(window: Window, cells: Ints, etas: Floats, sizes: Floats) -> N
 KEY = LAW.varying
 
 
+def _refuse_many(n1: int, n2: int) -> None:
+    """Refuse a table of more lenses than are traced."""
+    if n1 * n2 > MOST_TRACED:
+        raise NoSuchLens(
+            f"a sheet whose law varies has a table of vertices: {n1 * n2:,} cells are more than the "
+            f"{MOST_TRACED:,} that it may have",
+            key=LATTICE.count,
+            code="CL125",
+            hint="fewer cells",
+        )
+
+
 def with_varying_law(window: Window, design: Design) -> Window:
     """Window of a design's central cell with lenses 2 moved so that each cell obeys its own law.
 
@@ -173,27 +185,18 @@ def with_varying_law(window: Window, design: Design) -> Window:
     Raises
     ------
     NoSuchLens
-        A lens would be too far from its cell's centre; the message names the cell.
+        There are too many cells, or a lens would be too far from the centre of its cell, which is named.
     DesignError
         The table of cells cannot be read.
     """
     laws = cell_laws(design)
-    n1, n2 = design.lattice.count
-    if n1 * n2 > MOST_TRACED:
-        raise NoSuchLens(
-            f"a sheet whose law varies has a table of vertices: {n1 * n2:,} cells are more than the "
-            f"{MOST_TRACED:,} that it may have",
-            key=LATTICE.count,
-            code="CL125",
-            hint="fewer cells",
-        )
+    _refuse_many(*design.lattice.count)
     cells = window.lattice.cells()
     deltas = laws.deltas(window.lattice, cells)
     sizes = None if laws.ratios is None else sizes_of(window, design, laws)
+    own = (None, None) if sizes is None else (sizes.focal, sizes.thin[0])
     turn = next(face.rotation for face in window.faces if face.array == 1)
-    first = _by_rule(
-        window, deltas, np.array(window.recipe["f"][0]), turn, None if sizes is None else sizes.focal
-    )
+    first = _by_rule(window, deltas, np.array(window.recipe["f"][0]), turn, own[0])
     window = replace(window, cell_laws=laws)
     _refuse_far(window, cells, first, sizes)
     moved = first
@@ -201,13 +204,7 @@ def with_varying_law(window: Window, design: Design) -> Window:
         moved = first + _traced(window, deltas, first, lens_plane_slope(turn), sizes)
     _refuse_far(window, cells, moved, sizes)
     thin_turn = window.thin.rotation
-    ideal = _by_rule(
-        window,
-        deltas,
-        np.array(window.thin.focal_length[0]),
-        thin_turn,
-        None if sizes is None else sizes.thin[0],
-    )
+    ideal = _by_rule(window, deltas, np.array(window.thin.focal_length[0]), thin_turn, own[1])
     thin = VertexChange(table=_tabled(window, cells, ideal), slope=lens_plane_slope(thin_turn))
     change = VertexChange(table=_tabled(window, cells, moved), slope=lens_plane_slope(turn))
     if sizes is None:
