@@ -199,8 +199,7 @@ def tessellate(
     merge : length, optional
         Steps between neighbours below this height are closed. Default: four z steps.
     saddle_bevel : length, optional
-        Width of the bevels that give real contact to columns which only touch at a saddle. Default 0: none;
-        the columns keep separate vertices and the surface is exact.
+        Width of the bevels that join columns which only touch at a saddle. Default 0: the exact surface.
 
     Returns
     -------
@@ -216,9 +215,8 @@ def tessellate(
     """
     need_window(window, "tessellate", ", quads=16")
     if saddle_bevel > 0.0:
-        need_equal_cells(
-            window, "a bevel at saddles", "without them columns that touch keep vertices of their own"
-        )
+        reason = "without them columns that touch keep vertices of their own"
+        need_equal_cells(window, "a bevel at saddles", reason)
     quads = _quads(window, slope_error, quads)
     bodies = tuple(mesh_body(window, body, quads, merge, saddle_bevel) for body in window.bodies)
     return Mesh(window, bodies, quads)

@@ -319,7 +319,7 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
 
 
 def _plate_thickness(intent: Intent, radius: list[float], foci: Pair2, behind: float) -> float:
-    """Thickness (length) of a field plate: from focus to focus of crossed cylinders, else its sag and neck."""
+    """Thickness (length) of a field plate: from focus to focus of cylinders, else sag and neck."""
     n, design = intent.index, intent.design
     tile = np.abs(intent.lattice.tile() @ intent.turn[:2, :2]).max(axis=0)
     sag = sum(float(tile[k]) ** 2 / (2.0 * radius[k]) for k in (0, 1))
