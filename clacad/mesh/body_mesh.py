@@ -144,9 +144,7 @@ class BodyMesh:
 
     @property
     def slope_error(self) -> float:
-        """Rms angle between facet and exact normal, area-weighted over optical facets, worse face
-        (radians).
-        """
+        """Rms angle between facet and exact normal over optical facets by area, worse face (radians)."""
         return self._errors[0]
 
     @property
@@ -247,9 +245,7 @@ class BodyMesh:
 
     @property
     def triangles(self) -> Ints:
-        """Vertex numbers (m, 3), outward counter-clockwise, in the order of `rows`. Expands the whole
-        body.
-        """
+        """Vertex numbers (m, 3), outward, in the order of `rows`. Expands the whole body."""
         return self._expanded[1]
 
     def volume(self) -> float:

@@ -245,9 +245,7 @@ def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Fl
 
 
 def largest(rows: Floats) -> Floats:
-    """Largest absolute component (n,) of rows (n, 3); column by column, five times faster than a reduction
-    of three.
-    """
+    """Largest absolute component (n,) of rows (n, 3); by column, five times faster than a reduction."""
     size = np.abs(rows)
     return np.asarray(np.maximum(np.maximum(size[:, 0], size[:, 1]), size[:, 2]))
 
@@ -398,9 +396,7 @@ def parabasal(seq: Sequence[Interface], rotation: Floats, point: Floats, size: f
 
 
 def _derivative(values: Floats, size: float) -> Floats:
-    """Derivative (2, 2) along u and v (columns) of values (8, 2) at heights ±size, ±size/2 along u, then
-    along v.
-    """
+    """Derivative (2, 2) along u, v (columns) of values (8, 2) at ±size, ±size/2 along u, then v."""
     columns = []
     for k in (0, 4):
         wide = (values[k] - values[k + 1]) / (2.0 * size)

@@ -72,9 +72,7 @@ def _thin_pair(intent: Intent, with_field: bool) -> ThinPair:
 
 
 def _own_places(window: Window, design: Design) -> Window:
-    """Window with lenses repositioned for a varying law, focus, pitch 2, viewer or traced offset,
-    where requested.
-    """
+    """Window with lenses moved for a varying law, focus, pitch 2, viewer or traced offset, if requested."""
     aperture = design.lattice.aperture
     if design.law_spec.varying is not None:
         from clacad.prescription.varying_cells import with_varying_law

@@ -120,9 +120,7 @@ def _lenses(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
 
 
 def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
-    """Front and back z of the plate that joins the lenslets of one array;
-    None without one or for a concave lens.
-    """
+    """Front and back z of the plate that joins an array's lenslets; None: no plate, a concave lens."""
     spec = intent.design
     bordered = spec.body.apart or spec.lattice.outline is not None
     web = spec.pair.web

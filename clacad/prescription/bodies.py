@@ -165,9 +165,7 @@ def refuse_crossed(pair: PairSpec) -> None:
 
 @dataclass(frozen=True, eq=False)
 class LensPose:
-    """Pose of a lens: reference point relative to its own cell's centre (x, y) and in the sheet (z),
-    and rotation.
-    """
+    """Pose of a lens: point relative to its cell's centre (x, y) and in the sheet (z), and rotation."""
 
     point: Floats
     rotation: Floats
@@ -210,9 +208,7 @@ def plano_body(
     curved_front: bool,
     plane_z: float,
 ) -> Body:
-    """Lens `number` of a plano pair: one curved face at the reference point, one plane parallel to the
-    sheet.
-    """
+    """Lens `number` of a plano pair: a curved face at its point, a plane parallel to the sheet."""
     side = +1 if curved_front else -1
     curved = Face(
         shape.face(lenses.radius[number], side, number), pose.vertex(0.0), shared(pose.rotation), number
@@ -264,9 +260,7 @@ def plano_outside_axis(turn: Floats, index: float, thickness: Pair2, gap: float)
 
 
 def shallower(law: Law, index: float) -> Floats:
-    """R (3, 3), lens → sheet, with θ replaced by asin(sin θ / n): the tilt of the lens axis inside the
-    glass.
-    """
+    """R (3, 3), lens → sheet, with θ replaced by asin(sin θ / n): the lens axis in the glass."""
     return rotation(law.phi, asin(np.sin(law.theta) / index), law.psi, law.axes)
 
 

@@ -135,9 +135,7 @@ class Plates:
         return self.field[0] + self.gap + self.field[1]
 
     def offset(self, delta: Floats, eta: float, slope: Floats) -> Floats:
-        """Vertex of lens 2 (2,), lengths from the axis of lens 1,
-        for δ (2,) and a field centre with `slope` (2,).
-        """
+        """Vertex of lens 2 (2,), lengths off lens 1's axis, for δ (2,) and field centre `slope` (2,)."""
         last = self.focal_length[1]
         return np.asarray(last * (-delta / eta - slope * (1.0 - 1.0 / eta - self.length / last)))
 
@@ -405,9 +403,7 @@ class Chief:
 
     @staticmethod
     def of(intent: Intent, to_cell_2: Floats, reduced: float) -> Chief:
-        """Ray for the design's aperture; `to_cell_2` (2,) at `reduced` (air equivalents), lengths,
-        lens frame.
-        """
+        """Ray for the design's aperture; `to_cell_2` (2,), lens frame, at `reduced` in air, lengths."""
         aperture = intent.design.lattice.aperture
         if isinstance(aperture, str | AimedAt):  # a field lens with an aim point is refused later
             return Chief(to_cell_2 / reduced, False)

@@ -62,9 +62,7 @@ def _plano_scaled(intent: Intent, scale: float) -> Window:
 
 
 def one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
-    """Lenses with one curved face each: as given, else from the requested η,
-    afocal or with the requested focus.
-    """
+    """Lenses with one curved face each: as given, else for η, afocal or with the requested focus."""
     pair = intent.design.pair
     if pair.given:
         return given_pair(pair, thickness, intent.index)
@@ -97,9 +95,7 @@ def _afocal_gap(intent: Intent, thickness: Pair2, guess: float) -> float:
 
 
 def _plano_auto(intent: Intent, separation: float) -> Pair2:
-    """Smallest vertex-to-plane thickness that leaves the neck under the whole lens,
-    and the land if there is one.
-    """
+    """Least vertex-to-plane thickness with the neck under the whole lens, and under land if any."""
     found = _plano_auto_of(intent, separation, one_faced(intent, separation, (0.0, 0.0)))
     if intent.design.pair.focus is None:
         return found
@@ -134,9 +130,7 @@ def _plano_auto_of(intent: Intent, separation: float, trial: LensPair) -> Pair2:
 
 
 def _plano_placed(intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats, offset: Floats) -> Window:
-    """Window of plano lenses, lens 2's apex at `lens_2` (3,) from lens 1's,
-    both rotated by `turn` (lens → sheet).
-    """
+    """Window of plano lenses, apex 2 at `lens_2` (3,) from apex 1, rotated by `turn` (lens → sheet)."""
     outside = intent.design.pair.curved == "outside"
     t1, t2 = lenses.thickness
     planes = (t1, float(lens_2[2]) - t2) if outside else (-t1, float(lens_2[2]) + t2)

@@ -42,9 +42,7 @@ def _slab_scaled(intent: Intent, scale: float) -> Window:
 
 
 def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
-    """Slab cut at the focus: two plates, or array 1, the field plate and array 2 where the meridians' foci
-    differ.
-    """
+    """Slab cut at the focus: two plates, or array 1, field plate and array 2 if foci differ."""
     n = intent.index
     if intent.eta[0] == intent.eta[1]:
         placed = two_plates(intent, separation, scale)

@@ -89,17 +89,13 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
 
 
 def thin_sizes(etas: Floats, eta: float) -> Floats:
-    """Focal lengths of lens 1 and lens 2 (2, n) of pairs with `etas` (n,),
-    over those of a pair with `eta` at the same s.
-    """
+    """Focal lengths (2, n) of pairs with `etas` (n,), over those of a pair with `eta` at the same s."""
     first = (1.0 - eta) / (1.0 - etas)
     return np.stack([first, first * (etas / eta)])
 
 
 def _thick(window: Window, cells: Ints, etas: Floats) -> tuple[Floats, Floats]:
-    """Radii (2, n) of thick biconvex lenses and focal lengths (n,) of lens 1,
-    each over those of the sheet's law.
-    """
+    """Radii (2, n) and focal lengths (n,) of thick lenses 1, each over those of the sheet's law."""
     recipe = window.recipe
     (base_1, _), (base_2, _) = recipe["R"]
     values, first, which = np.unique(etas, return_index=True, return_inverse=True)
@@ -223,17 +219,13 @@ def _sized(
 
 
 def lens_plane_slope(turn: Floats) -> Pair2:
-    """Rise of a plane perpendicular to the lens axis along x and y of the sheet;
-    turn (3, 3), lens → sheet.
-    """
+    """Rise along sheet x and y of a plane normal to the lens axis; turn (3, 3), lens → sheet."""
     x, y, z = turn[:, 2].tolist()
     return -x / z + 0.0, -y / z + 0.0
 
 
 def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2, sizes: CellSizes | None) -> Floats:
-    """Moves of lenses 2 from `first` (n, 2), lengths,
-    for which the light of each cell obeys its δ (n, 2) and η.
-    """
+    """Moves of lenses 2 from `first` (n, 2), lengths, so that light obeys each cell's δ (n, 2) and η."""
     slopes = np.broadcast_to(aperture_slope(window), deltas.shape)
     light = np.column_stack([slopes, np.ones(len(slopes))])
     if sizes is None:

@@ -37,16 +37,12 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
 
 
 def cell_of_array(window: Window, index: Ints, array: int) -> Window:
-    """Return the uniform equivalent of the cell at `index` (2,), with cells as wide and high as those of an
-    array.
-    """
+    """Uniform equivalent of the cell at `index` (2,), with cells as wide and high as an array's."""
     return _of_width(window, index, window.placements[array].scale(window.lattice))
 
 
 def _of_width(window: Window, index: Ints, wider: Pair2) -> Window:
-    """Uniform equivalent of the cell at `index` (2,),
-    with cells `wider` times as wide as those of array 1.
-    """
+    """Uniform equivalent of the cell at `index` (2,), its cells `wider` times as wide as array 1's."""
     if window.uniform:
         return window
     first = window.centres(0, index)

@@ -104,9 +104,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cylinder(RationalPatch):
-    """A part of an upright cylinder about `centre` (2,), mm, as a rational patch; `inward`: its normal
-    points to the axis.
-    """
+    """Part of an upright cylinder about `centre` (2,), mm; `inward`: its normal points to the axis."""
 
     centre: Floats
     radius: float
@@ -152,9 +150,7 @@ class WallEnd:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WallClass:
-    """A wall between edges `low` and `high` of its piece; `along` is the surface normal right of the
-    segment.
-    """
+    """A wall between edges `low` and `high` of its piece; `along`: the normal right of the segment."""
 
     low: int
     high: int

@@ -234,9 +234,7 @@ class Nodes:
         return Sectors(tuple(found), tuple(sides), tuple(cells))
 
     def _levels_round(self, sectors: Sectors, round_it: tuple[Step, ...]) -> Levels:
-        """Levels on the line of a node, from the columns of the sectors; `round_it`: the cells of the
-        ring.
-        """
+        """Levels on the line of a node, from the columns of its sectors; `round_it`: cells of the ring."""
         whose = {
             s: step for step, (first, last) in zip(round_it, sectors.cells) for s in range(first, last + 1)
         }

@@ -332,9 +332,7 @@ def _with_their_holes(
 
 
 def _chained(shells: Shells, key: tuple[str, int]) -> list[tuple[Loop, Floats, int]]:
-    """Closed loops of the recorded edges of a flat face, the face on the left; with their points and an
-    owner.
-    """
+    """Closed loops of recorded edges of a flat face on their left, with their points and an owner."""
     leaving: dict[int, list[FlatEdge]] = {}
     for edge in shells.flat[key]:
         edge = edge if edge.use.forward else edge.reversed()

@@ -120,9 +120,7 @@ def _blossom(control: Floats, s: float, t: float) -> Floats:
 
 
 def outline_path(outline: Outline, scale: float, centre: Floats) -> Path:
-    """Path of an outline (design units, `scale` mm per unit) about a centre (2,), mm; of a plate its outer
-    boundary.
-    """
+    """Path about a centre (2,), mm, of an outline (`scale` mm per unit) or of a plate's boundary."""
     if isinstance(outline, Plate):
         return plate_paths(outline, scale)[0]
     if isinstance(outline, Circle):

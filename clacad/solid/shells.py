@@ -30,9 +30,7 @@ MERGE = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LoopEdge:
-    """A face's use of an edge: `edge` number, direction, parameter curve; edge −1: degenerate, at
-    `vertex`.
-    """
+    """A face's use of an edge: number, direction, parameter curve; −1: degenerate, at `vertex`."""
 
     edge: int
     forward: bool
@@ -254,9 +252,7 @@ class Shells:
         return made
 
     def _wall(self, made: Segment, i: int, number: int, offset: Floats) -> None:
-        """Make the face of one wall of piece i of a segment: low edge, far side up, high edge back, near
-        side down.
-        """
+        """Make the face of a wall of piece i: low edge, far side up, high edge back, near side down."""
         piece = made.kind.pieces[i]
         wall = piece.walls[number]
         ruled = isinstance(wall.surface, RationalPatch)

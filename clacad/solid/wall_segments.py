@@ -95,9 +95,7 @@ class CurveShape:
 
 @dataclass(frozen=True, slots=True)
 class WallShape:
-    """A wall between curves `low` and `high` of its piece; `solid` is the column behind it (0 left, 1
-    right).
-    """
+    """A wall between curves `low` and `high` of its piece; `solid`: column behind it (0 left, 1 right)."""
 
     low: int
     high: int
