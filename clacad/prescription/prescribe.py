@@ -65,8 +65,7 @@ def placed(design: Design) -> Window:
 def _of_form(intent: Intent) -> Window:
     """Window of a pair of the requested form."""
     from clacad.prescription.biconvex import biconvex
-    from clacad.prescription.plano import plano
-    from clacad.prescription.slab import slab
+    from clacad.prescription.plano_and_slab import plano, slab
 
     build = {"biconvex": biconvex, "plano": plano, "slab": slab}[intent.design.pair.form]
     return build(intent)
