@@ -72,12 +72,13 @@ class Design:
 
     def __repr__(self) -> str:
         eta, cells, pair = self.law_spec.eta, self.lattice.count, self.pair
-        length = pair.thickness if pair.separation is None else pair.separation  # one of them is given
-        which = "thickness" if pair.separation is None else "separation"
-        return (
-            f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, {which} {length:g} {self.unit}, "
-            f"{cells[0]} x {cells[1]} cells)"
-        )
+        if pair.form == "plates":
+            made = f"{len(pair.face)} faces"
+        elif pair.separation is None:  # one of them is given
+            made = f"thickness {pair.thickness:g} {self.unit}"
+        else:
+            made = f"separation {pair.separation:g} {self.unit}"
+        return f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, {made}, {cells[0]} x {cells[1]} cells)"
 
     def _repr_html_(self) -> str:
         from clacad import as_html  # at run time only: the module that makes pictures imports this one

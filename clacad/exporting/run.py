@@ -361,12 +361,11 @@ def export(
     design : Design
     out : path
         Folder; made if missing. Nothing is written outside it.
-    formats, slope_error, quads, step, role
-        As in `clacad.exporting.request.Request`, which gives units and defaults of all options.
+    formats, slope_error, quads, step, role, and by keyword cells, overwrite, force, step_schema, pcurves,
+    saddle_bevel, gpu_instancing, grey_levels, paper, fused
+        As in `clacad.exporting.request.Request`, which gives units and defaults.
     progress : callable or None
         Called with a stage's name and the share done.
-    cells, overwrite, force, step_schema, pcurves, saddle_bevel, gpu_instancing, grey_levels, paper, fused
-        More options of `Request`, by keyword.
 
     Returns
     -------
@@ -379,8 +378,6 @@ def export(
         Nothing was published; the message gives the reason and a remedy.
     ExportIncomplete
         Some formats failed; the others were published.
-    TypeError
-        An option is unknown.
     """
     grids, roles = asked_quads(quads, formats), asked_roles(role, formats)
     request = Request(tuple(formats), slope_error, grids, step, role=roles, **options)

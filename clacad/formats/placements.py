@@ -7,6 +7,7 @@ is written out only where each of its cells is needed.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -230,10 +231,7 @@ def composed(
         A part contains itself, or occurs more than `MOST` times without the order of cells in rows.
     """
     everyone = list(dict.fromkeys(nodes))
-    waiting = dict.fromkeys(everyone, 0)
-    for node in everyone:
-        for child, _ in held.get(node, ()):
-            waiting[child] += 1
+    waiting = Counter(child for node in everyone for child, _ in held.get(node, ()))
     ready = [node for node in everyone if waiting[node] == 0]
     placed: dict[Node, list[Placements]] = {node: [Placements(ALONE)] for node in ready}
     found: dict[Node, Placements] = {}

@@ -6,14 +6,10 @@ cell, of the width
 
     |η| p + 2 Z α/|η| + λ Z/(|η| p)      α: half angle of the source
 
-Assignment of cells to points of a target that keeps the distances short.
-
-Up to `EXACT` cells the sum of squared distances is minimal (scipy.optimize.linear_sum_assignment: D. F.
-Crouse, IEEE Trans. Aerosp. Electron. Syst. 52, 1679 (2016)). Larger sets are halved together with their
-points, across the longer side of the cells, until at most `EXACT` are left: a transport by bisection, which
-keeps the order of cells along each cut. The assignment is deterministic.
-
-Picture of the requested light on a screen, next to the light of traced rays.
+Cells are assigned to points deterministically, at short distances. Up to `EXACT` cells the sum of squared
+distances is minimal (scipy.optimize.linear_sum_assignment: D. F. Crouse, IEEE Trans. Aerosp. Electron. Syst.
+52, 1679 (2016)). Larger sets are halved together with their points, across the longer side of the cells,
+until at most `EXACT` are left: a transport by bisection, which keeps the order of cells along each cut.
 """
 
 from __future__ import annotations

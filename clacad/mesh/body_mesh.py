@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 
 from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
-from clacad.mesh.cell_template import Template
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.health import flux
 from clacad.mesh.land_ring import JUDGED, Tiled, row_states
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.representative_cells import representative_cells
-from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
+
+    from clacad.mesh.cell_template import Template
+    from clacad.sheet.lattice import Lattice
+    from clacad.sheet.window import Body, Window
 
 _CHUNK = 20_000  # largest number of triangles of an expanded block, about: they fit the second-level cache
 
@@ -143,9 +144,7 @@ class BodyMesh:
 
     @property
     def slope_error(self) -> float:
-        """Rms angle between facet and exact normal, area-weighted over optical facets, worse face
-        (radians).
-        """
+        """Rms angle between facet and exact normal over optical facets by area, worse face (radians)."""
         return self._errors[0]
 
     @property
@@ -246,9 +245,7 @@ class BodyMesh:
 
     @property
     def triangles(self) -> Ints:
-        """Vertex numbers (m, 3), outward counter-clockwise, in the order of `rows`. Expands the whole
-        body.
-        """
+        """Vertex numbers (m, 3), outward, in the order of `rows`. Expands the whole body."""
         return self._expanded[1]
 
     def volume(self) -> float:

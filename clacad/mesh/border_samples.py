@@ -10,6 +10,7 @@ lose only that triangle.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,10 @@ from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, NONE, VOID, CellLevels, cluster, shortest
 from clacad.sheet.grid_steps import Steps
 from clacad.sheet.pattern import Step, turned
-from clacad.sheet.window import Window
 from clacad.topology.complex_parts import CannotBuild
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Window
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,11 @@ from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.cell_triangulation import Column, Ring, strip
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
-from clacad.mesh.prototile import Prototile
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import node_cells
+
+if TYPE_CHECKING:
+    from clacad.mesh.prototile import Prototile
+    from clacad.sheet.lattice import Lattice
 
 Offset = tuple[int, int]
 

@@ -90,9 +90,7 @@ def _square(zone: Floats, steps: tuple[int, int], diagonal: int) -> tuple[Floats
 
 
 def _hexagon(zone: Floats, q: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
-    """Points (n, 2), triangles (t, 3) and the points of each side of a convex polygon in q rings about its
-    centre.
-    """
+    """Points (n, 2), triangles (t, 3) and points of each side of a convex polygon in q rings."""
     m = len(zone)
     ring = np.arange(1, q + 1)
     start = np.concatenate([[0], 1 + m * ring * (ring - 1) // 2])
@@ -328,9 +326,7 @@ class Ring:
         return out
 
     def _run(self, a: int, b: int, at: int) -> int:
-        """Number of the run of neighbouring wedges that cover [a, b] and contain wedge `at`; first run is
-        0.
-        """
+        """Number, from 0, of the run of neighbouring wedges that cover [a, b] and contain wedge `at`."""
         return runs_round([c is not None and c[0] <= a and c[1] >= b for c in self.columns])[at]
 
 
@@ -353,9 +349,7 @@ def strip(
         The wedges' tags in both rings.
     rings : (ring at p, ring at q)
 
-    Returns
-    -------
-    list of triangles of vertices (point, level), outward.
+    Returns triangles of vertices (point, level), outward.
     """
     lines = _lines(left, right)
     triangles: list[tuple[Vertex, Vertex, Vertex]] = []
@@ -371,9 +365,8 @@ def strip(
             [(point, z) for z in (ring.chain(low, high, tag) if low < high else [low])]
             for point, ring, low, high in zip((p, q), rings, below[:2], above[:2])
         )
-        faces = zipper(
-            first, second
-        )  # seen from the right hand of p → q, p on the left: outward of the left column
+        # seen from the right hand of p → q, p on the left: outward of the left column
+        faces = zipper(first, second)
         triangles += faces if solid[0] else [(a, c, b) for a, b, c in faces]
     return triangles
 

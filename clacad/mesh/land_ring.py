@@ -181,18 +181,8 @@ def boundary(lattice: Lattice) -> list[tuple[int, int, int]]:
 def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> LandRing:
     """Triangulate the land between the cells of one tiling and the outline.
 
-    Parameters
-    ----------
-    window
-    tiled : Tiled
-        Its makers give the points of the cells' sides.
-    centre : (2,) lengths
-        Of the outline.
-
-    Raises
-    ------
-    CannotBuild
-        CL136: a cell reaches beyond the outline.
+    The makers of `tiled` give the points of the cells' sides; `centre` (2,) is the outline's, lengths. A cell
+    beyond the outline raises CannotBuild, CL136.
     """
     free = isinstance(window.outline, Plate)  # no cell touches the edge of a plate, or protrudes from it
     loops = [polygon + np.array(centre) for polygon in outline_polygons(window)]
@@ -201,9 +191,8 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
     directed: list[tuple[Key, Key]] = []  # land on the left
     touching: dict[tuple[Key, Key], tuple[int, int, int, int]] = {}
     edge = boundary(window.lattice)
-    by_row = (
-        edge if tiled.own is None else sorted(edge, key=lambda at: at[1::-1])
-    )  # separate cells are cached for a few rows
+    # separate cells are cached for a few rows
+    by_row = edge if tiled.own is None else sorted(edge, key=lambda at: at[1::-1])
     points = {at: _side_points(tiled, *at) for at in by_row}
     for i, j, k in edge:
         keys = list(points[i, j, k])

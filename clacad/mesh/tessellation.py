@@ -168,6 +168,18 @@ COARSEST = 1e-2  # largest step of heights, in body thicknesses
 MOST_QUADS = 2048  # a prototile of 17 M triangles
 
 
+def _quads(window: Window, slope_error: float | None, quads: int | None) -> int:
+    """Grid steps as given, else those of the slope error (radians); refuses both and neither."""
+    if (slope_error is None) == (quads is None):
+        raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
+    if slope_error is not None:
+        quads = forecast_quads(window, slope_error)
+    assert quads is not None
+    if quads < 1:
+        raise ValueError(f"quads = {quads}: at least 1 is needed")
+    return quads
+
+
 def tessellate(
     window: Window,
     slope_error: float | None = None,
@@ -175,9 +187,7 @@ def tessellate(
     merge: float | None = None,
     saddle_bevel: float = 0.0,
 ) -> Mesh:
-    """Mesh every body of a window, watertight by construction.
-
-    Exactly one of `slope_error` and `quads` must be given.
+    """Mesh every body of a window, watertight by construction; either `slope_error` or `quads` is given.
 
     Parameters
     ----------
@@ -189,8 +199,7 @@ def tessellate(
     merge : length, optional
         Steps between neighbours below this height are closed. Default: four z steps.
     saddle_bevel : length, optional
-        Width of the bevels that give real contact to columns which only touch at a saddle. Default 0: none;
-        the columns keep separate vertices and the surface is exact.
+        Width of the bevels that join columns which only touch at a saddle. Default 0: the exact surface.
 
     Returns
     -------
@@ -202,21 +211,13 @@ def tessellate(
         A design in place of the window.
     ValueError
         Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's
-        surface ends
-        inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
+        surface ends inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
     """
     need_window(window, "tessellate", ", quads=16")
     if saddle_bevel > 0.0:
-        need_equal_cells(
-            window, "a bevel at saddles", "without them columns that touch keep vertices of their own"
-        )
-    if (slope_error is None) == (quads is None):
-        raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
-    if quads is None:
-        assert slope_error is not None
-        quads = forecast_quads(window, slope_error)
-    if quads < 1:
-        raise ValueError(f"quads = {quads}: at least 1 is needed")
+        reason = "without them columns that touch keep vertices of their own"
+        need_equal_cells(window, "a bevel at saddles", reason)
+    quads = _quads(window, slope_error, quads)
     bodies = tuple(mesh_body(window, body, quads, merge, saddle_bevel) for body in window.bodies)
     return Mesh(window, bodies, quads)
 

@@ -23,9 +23,7 @@ STEPS = 64
 
 
 def equivalent_widths(polygon: ArrayLike) -> Floats:
-    """Widths (2,) along x and y of the slits whose patterns have the same core as a polygon (m, 2),
-    lengths.
-    """
+    """Widths (2,) in x and y of slits whose patterns have a polygon's (m, 2) core, lengths."""
     points = _about_middle(polygon)
     following = np.roll(points, -1, axis=0)
     cross = points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]

@@ -61,9 +61,7 @@ class AskedLight:
 
 
 def law_residuals(sequence: Sequence[Interface], light: AskedLight) -> Floats:
-    """Residuals (2 n,) of n rays through surfaces, radians over √n: their sum of squares is the mean square
-    error.
-    """
+    """Residuals (2 n,) of n rays, radians over √n: their sum of squares is the mean square error."""
     seen = trace_sequence(sequence, light.rays)
     off = (seen.direction - light.asked) @ light.across.T
     off[seen.fate != Fate.ALIVE] = LOST

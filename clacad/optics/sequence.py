@@ -131,10 +131,8 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
     -------
     TraceResult
         ALIVE, BACKWARD (d_z <= 0 after the last surface), TIR, VIGNETTED, MISSED or INVALID. A hit at
-        negative
-        distance is a miss (the start lies behind the first surface, or the ray passes outside the rim where
-        two
-        faces cross), and TIR if it is also beyond the critical angle.
+        negative distance is a miss (the start lies behind the first surface, or the ray passes outside the
+        rim where two faces cross), and TIR if it is also beyond the critical angle.
 
     Raises
     ------
@@ -156,8 +154,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
         ledger.enter(k, interface, live, crossing)
         going = crossing.fate == Fate.ALIVE
         live, offset, direction = live[going], crossing.offset[going], crossing.direction[going]
-    backward = ~(direction[:, 2] > 0)
-    ledger.fate[live[backward]] = Fate.BACKWARD
+    ledger.fate[live[~(direction[:, 2] > 0)]] = Fate.BACKWARD
     return ledger.closed()
 
 
@@ -248,9 +245,7 @@ def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Fl
 
 
 def largest(rows: Floats) -> Floats:
-    """Largest absolute component (n,) of rows (n, 3); column by column, five times faster than a reduction
-    of three.
-    """
+    """Largest absolute component (n,) of rows (n, 3); by column, five times faster than a reduction."""
     size = np.abs(rows)
     return np.asarray(np.maximum(np.maximum(size[:, 0], size[:, 1]), size[:, 2]))
 
@@ -401,9 +396,7 @@ def parabasal(seq: Sequence[Interface], rotation: Floats, point: Floats, size: f
 
 
 def _derivative(values: Floats, size: float) -> Floats:
-    """Derivative (2, 2) along u and v (columns) of values (8, 2) at heights ±size, ±size/2 along u, then
-    along v.
-    """
+    """Derivative (2, 2) along u, v (columns) of values (8, 2) at ±size, ±size/2 along u, then v."""
     columns = []
     for k in (0, 4):
         wide = (values[k] - values[k + 1]) / (2.0 * size)

@@ -114,9 +114,7 @@ def traced(window: Window) -> Window:
 
 
 def _landing(window: Window) -> Landing:
-    """Landing function of a pair as built: straight for a biconvex pair,
-    else refracted through lens 1's vertex.
-    """
+    """Landing function of a pair as built: straight if biconvex, else refracted at lens 1's vertex."""
     faces = [face for face in window.faces if face.array == 1]
     if window.form == "biconvex":
         return _straight(0.5 * (faces[0].vertex[2] + faces[1].vertex[2]))
@@ -152,9 +150,7 @@ def _vertex_change(place: CellPlacement, lattice: Lattice, table: Floats | None)
 
 
 def _moved(body: Body, shift: Pair2, change: VertexChange) -> Body:
-    """Body with its lenses of array 2 given relative to their own cells' centres,
-    instead of cell 1's centre.
-    """
+    """Body with lenses of array 2 relative to their own cells' centres instead of cell 1's."""
     faces = []
     for face in (body.front, body.back):
         if face.array == 1:
@@ -178,9 +174,7 @@ def _table(aim: AimPoint, window: Window) -> Floats:
 
 
 def refuse_aim(window: Window, design: Design) -> tuple[AimPoint, CellPlacement]:
-    """Return the point and the placement of array 2's cells for it;
-    parameters and refusals are those of `aimed`.
-    """
+    """Point and placement of array 2's cells for it; parameters and refusals are those of `aimed`."""
     aim = AimPoint(design.lattice.aperture.point)  # type: ignore[union-attr]
     _refuse_table(design)
     _refuse_near(aim, window)
@@ -248,9 +242,7 @@ def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: In
 
 
 def _farthest(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[Ints, Floats]:
-    """Cell (2,) with lens 2 farthest from its centre, and the lens's position (2,) by paraxial rays,
-    lengths.
-    """
+    """Cell (2,) with lens 2 farthest from its centre, and its position (2,), paraxial, lengths."""
     vertex = next(face.vertex for face in window.faces if face.array == 1)
     places = _vertex_change(place, window.lattice, None).at(window.lattice, cells) + np.subtract(
         vertex[:2], place.shift
@@ -268,9 +260,7 @@ def _least_radius(window: Window) -> float:
 
 
 def _stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[float, Floats]:
-    """Greatest distance of light from the centre of its cell of array 2, length,
-    and the point where it enters (2,).
-    """
+    """Greatest distance of light from its cell of array 2, length, and the point where it enters (2,)."""
     centres, landing = window.lattice.centres(cells), _landing(window)
     foot = np.array(aim.point[:2])
     # the cubic term is greatest at 1/√3 of the distance from the point's foot to the outermost cell
@@ -282,9 +272,7 @@ def _stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> 
 
 
 def _way_out(aim: AimPoint, window: Window, cells: Ints) -> str:
-    """Describe the nearest viewer distance, at four digits, for which the sheet can be made,
-    and alternatives.
-    """
+    """Describe the nearest feasible viewer distance, at four digits, and alternatives."""
     half, radius = 0.5 * min(window.lattice.pitch), _least_radius(window)
 
     def works(z: float) -> bool:

@@ -37,34 +37,19 @@ def assemble_window(
     moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacement
     of the field lens's cells; `told` : the recipe's entries for the field lens.
     """
-    design, separation = intent.design, separation_of(intent)
-    # the ideal pair shares a focal plane exactly, independent of what thick lenses need for that
-    thin_focal = thin_pair(intent.eta, separation)
-    thin_d = intent.offset(thin_focal[0])
-    thin_offset = intent.turn @ np.array([thin_d[0], thin_d[1], separation])
-    x, y, z = map(float, thin_offset)
-    thin_shift = displacement(design.lattice.aperture, thin_offset[:2], z)
-    land = Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border)
+    design = intent.design
+    shifts = (0.0, 0.0), moved, *(() if field is None else (field,))
     window = Window(
-        form=(
-            "plano" if design.pair.form == "slab" and len(bodies) == 3 else design.pair.form
-        ),  # the form as built
+        # the form as built
+        form="plano" if design.pair.form == "slab" and len(bodies) == 3 else design.pair.form,
         bodies=tuple(replace(body, material=body.material or intent.material) for body in bodies),
         lattice=intent.lattice,
-        placements=tuple(
-            CellPlacement(shift) for shift in ((0.0, 0.0), moved, *(() if field is None else (field,)))
-        ),
+        placements=tuple(map(CellPlacement, shifts)),
         unit=design.unit_m,
         z_range=(0.0, 0.0),
         law=intent.law,
-        thin=ThinPair(
-            thin_focal,
-            (x, y, z),
-            intent.turn,
-            thin_shift,
-            field=() if field is None else thin_field(intent.eta, separation),
-        ),
-        land=land,
+        thin=_thin_pair(intent, field is not None),
+        land=Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border),
         baffle=Baffle(design.body.baffle_wall or 0.0) if design.body.baffle else None,
         wavelength=design.pair.wavelength,
         recipe={**_recipe(intent, lenses, offset), **({} if told is None else {"field": told})},
@@ -75,10 +60,19 @@ def assemble_window(
     return with_land(with_plate(window, design.body), design.lattice.seam_depth)
 
 
+def _thin_pair(intent: Intent, with_field: bool) -> ThinPair:
+    """Ideal pair; it shares a focal plane exactly, independent of what thick lenses need for that."""
+    separation = separation_of(intent)
+    focal = thin_pair(intent.eta, separation)
+    offset = intent.turn @ np.array([*intent.offset(focal[0]), separation])
+    x, y, z = map(float, offset)
+    shift = displacement(intent.design.lattice.aperture, offset[:2], z)
+    field = thin_field(intent.eta, separation) if with_field else ()
+    return ThinPair(focal, (x, y, z), intent.turn, shift, field=field)
+
+
 def _own_places(window: Window, design: Design) -> Window:
-    """Window with lenses repositioned for a varying law, focus, pitch 2, viewer or traced offset,
-    where requested.
-    """
+    """Window with lenses moved for a varying law, focus, pitch 2, viewer or traced offset, if requested."""
     aperture = design.lattice.aperture
     if design.law_spec.varying is not None:
         from clacad.prescription.varying_cells import with_varying_law

@@ -71,16 +71,7 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     """Window of a biconvex pair with given thicknesses, its radii times `scale`."""
     pair = intent.design.pair
     separation = separation_of(intent)
-    if pair.given:
-        lenses = given_pair(pair, thickness, intent.index)
-    elif pair.focus is not None:
-        from clacad.prescription.sharp_pairs import sharp_thick_lenses
-
-        lenses = sharp_thick_lenses(intent.eta, separation, pair.focus, thickness, intent.index)
-    else:
-        recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
-        lenses = recipe(intent.eta, separation, thickness, intent.index)
-    lenses = lenses.scaled(scale)
+    lenses = _lenses(intent, separation, thickness).scaled(scale)
     offset = intent.built_offset(lenses)
     plate, ideal = None, lenses
     if pair.field_lens:
@@ -97,21 +88,16 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
         if intent.design.lattice.aperture != "aligned":  # the plate carries the ray to cell 2 along the axis
             moved = (moved[0] + float(added[0]), moved[1] + float(added[1]))
     relative = lens_2 - np.array([*moved, 0.0])
+    webs = (_web(intent, lenses, k, z) for k, z in enumerate((0.0, float(relative[2]))))
+    poses = (LensPose(point, intent.turn) for point in (np.zeros(3), relative))
     bodies = tuple(
-        biconvex_body(
-            lenses,
-            k,
-            LensPose(point, intent.turn),
-            intent.shape,
-            intent.index,
-            _web(intent, lenses, k, float(point[2])),
-        )
-        for k, point in enumerate((np.zeros(3), relative))
+        biconvex_body(lenses, k, pose, intent.shape, intent.index, web)
+        for k, (pose, web) in enumerate(zip(poses, webs, strict=True))
     )
     if plate is None:
         return assemble_window(intent, bodies, moved, lenses, offset)
     axis = intent.turn[:, 2]
-    height = float((lens_2 - np.array([*moved, 0.0])) @ axis) / axis[2]
+    height = float(relative @ axis) / axis[2]
     reduced = ideal.focal_length[0][0] + ideal.focal_length[1][0]
     chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced)
     legs = ((min(ideal.focal_length[0]), 1.0), (plate.thickness, intent.index))
@@ -120,10 +106,21 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     return assemble_window(intent, bodies, moved, lenses, offset, shift, plate.told)
 
 
+def _lenses(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
+    """Lenses as given, with the requested focus, or confocal by the requested recipe."""
+    pair, index = intent.design.pair, intent.index
+    if pair.given:
+        return given_pair(pair, thickness, index)
+    if pair.focus is not None:
+        from clacad.prescription.sharp_pairs import sharp_thick_lenses
+
+        return sharp_thick_lenses(intent.eta, separation, pair.focus, thickness, index)
+    recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
+    return recipe(intent.eta, separation, thickness, index)
+
+
 def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
-    """Front and back z of the plate that joins the lenslets of one array;
-    None without one or for a concave lens.
-    """
+    """Front and back z of the plate that joins an array's lenslets; None: no plate, a concave lens."""
     spec = intent.design
     bordered = spec.body.apart or spec.lattice.outline is not None
     web = spec.pair.web

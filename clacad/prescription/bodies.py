@@ -165,9 +165,7 @@ def refuse_crossed(pair: PairSpec) -> None:
 
 @dataclass(frozen=True, eq=False)
 class LensPose:
-    """Pose of a lens: reference point relative to its own cell's centre (x, y) and in the sheet (z),
-    and rotation.
-    """
+    """Pose of a lens: point relative to its cell's centre (x, y) and in the sheet (z), and rotation."""
 
     point: Floats
     rotation: Floats
@@ -194,8 +192,8 @@ def biconvex_body(
     radius = lenses.radius[number]
     front_land, back_land = (None, None) if land is None else land
     return Body(
-        Face(shape.face(radius, +1, number), pose.vertex(-half), _shared(pose.rotation), number, front_land),
-        Face(shape.face(radius, -1, number), pose.vertex(+half), _shared(pose.rotation), number, back_land),
+        Face(shape.face(radius, +1, number), pose.vertex(-half), shared(pose.rotation), number, front_land),
+        Face(shape.face(radius, -1, number), pose.vertex(+half), shared(pose.rotation), number, back_land),
         index,
         f"array{number + 1}",
     )
@@ -210,12 +208,10 @@ def plano_body(
     curved_front: bool,
     plane_z: float,
 ) -> Body:
-    """Lens `number` of a plano pair: one curved face at the reference point, one plane parallel to the
-    sheet.
-    """
+    """Lens `number` of a plano pair: a curved face at its point, a plane parallel to the sheet."""
     side = +1 if curved_front else -1
     curved = Face(
-        shape.face(lenses.radius[number], side, number), pose.vertex(0.0), _shared(pose.rotation), number
+        shape.face(lenses.radius[number], side, number), pose.vertex(0.0), shared(pose.rotation), number
     )
     plane = Face(Quadric(0.0, 0.0, 0.0, -side), (0.0, 0.0, plane_z))
     front, back = (curved, plane) if curved_front else (plane, curved)
@@ -225,13 +221,14 @@ def plano_body(
 def slab_body(lenses: LensPair, poses: tuple[LensPose, LensPose], shape: Shaping, index: float) -> Body:
     """One body with both arrays on its faces, each lens at its own pose (lengths)."""
     front, back = (
-        Face(shape.face(lenses.radius[k], side, k), poses[k].vertex(0.0), _shared(poses[k].rotation), k)
+        Face(shape.face(lenses.radius[k], side, k), poses[k].vertex(0.0), shared(poses[k].rotation), k)
         for k, side in ((0, +1), (1, -1))
     )
     return Body(front, back, index, "sheet")
 
 
-def _shared(rotation: Floats) -> Floats:
+def shared(rotation: Floats) -> Floats:
+    """`IDENTITY` itself in place of an equal rotation (3, 3)."""
     return IDENTITY if np.array_equal(rotation, IDENTITY) else rotation
 
 
@@ -263,9 +260,7 @@ def plano_outside_axis(turn: Floats, index: float, thickness: Pair2, gap: float)
 
 
 def shallower(law: Law, index: float) -> Floats:
-    """R (3, 3), lens → sheet, with θ replaced by asin(sin θ / n): the tilt of the lens axis inside the
-    glass.
-    """
+    """R (3, 3), lens → sheet, with θ replaced by asin(sin θ / n): the lens axis in the glass."""
     return rotation(law.phi, asin(np.sin(law.theta) / index), law.psi, law.axes)
 
 

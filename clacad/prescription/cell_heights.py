@@ -42,9 +42,7 @@ def _border_points(tile: Floats, number: int) -> Floats:
 
 
 def zone_points(window: Window, array: int = 0) -> Floats:
-    """Points of the optical zone of an array's cell: its border samples, then a grid inside, (n, 2),
-    lengths.
-    """
+    """Points (n, 2), lengths, of an array's optical zone: border samples, then a grid inside."""
     tile = optical_tile(window, array)
     borders = [_border_points(tile, k) for k in range(len(tile))]
     # a fan of scaled outlines: a grid that fits any convex cell

@@ -19,7 +19,7 @@ One plate (biconvex, plano; slab with different η in its meridians)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -28,7 +28,7 @@ from clacad.base.types import Floats, Pair2
 from clacad.design.process_profiles import profile
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.surface import Quadric, Surface
-from clacad.prescription.bodies import GivenFaces
+from clacad.prescription.bodies import GivenFaces, shared
 from clacad.prescription.intent import Intent
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
 from clacad.sheet.volume_and_extent import FIELD as ARRAY
@@ -135,9 +135,7 @@ class Plates:
         return self.field[0] + self.gap + self.field[1]
 
     def offset(self, delta: Floats, eta: float, slope: Floats) -> Floats:
-        """Vertex of lens 2 (2,), lengths from the axis of lens 1,
-        for δ (2,) and a field centre with `slope` (2,).
-        """
+        """Vertex of lens 2 (2,), lengths off lens 1's axis, for δ (2,) and field centre `slope` (2,)."""
         last = self.focal_length[1]
         return np.asarray(last * (-delta / eta - slope * (1.0 - 1.0 / eta - self.length / last)))
 
@@ -194,44 +192,33 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
     thickness = [n * f for f in plates.field]
     legs = ((thickness[0], n), (plates.gap, 1.0), (thickness[1], n))
     aligned = intent.design.lattice.aperture == "aligned"
-    slope = np.zeros(2) if aligned else np.asarray(intent.delta) / (1.0 - eta)
+    delta = np.asarray(intent.delta)
+    slope = np.zeros(2) if aligned else delta / (1.0 - eta)
     chief = Chief.of(intent, slope * plates.length, plates.length)
     turn = intent.turn[:2, :2]
     before, behind, moved = (turn @ chief.across(legs[:k]) for k in (1, 2, 3))
-    offset = plates.offset(np.asarray(intent.delta), eta, moved @ turn / plates.length)
+    offset = plates.offset(delta, eta, moved @ turn / plates.length)
     if intent.design.pair.vertex is not None:
         offset = np.array(intent.design.pair.vertex)
-    lens_2 = turn @ offset
-    conic = _conic(intent, 0.0)
-    centre, half = 0.5 * (before + behind), 0.5 * (behind - before)
-    top = thickness[0] + plates.gap
-    rotation = IDENTITY if np.array_equal(intent.turn, IDENTITY) else intent.turn
+    conic, half, top = _conic(intent, 0.0), 0.5 * (behind - before), thickness[0] + plates.gap
+    rotation = shared(intent.turn)
 
     def lens(number: int, side: int, place: Floats, z: float) -> Face:
         r = scale * radius[number]
         return Face(intent.shape.face((r, r), side, number), _vertex(place, z), rotation, number)
 
-    first = Body(
-        lens(0, +1, np.zeros(2), 0.0),
-        Face(_face(intent, _sphere(inner[0], -1, conic), 0), _vertex(-half, thickness[0]), array=ARRAY),
-        n,
-        "array1",
-    )
+    def field(number: int, side: int, place: Floats, z: float) -> Face:
+        return Face(
+            _face(intent, _sphere(inner[number], side, conic), number), _vertex(place, z), array=ARRAY
+        )
+
+    first = Body(lens(0, +1, np.zeros(2), 0.0), field(0, -1, -half, thickness[0]), n, "array1")
     second = Body(
-        Face(_face(intent, _sphere(inner[1], +1, conic), 1), _vertex(half, top), array=ARRAY),
-        lens(1, -1, lens_2 - moved, top + thickness[1]),
-        n,
-        "array2",
+        field(1, +1, half, top), lens(1, -1, turn @ offset - moved, top + thickness[1]), n, "array2"
     )
-    told = {
-        "R": inner,
-        "f": field_focal_lengths(intent.eta, separation)[0],
-        "conic": conic,
-        "gap": plates.gap,
-        "thickness": thickness,
-        "equal_plates": _equal(first, second),
-    }
-    return FieldBodies((first, second), _pair(moved), _pair(centre), offset, told)
+    told = {"R": inner, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic}
+    told |= {"gap": plates.gap, "thickness": thickness, "equal_plates": _equal(first, second)}
+    return FieldBodies((first, second), _pair(moved), _pair(0.5 * (before + behind)), offset, told)
 
 
 def _equal(first: Body, second: Body) -> bool:
@@ -305,32 +292,13 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
     NoSuchLens
         A face ends inside its cell, or there is no room for the plate.
     """
-    n, design = intent.index, intent.design
+    n = intent.index
     power = [f1 * f2 / (f1 + f2) for f1, f2 in zip(*focal_length, strict=True)]
     radius = [(n - 1.0) * f for f in power]
     crossed = foci[0] != foci[1]
     for axis in (0, 1):
         refuse_too_steep(radius[axis], intent, axis if crossed else None)
-    tile = np.abs(intent.lattice.tile() @ intent.turn[:2, :2]).max(axis=0)
-    sag = sum(float(tile[k]) ** 2 / (2.0 * radius[k]) for k in (0, 1))
-    lean = 2.0 * intent.lattice.circumradius * abs(float(np.tan(intent.law.theta)))
-    least = sag + intent.neck + lean
-    if crossed:
-        thickness = n * abs(foci[0] - foci[1])
-        if thickness < least:
-            apart = least / n
-            raise NoSuchLens(
-                f"the foci lie {abs(foci[0] - foci[1]):.4g} apart, so that the plate between the field faces"
-                f" would be {thickness:.4g} thick: they need {least:.4g}",
-                key=LAW.eta,
-                hint=f"eta_x = eta_y (one field lens), or focal lengths f1 at least {apart:.4g} apart",
-                code="CL129",
-            )
-    else:
-        edge = design.check.edge
-        edge = profile(design.check.process).edge / design.unit_m if edge is None else edge
-        wanted = least + max(ROOM * edge, max(design.lattice.pitch))
-        thickness = max(least, min(wanted, 0.5 * n * behind))
+    thickness = _plate_thickness(intent, radius, foci, behind)
     room = behind - (0.0 if crossed else thickness / n)
     if room <= 0.0 or behind <= 0.0:
         raise NoSuchLens(
@@ -348,6 +316,29 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
     return FieldPlate(foci, thickness, told)
 
 
+def _plate_thickness(intent: Intent, radius: list[float], foci: Pair2, behind: float) -> float:
+    """Thickness (length) of a field plate: from focus to focus of cylinders, else sag and neck."""
+    n, design = intent.index, intent.design
+    tile = np.abs(intent.lattice.tile() @ intent.turn[:2, :2]).max(axis=0)
+    sag = sum(float(tile[k]) ** 2 / (2.0 * radius[k]) for k in (0, 1))
+    least = sag + intent.neck + 2.0 * intent.lattice.circumradius * abs(float(np.tan(intent.law.theta)))
+    if foci[0] == foci[1]:
+        edge = design.check.edge
+        edge = profile(design.check.process).edge / design.unit_m if edge is None else edge
+        wanted = least + max(ROOM * edge, max(design.lattice.pitch))
+        return max(least, min(wanted, 0.5 * n * behind))
+    thickness = n * abs(foci[0] - foci[1])
+    if thickness < least:
+        raise NoSuchLens(
+            f"the foci lie {abs(foci[0] - foci[1]):.4g} apart, so that the plate between the field faces"
+            f" would be {thickness:.4g} thick: they need {least:.4g}",
+            key=LAW.eta,
+            hint=f"eta_x = eta_y (one field lens), or focal lengths f1 at least {least / n:.4g} apart",
+            code="CL129",
+        )
+    return thickness
+
+
 def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats]) -> tuple[Body, Pair2]:
     """The plate's body, and the displacement of its cells (lengths).
 
@@ -362,19 +353,15 @@ def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats])
         for point, z in zip(points, (near, near + plate.thickness), strict=True)
     )
     tilted = intent.law.theta != 0.0
-    rotation = intent.turn if tilted or plate.crossed else IDENTITY
-    rotation = IDENTITY if np.array_equal(rotation, IDENTITY) else rotation
+    rotation = shared(intent.turn if tilted or plate.crossed else IDENTITY)
     if not plate.crossed:
         assert isinstance(power_of, float)
-        lens = Face(
-            _face(intent, _sphere(power_of, +1, conic), 0), (0.0, 0.0, float(front[2])), rotation, ARRAY
-        )
-        if not tilted:
-            plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(back[2])))
-        else:
-            plane = Face(
-                Quadric(0.0, 0.0, 0.0, -1), _vertex(back[:2] - front[:2], float(back[2])), rotation, ARRAY
-            )
+        surface = _face(intent, _sphere(power_of, +1, conic), 0)
+        lens = Face(surface, (0.0, 0.0, float(front[2])), rotation, ARRAY)
+        plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(back[2])))
+        if tilted:
+            vertex = _vertex(back[:2] - front[:2], float(back[2]))
+            plane = replace(plane, vertex=vertex, rotation=rotation, array=ARRAY)
         return Body(lens, plane, intent.index, "field"), _pair(front[:2])
     assert isinstance(power_of, list)
     axes = (0, 1) if plate.foci[0] < plate.foci[1] else (1, 0)
@@ -382,7 +369,7 @@ def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats])
     middle = np.empty(2)
     for axis, point in zip(axes, points, strict=True):
         middle[axis] = point[axis]
-    faces = [
+    first, last = (
         Face(
             _face(intent, _cylinder(power_of[axis], axis, side, conic), after),
             (0.0, 0.0, float(at[2])),
@@ -390,8 +377,8 @@ def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats])
             ARRAY,
         )
         for after, (axis, side, at) in enumerate(zip(axes, (+1, -1), (front, back), strict=True))
-    ]
-    return Body(faces[0], faces[1], intent.index, "field"), _pair(intent.turn[:2, :2] @ middle)
+    )
+    return Body(first, last, intent.index, "field"), _pair(intent.turn[:2, :2] @ middle)
 
 
 # -- the chief ray of the field centre --------------------------------------------------------------
@@ -416,9 +403,7 @@ class Chief:
 
     @staticmethod
     def of(intent: Intent, to_cell_2: Floats, reduced: float) -> Chief:
-        """Ray for the design's aperture; `to_cell_2` (2,) at `reduced` (air equivalents), lengths,
-        lens frame.
-        """
+        """Ray for the design's aperture; `to_cell_2` (2,), lens frame, at `reduced` in air, lengths."""
         aperture = intent.design.lattice.aperture
         if isinstance(aperture, str | AimedAt):  # a field lens with an aim point is refused later
             return Chief(to_cell_2 / reduced, False)

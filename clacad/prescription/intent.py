@@ -94,9 +94,7 @@ def intent_of(design: Design) -> Intent:
 
 
 def _conic(design: Design, index: float) -> Pair2 | None:
-    """Conic constants of a biconic; the default makes the axial beam stigmatic (plano outside: a start
-    value).
-    """
+    """Conic constants of a biconic; default: a stigmatic axial beam (plano outside: a start value)."""
     pair = design.pair
     if pair.surface != "biconic":
         return None

@@ -220,9 +220,7 @@ def _refuse_empty(window: Window, plate: Plate) -> None:
 
 
 def _within(outline: Circle | Rectangle, moved: Pair2, wider: float) -> Circle | Rectangle:
-    """Outline reduced so that its contents lie in `outline` with and without displacement by `moved` and
-    scale `wider`.
-    """
+    """Outline whose contents lie in `outline` with and without a shift `moved` and scale `wider`."""
     if isinstance(outline, Circle):
         return Circle(max((outline.diameter - 2.0 * hypot(*moved)) / max(wider, 1.0), 0.0))
     width, height = outline.width - 2.0 * abs(moved[0]), outline.height - 2.0 * abs(moved[1])
@@ -230,9 +228,7 @@ def _within(outline: Circle | Rectangle, moved: Pair2, wider: float) -> Circle |
 
 
 def _refuse_apart(lattice: Lattice, moved: Pair2, wider: float) -> None:
-    """Refuse a displaced slab without a whole cell of both arrays inside the outline:
-    a sheet without lenses.
-    """
+    """Refuse a displaced slab, a sheet without lenses, if no cell of both arrays is in the outline."""
     if lattice.holds_a_cell:
         return
     least = lattice.least_outline()

@@ -66,8 +66,7 @@ def _of_form(intent: Intent) -> Window:
     """Window of a pair of the requested form."""
     from clacad.prescription.biconvex import biconvex
     from clacad.prescription.face_list import plates
-    from clacad.prescription.plano import plano
-    from clacad.prescription.slab import slab
+    from clacad.prescription.plano_and_slab import plano, slab
 
     build = {"biconvex": biconvex, "plano": plano, "slab": slab, "plates": plates}[intent.design.pair.form]
     return build(intent)

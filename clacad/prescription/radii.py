@@ -72,9 +72,7 @@ def thin_pair(eta: Pair2, separation: float) -> tuple[Pair2, Pair2]:
 
 
 def field_focal_lengths(eta: Pair2, separation: float) -> Pair2:
-    """Focal lengths (x, y) of the field lens that images lens 1 onto lens 2:
-    1/f_F = 1/f1 + 1/f2 (lengths).
-    """
+    """Focal lengths (x, y) that image lens 1 onto lens 2: 1/f_F = 1/f1 + 1/f2 (lengths)."""
     (f1x, f1y), (f2x, f2y) = thin_pair(eta, separation)
     return f1x * f2x / separation, f1y * f2y / separation
 

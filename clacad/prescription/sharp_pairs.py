@@ -105,9 +105,7 @@ def _shortened(length: float) -> float:
 
 
 def seen_through(planes: Planes, thickness: Pair2, index: float) -> Planes:
-    """Planes (lengths) as seen by lenses behind plates of these thicknesses:
-    equivalent air distances, paraxial.
-    """
+    """Planes (lengths) as seen by lenses behind such plates: equivalent air distances, paraxial."""
     before, behind = (t * (1.0 - 1.0 / index) for t in thickness)
     return Planes(planes.object + before, planes.image - behind)
 
@@ -145,9 +143,7 @@ def sharp_thick_lenses(
 def thick_pairs(
     eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float
 ) -> tuple[SharpPair, SharpPair]:
-    """Thin equivalents of symmetric thick lenses in both meridians, between principal planes,
-    solved by iteration.
-    """
+    """Thin equivalents of symmetric thick lenses, between principal planes, solved by iteration."""
     x, y = (_thick_meridian(value, separation, planes, thickness, index) for value in eta)
     return x, y
 
@@ -169,16 +165,12 @@ def _thick_meridian(
 
 
 def hiatus(focal_length: float, thickness: float, index: float) -> float:
-    """Distance from the front to the back principal plane of a symmetric lens, length;
-    NaN for an impossible lens.
-    """
+    """Distance of a symmetric lens's principal planes, front to back, length; NaN: no such lens."""
     return thickness - 2.0 * (focal_length - back_focal_distance(focal_length, thickness, index))
 
 
 def chief_focal_lengths(design: Design, thickness: Pair2, index: float, separation: float) -> Pair2:
-    """Focal lengths (f1x, f1y) of the afocal pair, lengths:
-    they relate δ of chief rays to lens 2's offset.
-    """
+    """Focal lengths (f1x, f1y) of the afocal pair: they relate chief rays' δ to lens 2's offset."""
     eta, planes = design.law_spec.eta, design.pair.focus
     assert planes is not None  # callers check it
     if design.pair.form != "biconvex":

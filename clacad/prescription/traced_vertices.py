@@ -263,9 +263,7 @@ def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
 
 
 def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLight, move: Floats) -> Floats:
-    """Mean exit direction minus the expected one, x and y, (m, 2);
-    lens 2 of each of m cells moved by `move`.
-    """
+    """Mean exit direction minus the expected, x and y, (m, 2); lens 2 of m cells moved by `move`."""
     slopes, asked, climb = light.slopes, light.asked, light.climb
     m, n = len(slopes), points.shape[-2]
     ray = np.repeat(np.column_stack([slopes, np.ones(m)]), n, axis=0)
@@ -291,9 +289,7 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
 
 
 def _size_at(interface: Interface, owner: int, light: CellLight, n: int) -> Floats:
-    """Scale factors (m n, 1) of the lenses hit by n rays of each of m cells;
-    (1, 1) of 1 where these are alike.
-    """
+    """Scale factors (m n, 1) of the lenses hit by n rays of m cells; (1, 1) of 1 if alike."""
     if light.own is None or owner not in (0, 1):
         return np.ones((1, 1))
     return np.repeat(light.own.sizes[owner], n)[:, None]

@@ -89,17 +89,13 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
 
 
 def thin_sizes(etas: Floats, eta: float) -> Floats:
-    """Focal lengths of lens 1 and lens 2 (2, n) of pairs with `etas` (n,),
-    over those of a pair with `eta` at the same s.
-    """
+    """Focal lengths (2, n) of pairs with `etas` (n,), over those of a pair with `eta` at the same s."""
     first = (1.0 - eta) / (1.0 - etas)
     return np.stack([first, first * (etas / eta)])
 
 
 def _thick(window: Window, cells: Ints, etas: Floats) -> tuple[Floats, Floats]:
-    """Radii (2, n) of thick biconvex lenses and focal lengths (n,) of lens 1,
-    each over those of the sheet's law.
-    """
+    """Radii (2, n) and focal lengths (n,) of thick lenses 1, each over those of the sheet's law."""
     recipe = window.recipe
     (base_1, _), (base_2, _) = recipe["R"]
     values, first, which = np.unique(etas, return_index=True, return_inverse=True)
@@ -161,6 +157,18 @@ def _refuse_small(window: Window, cells: Ints, etas: Floats, sizes: Floats) -> N
 KEY = LAW.varying
 
 
+def _refuse_many(n1: int, n2: int) -> None:
+    """Refuse a table of more lenses than are traced."""
+    if n1 * n2 > MOST_TRACED:
+        raise NoSuchLens(
+            f"a sheet whose law varies has a table of vertices: {n1 * n2:,} cells are more than the "
+            f"{MOST_TRACED:,} that it may have",
+            key=LATTICE.count,
+            code="CL125",
+            hint="fewer cells",
+        )
+
+
 def with_varying_law(window: Window, design: Design) -> Window:
     """Window of a design's central cell with lenses 2 moved so that each cell obeys its own law.
 
@@ -173,27 +181,18 @@ def with_varying_law(window: Window, design: Design) -> Window:
     Raises
     ------
     NoSuchLens
-        A lens would be too far from its cell's centre; the message names the cell.
+        There are too many cells, or a lens would be too far from the centre of its cell, which is named.
     DesignError
         The table of cells cannot be read.
     """
     laws = cell_laws(design)
-    n1, n2 = design.lattice.count
-    if n1 * n2 > MOST_TRACED:
-        raise NoSuchLens(
-            f"a sheet whose law varies has a table of vertices: {n1 * n2:,} cells are more than the "
-            f"{MOST_TRACED:,} that it may have",
-            key=LATTICE.count,
-            code="CL125",
-            hint="fewer cells",
-        )
+    _refuse_many(*design.lattice.count)
     cells = window.lattice.cells()
     deltas = laws.deltas(window.lattice, cells)
     sizes = None if laws.ratios is None else sizes_of(window, design, laws)
+    own = (None, None) if sizes is None else (sizes.focal, sizes.thin[0])
     turn = next(face.rotation for face in window.faces if face.array == 1)
-    first = _by_rule(
-        window, deltas, np.array(window.recipe["f"][0]), turn, None if sizes is None else sizes.focal
-    )
+    first = _by_rule(window, deltas, np.array(window.recipe["f"][0]), turn, own[0])
     window = replace(window, cell_laws=laws)
     _refuse_far(window, cells, first, sizes)
     moved = first
@@ -201,13 +200,7 @@ def with_varying_law(window: Window, design: Design) -> Window:
         moved = first + _traced(window, deltas, first, lens_plane_slope(turn), sizes)
     _refuse_far(window, cells, moved, sizes)
     thin_turn = window.thin.rotation
-    ideal = _by_rule(
-        window,
-        deltas,
-        np.array(window.thin.focal_length[0]),
-        thin_turn,
-        None if sizes is None else sizes.thin[0],
-    )
+    ideal = _by_rule(window, deltas, np.array(window.thin.focal_length[0]), thin_turn, own[1])
     thin = VertexChange(table=_tabled(window, cells, ideal), slope=lens_plane_slope(thin_turn))
     change = VertexChange(table=_tabled(window, cells, moved), slope=lens_plane_slope(turn))
     if sizes is None:
@@ -226,17 +219,13 @@ def _sized(
 
 
 def lens_plane_slope(turn: Floats) -> Pair2:
-    """Rise of a plane perpendicular to the lens axis along x and y of the sheet;
-    turn (3, 3), lens → sheet.
-    """
+    """Rise along sheet x and y of a plane normal to the lens axis; turn (3, 3), lens → sheet."""
     x, y, z = turn[:, 2].tolist()
     return -x / z + 0.0, -y / z + 0.0
 
 
 def _traced(window: Window, deltas: Floats, first: Floats, climb: Pair2, sizes: CellSizes | None) -> Floats:
-    """Moves of lenses 2 from `first` (n, 2), lengths,
-    for which the light of each cell obeys its δ (n, 2) and η.
-    """
+    """Moves of lenses 2 from `first` (n, 2), lengths, so that light obeys each cell's δ (n, 2) and η."""
     slopes = np.broadcast_to(aperture_slope(window), deltas.shape)
     light = np.column_stack([slopes, np.ones(len(slopes))])
     if sizes is None:

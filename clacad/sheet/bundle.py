@@ -64,9 +64,7 @@ def middle_direction(window: Window, centre: str = "axis") -> Floats:
 
 
 def cone(middle: Floats, half_angle: float, unit_square: Floats) -> Floats:
-    """Unit directions (n, 3), uniform in solid angle over a cone about `middle`,
-    from points (n, 2) of the unit square.
-    """
+    """Unit directions (n, 3) of points (n, 2) of the unit square, uniform over a cone about `middle`."""
     u, v = axes_near(middle)
     # 1 − cos without cancellation, so that a cone of a microradian is resolved
     lift = 2.0 * sin(0.5 * half_angle) ** 2 * unit_square[:, 0]
@@ -136,16 +134,12 @@ def of_rays(rays: Rays) -> Bundle:
 
 
 def field_points(window: Window, field: float, centre: str = "axis") -> Floats:
-    """Nine directions (9, 3): the centre of the field, and eight on its rim, 45 degrees apart,
-    the first towards +x.
-    """
+    """Nine directions (9, 3): the field's centre, and every 45 degrees of its rim from +x on."""
     return field_about(middle_direction(window, centre), field)
 
 
 def field_about(middle: Floats, field: float) -> Floats:
-    """Nine unit directions (9, 3): `middle` (3,), and eight at angle `field` (radians) from it,
-    45 degrees apart.
-    """
+    """Nine unit directions (9, 3): `middle` (3,), and every 45 degrees at `field` (radians) from it."""
     u, v = axes_near(middle)
     rim = [cos(field) * middle + sin(field) * (cos(k * pi / 4) * u + sin(k * pi / 4) * v) for k in range(8)]
     return np.array([middle, *rim])

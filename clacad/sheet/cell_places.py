@@ -160,9 +160,7 @@ class LensPlaces:
         return vx + (x - vx) / self.size, vy + (y - vy) / self.size
 
     def raised(self, z: Floats) -> Floats:
-        """Heights (...), lengths, of the lenses, from heights of the face's one lens over points mapped by
-        `seen`.
-        """
+        """Heights (...), lengths, of the lenses, from those of the face's one lens where `seen` maps to."""
         if self.moved is None:
             return z
         if self.size is not None:
@@ -208,9 +206,7 @@ class VertexChange:
     size: Floats | None = None
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
-        """Displacement (..., 2), lengths, of the cells `index` (..., 2);
-        the table gives 0 for cells that are not kept.
-        """
+        """Displacement (..., 2), lengths, of cells `index` (..., 2); 0 for cells left out of a table."""
         x, y = np.moveaxis(lattice.centres(index), -1, 0)
         (xx, xy), (yx, yy) = self.gradient
         change = np.stack([xx * x + xy * y, yx * x + yy * y], axis=-1)
@@ -291,9 +287,7 @@ def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
 
 
 def row_ends(lattice: Lattice) -> Ints:
-    """List the first and the last kept cell of every row, (m, 2):
-    affine functions of the cell are greatest at one of them.
-    """
+    """List the first and last kept cell of every row, (m, 2): extremes of affine functions are there."""
     ends = [row[[0, -1]] for j in range(lattice.count[1]) if len(row := lattice.row(j))]
     return np.unique(np.concatenate(ends), axis=0)
 
@@ -350,9 +344,7 @@ class CellLaws:
         return smooth.deltas(lattice.centres(index))
 
     def ratios_of(self, lattice: Lattice, index: Ints) -> Floats:
-        """η (..., 2) of the cells `index` (..., 2), along the lens axes;
-        the law's η for cells that are not kept.
-        """
+        """η (..., 2) of cells `index` (..., 2) along the lens axes; the law's for cells left out."""
         if self.ratios is None:
             return np.broadcast_to(ratios_of(self.law), (*index.shape[:-1], 2))
         return np.repeat(tabled(self.ratios, lattice, index, ratios_of(self.law)[0])[..., None], 2, axis=-1)

@@ -49,9 +49,7 @@ def lens_squares(window: Window, quads: Number) -> Number:
 
 
 def half_axes(zone: Floats) -> tuple[Floats, Floats]:
-    """Vectors from the centre of a rectangle (4, 2), turned or not, to the midpoints of its first two sides,
-    lengths.
-    """
+    """Vectors (2, 2), lengths, from a rectangle's (4, 2) centre to the midpoints of its first two sides."""
     return 0.5 * (zone[0] + zone[1]), 0.5 * (zone[1] + zone[2])
 
 
@@ -63,9 +61,7 @@ def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
 
 
 def _ruled(face: Face, axis: Floats) -> bool:
-    """Whether a face is ruled along a direction (2,) of the sheet:
-    a plane, or a cylinder along that direction.
-    """
+    """Whether a face is ruled along a direction (2,) of the sheet: a plane, or a cylinder along it."""
     if face.array is None:
         return True
     if not isinstance(face.surface, Quadric | Biconic):

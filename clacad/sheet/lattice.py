@@ -106,9 +106,7 @@ class Lattice(Pattern):
         return replace(self, turn=0.0) if self.turn else self
 
     def with_count(self, count: tuple[int, int]) -> Lattice:
-        """Return a lattice of the same kind and pitch with another count and no outline,
-        centred on the origin.
-        """
+        """Lattice of the same kind and pitch with another count, without outline, about the origin."""
         return Lattice(self.kind, self.pitch, count)
 
     def contains(self, index: Ints) -> Bools:

@@ -23,7 +23,7 @@ from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.plate import Plate
 
 if TYPE_CHECKING:
-    from clacad.sheet.window import Window
+    from clacad.sheet.window import ThinPair, Window
 
 
 def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
@@ -38,16 +38,12 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
 
 
 def cell_of_array(window: Window, index: Ints, array: int) -> Window:
-    """Return the uniform equivalent of the cell at `index` (2,), with cells as wide and high as those of an
-    array.
-    """
+    """Uniform equivalent of the cell at `index` (2,), with cells as wide and high as an array's."""
     return _of_width(window, index, window.placements[array].scale(window.lattice))
 
 
 def _of_width(window: Window, index: Ints, wider: Pair2) -> Window:
-    """Uniform equivalent of the cell at `index` (2,),
-    with cells `wider` times as wide as those of array 1.
-    """
+    """Uniform equivalent of the cell at `index` (2,), its cells `wider` times as wide as array 1's."""
     if window.uniform:
         return window
     first = window.centres(0, index)
@@ -58,18 +54,6 @@ def _of_width(window: Window, index: Ints, wider: Pair2) -> Window:
     places = tuple(
         CellPlacement(_pair(window.centres(k, index) - first)) for k in range(len(window.placements))
     )
-    thin = window.thin.second
-    apart = thin.lattice(window.lattice).centres(index) + np.asarray(thin.shift) - first
-    lens_2 = np.array(window.thin.offset)
-    lens_2[:2] += apart - np.asarray(window.thin.shift)
-    pair = window.thin
-    thin_lenses = [pair.lenses(array, window.lattice, index) for array in (0, 1)]
-    lens_2 += [float(v) for v in thin_lenses[1].apex]
-    x, y, z = (float(v) for v in lens_2)
-    focal_1, focal_2 = (
-        focal if one.size is None else (focal[0] * float(one.size), focal[1] * float(one.size))
-        for focal, one in zip(pair.focal_length, thin_lenses, strict=True)
-    )
     return replace(
         window,
         bodies=bodies,
@@ -78,17 +62,25 @@ def _of_width(window: Window, index: Ints, wider: Pair2) -> Window:
         cell_laws=None,
         lattice=_scaled(window.lattice, wider),
         outline=None if window.outline is None else _larger(window.outline, max(wider)),
-        thin=replace(
-            pair,
-            focal_length=(focal_1, focal_2),
-            offset=(x, y, z),
-            shift=_pair(apart),
-            pitch=None,
-            turn=0.0,
-            change=None,
-            change_1=None,
-        ),
+        thin=_thin_pair(window, index, first),
     )
+
+
+def _thin_pair(window: Window, index: Ints, first: Floats) -> ThinPair:
+    """Ideal pair of the cell at `index` (2,), whose centre is `first` (2,), alike in all cells."""
+    pair, second = window.thin, window.thin.second
+    apart = second.lattice(window.lattice).centres(index) + np.asarray(second.shift) - first
+    lens_2 = np.array(pair.offset)
+    lens_2[:2] += apart - np.asarray(pair.shift)
+    lenses = [pair.lenses(array, window.lattice, index) for array in (0, 1)]
+    lens_2 += [float(v) for v in lenses[1].apex]
+    x, y, z = (float(v) for v in lens_2)
+    focal_1, focal_2 = (
+        focal if one.size is None else (focal[0] * float(one.size), focal[1] * float(one.size))
+        for focal, one in zip(pair.focal_length, lenses, strict=True)
+    )
+    alike = replace(pair, pitch=None, turn=0.0, change=None, change_1=None)
+    return replace(alike, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=_pair(apart))
 
 
 def _scaled(lattice: Lattice, factor: Pair2) -> Lattice:

@@ -51,9 +51,7 @@ def _of_face(window: Window, face: Face) -> OwnStep:
 
 
 def greatest_steps(window: Window, face: Face, index: Ints) -> Floats:
-    """Greatest step (n,), lengths, of a face between each cell `index` (n, 2) and its kept neighbours;
-    0 across land.
-    """
+    """Greatest step (n,), lengths, of a face from cells `index` (n, 2) to kept neighbours; 0 across land."""
     made = np.zeros(len(index))
     if face.array is None or window.land.seam > 0.0:
         return made
@@ -65,9 +63,7 @@ def greatest_steps(window: Window, face: Face, index: Ints) -> Floats:
 
 
 def _across(window: Window, face: Face, left: Ints, k: int) -> Floats:
-    """Step (n,), lengths, between cells `left` (n, 2) and their kept neighbours across border k; NaN at a
-    hole.
-    """
+    """Step (n,), lengths, from cells `left` (n, 2) to neighbours across border k; NaN at a hole."""
     assert face.array is not None
     lattice = window.lattice_of(face.array)
     tile, m = lattice.tile(), len(lattice.steps)

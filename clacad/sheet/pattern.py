@@ -257,9 +257,7 @@ def turned(points: Floats, angle: float) -> Floats:
 
 
 def turned_pairs(x: Pair, y: Pair, angle: float) -> tuple[Pair, Pair]:
-    """Points (n,), lengths in double-double pairs, rotated by an angle (radians) from +x to +y about the
-    origin.
-    """
+    """Points (n,), lengths in pairs, rotated by an angle (radians) from +x to +y about the origin."""
     c, s = (tuple(np.asarray(part) for part in parts) for parts in cosine_and_sine(angle))
     return (
         pair_sum(pair_product(x, c), negated(pair_product(y, s))),  # type: ignore[arg-type]
@@ -280,9 +278,7 @@ def cosine_and_sine(angle: float) -> tuple[Pair2, Pair2]:
 
 
 def held_when_turned(sides: Pair2, angle: float) -> float:
-    """Largest scale at which a rectangle (side lengths) rotated about its centre still fits inside the
-    original.
-    """
+    """Largest scale at which a rotated rectangle (side lengths) still fits inside the original."""
     (c, _), (s, _) = cosine_and_sine(abs(angle))
     width, height = sides
     return min(width / (c * width + s * height), height / (s * width + c * height))

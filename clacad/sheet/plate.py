@@ -53,9 +53,7 @@ QUARTER = sqrt(2.0) - 1.0
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """A round hole through a plate: centre and diameter (lengths), purpose,
-    and excess of its diameter over its pin's.
-    """
+    """A round hole through a plate: centre, diameter (lengths), purpose, play of its pin."""
 
     x: float
     y: float
@@ -90,9 +88,7 @@ class Plate:
 
     @cached_property
     def loops(self) -> tuple[Floats, ...]:
-        """Edges (k, EDGE_NUMBERS) of the boundary and of each hole, the material on their left;
-        arcs span at most 90°.
-        """
+        """Edges (k, EDGE_NUMBERS) of boundary and holes, the material on the left; arcs of at most 90°."""
         return closed_loop(self.vertices), *(
             closed_loop(tuple((*p, -QUARTER) for p in _quarters(hole))) for hole in self.holes
         )
@@ -128,9 +124,7 @@ class Plate:
 
     @cached_property
     def free_box(self) -> tuple[float, float]:
-        """Half sides of a rectangle about the centre of the box that no edge enters;
-        (0, 0) where there is none.
-        """
+        """Half sides of a rectangle about the box's centre that no edge enters; (0, 0): none."""
         x0, x1, y0, y1 = self.box
         centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
         if not self.inside(centre[None])[0]:
@@ -151,9 +145,7 @@ class Plate:
 
     @cached_property
     def kept(self) -> dict[Any, Any]:
-        """Cache for results that other modules compute from this plate;
-        not compared, copied or pickled with it.
-        """
+        """Results that other modules compute from this plate; not compared, copied or pickled with it."""
         return {}
 
     def room(self, pitch: tuple[float, float]) -> float:
@@ -193,9 +185,7 @@ class Plate:
 
 
 def least_land(plate: Plate) -> float:
-    """Least distance between a hole's side and the boundary or another hole (length);
-    infinite without holes.
-    """
+    """Least distance of a hole from the boundary or another hole (length); infinite without holes."""
     middles = np.array([(hole.x, hole.y) for hole in plate.holes]).reshape(-1, 2)
     radii = np.array([0.5 * hole.diameter for hole in plate.holes])
     gaps = [nearest_edges(plate.loops[0], middles)[0] - radii] if plate.holes else []
@@ -205,9 +195,7 @@ def least_land(plate: Plate) -> float:
 
 
 def free_width(plate: Plate, low: float, high: float) -> float:
-    """Width of the widest rectangle about x = 0 between two heights y that no edge enters;
-    0 without one.
-    """
+    """Width of the widest rectangle about x = 0 between two y that no edge enters; 0: none."""
     narrow, wide = 0.0, 2.0 * plate.reach[0]
     for _ in range(40):
         x = 0.25 * (narrow + wide)
@@ -288,9 +276,7 @@ They deviate from it by 1/50 of its radius, a thousandth of what a mill needs.
 
 
 def fault(vertices: tuple[Vertex, ...]) -> str:
-    """Describe the fault of a closed polygon, "" for a valid one;
-    sides count from 0, as their first corners.
-    """
+    """Describe the fault of a closed polygon, "" for a valid one; sides count from 0."""
     if len(vertices) < 3 and not any(bulge for _, _, bulge in vertices):
         return f"{len(vertices)} corners with straight sides enclose nothing"
     points = np.array(vertices)[:, :2]
@@ -348,9 +334,7 @@ def _swept(edge: Floats) -> float:
 
 
 def _first_meeting(chords: Floats, near: float) -> tuple[int, int] | None:
-    """First two pieces (4,) of a closed chain that intersect without being neighbours, or fold back;
-    None if none do.
-    """
+    """First two pieces (4,) of a closed chain that intersect, not as neighbours, or fold back; else None."""
     low, high = (
         np.minimum(chords[:, :2], chords[:, 2:]) - near,
         np.maximum(chords[:, :2], chords[:, 2:]) + near,

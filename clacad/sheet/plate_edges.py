@@ -25,9 +25,7 @@ less than rounding error.
 
 
 def loop_area(edges: Floats) -> float:
-    """Signed area of a closed loop of edges, length²:
-    the polygon of their chords plus the segments of their arcs.
-    """
+    """Signed area of a closed loop of edges, length²: polygon of the chords, and arcs' segments."""
     x, y = edges[:, X0] - edges[0, X0], edges[:, Y0] - edges[0, Y0]
     u, v = np.roll(x, -1), np.roll(y, -1)
     total = 0.5 * float(np.sum(x * v - u * y))
@@ -65,9 +63,7 @@ def inside(edges: Floats, points: Floats) -> Bools:
 
 
 def edge_gaps(edge: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Distance (n,) of points (n, 2) from one edge, and the edge's unit normal (n, 2) at the nearest point,
-    to its right.
-    """
+    """Distance (n,) of points (n, 2) from one edge, and its unit normal (n, 2) there, to its right."""
     a, b = edge[:2], edge[2:4]
     if edge[SENSE] == 0.0:
         along = b - a
@@ -87,9 +83,7 @@ def edge_gaps(edge: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 
 def crossings(edges: Floats, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Floats:
-    """Parameters t (2 e, n) at which lines (x, y) + t (dx, dy), (n,) each, cross edges;
-    NaN where they do not.
-    """
+    """Parameters t (2 e, n) at which lines (x, y) + t (dx, dy), (n,) each, cross edges; else NaN."""
     x0, y0, x1, y1, cx, cy, r, sense = (column[:, None] for column in edges.T)
     with np.errstate(all="ignore"):
         u, v = x1 - x0, y1 - y0
@@ -118,9 +112,7 @@ def distances(edges: Floats, polygon: Floats) -> Floats:
 
 
 def closed_loop(vertices: tuple[Vertex, ...]) -> Floats:
-    """Edges of a closed polygon of straight and round sides;
-    arcs of more than 90° are cut into equal parts.
-    """
+    """Edges of a closed polygon of straight and round sides; arcs above 90° are cut equally."""
     made: list[Floats] = []
     for (x0, y0, bulge), (x1, y1, _) in zip(vertices, (*vertices[1:], vertices[0]), strict=True):
         if abs(bulge) < STRAIGHT:
@@ -181,9 +173,7 @@ def edge_box(edge: Floats) -> tuple[Floats, Floats]:
 
 
 def extremes(edges: Floats) -> Floats:
-    """Candidate points for the extremes of edges: their starts and ends,
-    and points where arcs are parallel to an axis.
-    """
+    """Candidates for the extremes of edges: starts, ends, and arcs' points parallel to an axis."""
     points = [edges[:, :2], edges[:, 2:4]]
     for edge in edges[edges[:, SENSE] != 0.0]:
         around = edge[CX : CY + 1] + edge[RADIUS] * np.array(
@@ -206,9 +196,7 @@ def keeps_off(edge: Floats, tile: Floats, centres: Floats, room: float) -> Bools
 
 
 def polygon_gaps(edge: Floats, polygon: Floats, centres: Floats) -> Floats:
-    """Least distance (n,) of an edge from the sides of a polygon (m, 2) about each centre (n, 2);
-    0 where they cross.
-    """
+    """Least distance (n,) of an edge from a polygon (m, 2) about centres (n, 2); 0 where they cross."""
     least = np.full(len(centres), np.inf)
     for p, q in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         start = centres + p
@@ -226,9 +214,7 @@ def polygon_gaps(edge: Floats, polygon: Floats, centres: Floats) -> Floats:
 
 
 def _near_points(edge: Floats, way: Floats) -> Floats:
-    """Candidate points of an edge nearest to a straight side along `way`:
-    its ends, and where an arc is parallel to it.
-    """
+    """Candidate points of an edge nearest to a side along `way`: ends, and where an arc is parallel."""
     ends = np.stack([edge[:2], edge[2:4]])
     if edge[SENSE] == 0.0:
         return ends
@@ -243,9 +229,7 @@ def _near_points(edge: Floats, way: Floats) -> Floats:
 
 
 def nearest_edges(edges: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Distance (n,) of points (n, 2) from the nearest edge, and its unit normal there (n, 2), out of the
-    material.
-    """
+    """Distance (n,) of points (n, 2) from the nearest edge, and its outward unit normal there (n, 2)."""
     least, normals = np.full(len(points), np.inf), np.zeros((len(points), 2))
     for edge in edges:
         gap, normal = edge_gaps(edge, points)
@@ -255,9 +239,7 @@ def nearest_edges(edges: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 
 def next_crossing(edges: Floats, points: Floats, ways: Floats, after: Floats) -> Floats:
-    """Least parameter (n,) beyond `after` (n,) at which rays from points along ways (n, 2) cross an edge;
-    infinite if none.
-    """
+    """Least parameter (n,) beyond `after` at which rays along ways (n, 2) cross an edge; else infinite."""
     least = np.full(len(points), np.inf)
     step = max(1, 1_000_000 // max(1, len(points)))
     for first in range(0, len(edges), step):

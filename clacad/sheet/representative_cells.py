@@ -79,9 +79,7 @@ def central_cell(window: Window) -> tuple[int, int]:
 
 
 def _displaced(window: Window) -> Ints:
-    """Cells (m, 2) whose lenses are displaced farthest, in four directions, or are the smallest,
-    largest or steepest.
-    """
+    """Cells (m, 2) with lenses displaced farthest, in four directions, or of extreme size or slope."""
     changes = [face.change for face in window.faces if face.change is not None]
     if not changes:  # the arrays differ in pitch only
         return _sampled(window, SIDES)
@@ -257,9 +255,7 @@ def outermost_cells(window: Window, face: Face) -> Ints:
 
 
 def _range_in(window: Window, face: Face, cells: Ints) -> Floats:
-    """Lowest and highest height (n, 2) of a lens in each cell (n, 2):
-    on the cell's borders, or at the level point.
-    """
+    """Lowest and highest height (n, 2) of a lens in cells (n, 2): on borders or at the level point."""
     assert face.array is not None
     tile = optical_tile(window, face.array)
     t = np.linspace(0.0, 1.0, ALONG)[:-1, None, None]

@@ -173,9 +173,7 @@ def lens_planes(window: Window) -> tuple[tuple[float, float], tuple[float, float
 
 
 def _principal(body: Body, axis: str) -> tuple[float, float]:
-    """Front and back principal plane of a lens in a meridian, z;
-    a plate without power counts as a weak lens.
-    """
+    """Front and back principal plane of a lens in a meridian, z; of a plate: as of a weak lens."""
     low, high, n = body.front.vertex[2], body.back.vertex[2], body.index
     thick = (high - low) / n
     front, back = ((n - 1.0) * _curvature(face, axis) for face in (body.front, body.back))

@@ -84,9 +84,7 @@ class ThinCells:
 
 
 def focal_ratio(pair: ThinPair) -> tuple[float, float]:
-    """Signed scale m = −f2/f1 of the copy of lens 1 at lens 2, per meridian;
-    1 in a meridian without power.
-    """
+    """Signed scale m = −f2/f1 of the copy of lens 1 at lens 2, per meridian; 1 without power."""
     first, second = pair.focal_length
     x, y = (1.0 if np.isinf(f1) else -f2 / f1 for f1, f2 in zip(first, second, strict=True))
     return x, y
@@ -243,9 +241,7 @@ def partner_zone(cells: ThinCells) -> Floats:
 
 
 def partner_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
-    """Displacement (2,) from the partner to the cell of array 2 `order` index steps away, centres,
-    lens frame, lengths.
-    """
+    """Displacement (2,), lens frame, lengths, from the partner to the cell `order` index steps away."""
     if not cells.pair.second.own:
         return np.asarray(cells.neighbour(order) - cells.centre)
     step = _second_array(cells.window).offset(*order)
@@ -281,9 +277,7 @@ def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
 
 
 def _in_channels(cells: ThinCells, slopes: Floats) -> Bools:
-    """Whether light of lens-frame slopes (n, 2) hits the field lens between the walls of a baffle,
-    which end there (n,).
-    """
+    """Whether light of lens-frame slopes (n, 2) passes a baffle that ends at the field lens, (n,)."""
     open_to = np.ones(len(slopes), dtype=bool)
     window, pair = cells.window, cells.pair
     if window.baffle is None:
@@ -346,9 +340,7 @@ def aperture_slope(window: Window) -> tuple[float, float]:
 
 
 def aperture_slopes(window: Window, index: Ints) -> Floats:
-    """Sheet-frame slopes (n, 2) at the centre of the field of view of the cells `index` (n, 2):
-    from cell 1's to cell 2's.
-    """
+    """Sheet-frame slopes (n, 2) from cell 1's centre to cell 2's, for the cells `index` (n, 2)."""
     height, pair = window.thin.offset[2], window.thin
     apart = _second_array(window).centres(index) - window.lattice.centres(index) + np.asarray(pair.shift)
     return np.asarray(apart / height)

@@ -100,9 +100,7 @@ def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
 
 
 def _meets_itself(window: Window, body: Body, cells: Ints) -> bool:
-    """Whether the back of a column lies below its front in a cell (n, 2):
-    convex faces intersect at a corner first.
-    """
+    """Whether a column's back lies below its front in a cell (n, 2): convex faces do at a corner first."""
     low, high = (_at_corners(window, face, cells) for face in (body.front, body.back))
     return bool((high < low).any())
 
@@ -116,9 +114,7 @@ def _at_corners(window: Window, face: Face, cells: Ints) -> Floats:
 
 
 def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts: int) -> Floats:
-    """Integrals (n,) of a face's height over the optical zones of cells (n, 2),
-    parts² boxes per parallelogram.
-    """
+    """Integrals (n,) of a face's height over optical zones of cells (n, 2), parts² boxes each part."""
     low = np.arange(parts) / parts
     boxes = np.stack(np.meshgrid(low, low, indexing="ij"), axis=-1).reshape(-1, 2)
 
@@ -230,9 +226,7 @@ def _parallelograms(polygon: Floats) -> list[tuple[Floats, Floats, Floats]]:
 
 
 def _adaptive(height: Height, origin: Floats, u: Floats, v: Floats, depth: int) -> Integral:
-    """Integrate over a parallelogram; a box that disagrees with the sum of its quarters is quartered
-    again.
-    """
+    """Integrate over a parallelogram; a box unlike the sum of its quarters is quartered again."""
     scale = abs(float(u[0] * v[1] - u[1] * v[0]))
     boxes = np.array([[0.0, 0.0]])
     coarse = _rule(height, origin, u, v, boxes, 1.0)
@@ -361,9 +355,7 @@ def distance_to_face(window: Window, face: Face, points: Floats, inside: Floats)
 
 
 def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) -> Floats:
-    """Vertical distance (n, k) of points (n, k, 3) to a face;
-    their cells (n, 2) in the face's own array are known.
-    """
+    """Vertical distance (n, k) of points (n, k, 3) to a face in known cells (n, 2) of its array."""
     if face.array is None:
         return np.asarray(np.abs(points[..., 2] - face.vertex[2]))
     lattice: Lattice = window.lattice

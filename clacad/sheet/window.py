@@ -353,9 +353,7 @@ class Window(PlacedArrays):
 
     @property
     def level_and_straight(self) -> bool:
-        """Whether every array lies along the sheet's axes and each face has lenses of one size at one
-        height.
-        """
+        """Whether arrays lie along the sheet's axes and a face's lenses have one size and height."""
         return not any(place.turn for place in self.placements) and not any(
             face.change is not None and (any(face.change.slope) or face.change.size is not None)
             for face in self.faces
@@ -373,9 +371,7 @@ class Window(PlacedArrays):
         return not own and self.cell_laws is None and all(face.change is None for face in self.faces)
 
     def vertices(self, face: Face, index: Ints) -> Floats:
-        """Apexes (..., 3) of a face's lenses in the cells `index` (..., 2): x, y from the cell's centre, z
-        of the sheet.
-        """
+        """Apexes (..., 3) of a face's lenses in cells `index` (..., 2): x, y in the cell, z of the sheet."""
         found = np.empty((*index.shape[:-1], 3))
         for axis, apex in enumerate(self.lenses(face, index).apex):
             found[..., axis] = apex
@@ -401,9 +397,7 @@ class Window(PlacedArrays):
         return laws.law_at(self.lattice, index)
 
     def seen_by_lens(self, face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Sheet points, (n,) each, in the frame of their cell, mapped to the lens at `Face.vertex`,
-        lengths.
-        """
+        """Sheet points, (n,) each, in their cell's frame, mapped to the lens at `Face.vertex`, lengths."""
         assert face.array is not None
         index, x, y = self.locate(face.array, x, y)
         return self.lenses(face, index).seen(x, y)
@@ -480,9 +474,7 @@ def side_outline(window: Window) -> Outline | None:
 
 
 def optical_tile(window: Window, array: int = 0) -> Floats:
-    """Corners of the optical zone of a cell of an array:
-    the tile without seam/2 along every border, (m, 2), lengths.
-    """
+    """Corners (m, 2), lengths, of an array's optical zone: the tile less seam/2 along every border."""
     lattice = window.lattice_of(array)
     tile, seam = lattice.tile(), window.land.seam
     if seam == 0.0:
@@ -495,9 +487,7 @@ def optical_tile(window: Window, array: int = 0) -> Floats:
 
 
 def in_optical_tile(window: Window, x: Floats, y: Floats, array: int = 0) -> NDArray[np.bool_]:
-    """Which points (cell frame, (n,), lengths) lie in the optical zone of their cell of an array,
-    (n,) bool.
-    """
+    """Which points (cell frame, (n,), lengths) lie in the optical zone of an array's cell, (n,) bool."""
     margin = 0.5 * window.land.seam
     lattice = window.lattice_of(array)
     inside = np.ones(np.shape(x), dtype=bool)

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.solid.face_pattern import Kind
 from clacad.solid.rational_conics import Arc, RationalPatch, line, ruled_wall
 from clacad.solid.wall_segments import TOLERANCE, Column, SegmentShape, WallShape
 from clacad.topology.complex_parts import linked, runs_round
+
+if TYPE_CHECKING:
+    from clacad.solid.face_pattern import Kind
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -101,9 +104,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cylinder(RationalPatch):
-    """A part of an upright cylinder about `centre` (2,), mm, as a rational patch; `inward`: its normal
-    points to the axis.
-    """
+    """Part of an upright cylinder about `centre` (2,), mm; `inward`: its normal points to the axis."""
 
     centre: Floats
     radius: float
@@ -149,9 +150,7 @@ class WallEnd:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WallClass:
-    """A wall between edges `low` and `high` of its piece; `along` is the surface normal right of the
-    segment.
-    """
+    """A wall between edges `low` and `high` of its piece; `along`: the normal right of the segment."""
 
     low: int
     high: int

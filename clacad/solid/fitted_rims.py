@@ -136,8 +136,7 @@ def fitted_rim(gap: Gap, zone: Floats, rest: Kind, tolerance: float) -> Rim:
     ------
     CannotBuild
         CL130: the lens ends at its own equator, before it intersects the other surface. CL132: no curve comes
-        within `SLACK` of the rim, because it turns too sharply or the surfaces intersect at too small an
-        angle.
+        within `SLACK` of the rim: it turns too sharply, or the surfaces intersect at too small an angle.
     """
     noise = gap.rounding(zone)
     roots = [_side_roots(gap, zone, k, noise) for k in range(len(zone))]

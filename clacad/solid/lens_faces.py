@@ -240,12 +240,11 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
         if error <= tolerance:
             return best
     assert best is not None
-    allowed = LOOSEST * tolerance
-    if best.error > allowed:
+    if best.error > LOOSEST * tolerance:
         raise CannotBuild(
             "CL133",
             f"a polynomial patch of degree {HIGHEST_DEGREE} misses the surface by {best.error:.2g} mm "
-            f"(allowed {allowed:.2g} mm); reduce its curvature or conic constant",
+            f"(allowed {LOOSEST * tolerance:.2g} mm); reduce its curvature or conic constant",
         )
     return best
 

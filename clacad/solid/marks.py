@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from clacad.base.units import millimetres
 from clacad.sheet.grid_steps import one_tiling
-from clacad.sheet.lattice import Circle
+from clacad.sheet.lattice import Circle, Outline
 from clacad.sheet.plate import Plate, free_width
 from clacad.sheet.volume_and_extent import NoFixture, plane_of
 
@@ -99,6 +99,19 @@ class MarkPlace:
     depth: float
 
 
+def _border_below(outline: Outline, lowest: float) -> tuple[float, float]:
+    """Height of the border below cells that end at y = `lowest`, and width of a line in it; lengths."""
+    if isinstance(outline, Circle):
+        radius = 0.5 * outline.diameter
+        room = radius + lowest
+        return room, 2.0 * float(np.sqrt(max(0.0, radius**2 - (0.25 * room - lowest + 0.5 * room) ** 2)))
+    if isinstance(outline, Plate):
+        room = lowest - outline.box[2]
+        return room, float(free_width(outline, lowest - 0.8 * room, lowest - 0.2 * room))
+    room = 0.5 * outline.height + lowest
+    return room, float(outline.width - room)
+
+
 def mark_place(window: Window, body: Body) -> MarkPlace:
     """Find the space for marks: the land below the cells, on the face towards the viewer.
 
@@ -119,21 +132,11 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
     for face in (body.front, body.back):
         if face.array is not None:
             lowest = min(lowest, window.placements[face.array].extent(window.lattice)[2] - centre[1])
-    if isinstance(window.outline, Circle):
-        radius = 0.5 * window.outline.diameter
-        room = radius + lowest
-        height = 0.5 * room
-        width = 2.0 * float(np.sqrt(max(0.0, radius**2 - (0.25 * room - lowest + height) ** 2)))
-    elif isinstance(window.outline, Plate):
+    if isinstance(window.outline, Plate):
         centre = np.zeros(2)
         lowest = min(window.lattice.extent()[2] + dy for dy in (0.0, window.shifts[1][1]))
-        room = lowest - window.outline.box[2]
-        height = 0.5 * room
-        width = free_width(window.outline, lowest - 0.8 * room, lowest - 0.2 * room)
-    else:
-        room = 0.5 * window.outline.height + lowest
-        height, width = 0.5 * room, window.outline.width - room
-    width = float(width)
+    room, width = _border_below(window.outline, lowest)
+    height = 0.5 * room
     y = centre[1] + lowest - 0.25 * room - 0.5 * height
     thickness = (plane_of(body, +1) - plane_of(body, -1)) * scale
     height = min(float(height) * scale, TALLEST)

@@ -9,18 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import atan2, pi, tau
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import NodeCells, Step, node_cells
 from clacad.solid.edge_classes import Levels, linked_levels
-from clacad.solid.outline_path import Path
-from clacad.solid.repeated_cell import Cell
-from clacad.solid.shells import NodeVertices, Shells
 from clacad.solid.wall_segments import Column, column_of_side
+
+if TYPE_CHECKING:
+    from clacad.sheet.lattice import Lattice
+    from clacad.solid.outline_path import Path
+    from clacad.solid.repeated_cell import Cell
+    from clacad.solid.shells import NodeVertices, Shells
 
 State = Literal["cell", "outside", "empty", "beyond"]
 
@@ -232,9 +234,7 @@ class Nodes:
         return Sectors(tuple(found), tuple(sides), tuple(cells))
 
     def _levels_round(self, sectors: Sectors, round_it: tuple[Step, ...]) -> Levels:
-        """Levels on the line of a node, from the columns of the sectors; `round_it`: the cells of the
-        ring.
-        """
+        """Levels on the line of a node, from the columns of its sectors; `round_it`: cells of the ring."""
         whose = {
             s: step for step, (first, last) in zip(round_it, sectors.cells) for s in range(first, last + 1)
         }

@@ -8,6 +8,7 @@ face. Between touches there is land, bounded by the outline itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,14 @@ from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats
 from clacad.solid.edge_classes import Cylinder, Plane
 from clacad.solid.face_pattern import encloses
-from clacad.solid.node_sectors import Touch
-from clacad.solid.outline_path import Path
 from clacad.solid.rational_conics import line, ruled_wall
-from clacad.solid.repeated_cell import CellFace
 from clacad.solid.shells import FlatEdge, Loop, LoopEdge, Shells, reverse
-from clacad.solid.tilings import Columns
+
+if TYPE_CHECKING:
+    from clacad.solid.node_sectors import Touch
+    from clacad.solid.outline_path import Path
+    from clacad.solid.repeated_cell import CellFace
+    from clacad.solid.tilings import Columns
 
 
 @dataclass(eq=False)
@@ -329,9 +332,7 @@ def _with_their_holes(
 
 
 def _chained(shells: Shells, key: tuple[str, int]) -> list[tuple[Loop, Floats, int]]:
-    """Closed loops of the recorded edges of a flat face, the face on the left; with their points and an
-    owner.
-    """
+    """Closed loops of recorded edges of a flat face on their left, with their points and an owner."""
     leaving: dict[int, list[FlatEdge]] = {}
     for edge in shells.flat[key]:
         edge = edge if edge.use.forward else edge.reversed()

@@ -120,9 +120,7 @@ def _blossom(control: Floats, s: float, t: float) -> Floats:
 
 
 def outline_path(outline: Outline, scale: float, centre: Floats) -> Path:
-    """Path of an outline (design units, `scale` mm per unit) about a centre (2,), mm; of a plate its outer
-    boundary.
-    """
+    """Path about a centre (2,), mm, of an outline (`scale` mm per unit) or of a plate's boundary."""
     if isinstance(outline, Plate):
         return plate_paths(outline, scale)[0]
     if isinstance(outline, Circle):
@@ -195,17 +193,14 @@ def cut_pattern(
     roots : per side, ascending parameters at which the lens begins or ends
     proud : callable
         Whether the lens is there at (x, y), each (n,).
-    rest : "land" or "none"
-        Kind of the face where the lens is not.
+    rest : "land" or "none", where the lens is not
     across, closed : lists of (n, 2), mm
         Points of curves from side to side and of closed ones, the lens on their left.
     grid : int
         Divisions of a side of the grid on which the curves were searched. A curve that dips in and out
         between two of them is joined by the roots alone.
 
-    Returns
-    -------
-    Pattern, and the points of every one of its chains; None where curves and roots disagree.
+    Returns the pattern and the points of its chains; None where curves and roots disagree.
     """
     ends: list[tuple[int, float]] = []
     runs = [side_runs(zone, k, roots[k], proud, rest, ends) for k in range(len(zone))]
@@ -214,16 +209,12 @@ def cut_pattern(
         return None
     chains = [Chain(path, ("rim", i), ("rim", j)) for i, j, path in paths]
     points = [path for _, _, path in paths]
-    if ends:
-        regions = walk(runs, chains, "lens") + walk(runs, chains, rest)
-    else:
-        whole = tuple(("run", k, 0) for k in range(len(zone)))
-        regions = [Region(runs[0][0].kind, (whole,))]
+    whole = Region(runs[0][0].kind, (tuple(("run", k, 0) for k in range(len(zone))),))
+    regions = walk(runs, chains, "lens") + walk(runs, chains, rest) if ends else [whole]
     outlines = [(region, _outline(region, zone, runs, points)) for region in regions]
-    regions = _with_closed(outlines, closed, len(chains), rest)
+    kept = [one for one in _with_closed(outlines, closed, len(chains), rest) if one.kind != "none"]
     chains += [Chain(path, None, None) for path in closed]
-    kept = tuple(region for region in regions if region.kind != "none")
-    return Pattern(zone, tuple(runs), tuple(chains), kept, tuple(ends)), [*points, *closed]
+    return Pattern(zone, tuple(runs), tuple(chains), tuple(kept), tuple(ends)), [*points, *closed]
 
 
 def _matched(

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
 from clacad.base.arrays import Groups
 from clacad.base.types import Floats
-from clacad.solid.edge_classes import Levels, SegmentClass, Surface, WallEnd
 from clacad.solid.rational_conics import Arc, RationalPatch, line
 from clacad.solid.wall_segments import TOLERANCE
+
+if TYPE_CHECKING:
+    from clacad.solid.edge_classes import Levels, SegmentClass, Surface, WallEnd
 
 Role = Literal["lens", "land", "wall", "plane", "side"]
 
@@ -28,9 +30,7 @@ MERGE = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LoopEdge:
-    """A face's use of an edge: `edge` number, direction, parameter curve; edge −1: degenerate, at
-    `vertex`.
-    """
+    """A face's use of an edge: number, direction, parameter curve; −1: degenerate, at `vertex`."""
 
     edge: int
     forward: bool
@@ -252,9 +252,7 @@ class Shells:
         return made
 
     def _wall(self, made: Segment, i: int, number: int, offset: Floats) -> None:
-        """Make the face of one wall of piece i of a segment: low edge, far side up, high edge back, near
-        side down.
-        """
+        """Make the face of a wall of piece i: low edge, far side up, high edge back, near side down."""
         piece = made.kind.pieces[i]
         wall = piece.walls[number]
         ruled = isinstance(wall.surface, RationalPatch)

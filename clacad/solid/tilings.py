@@ -8,21 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice
 from clacad.sheet.pattern import Step
 from clacad.solid.edge_classes import Levels, Plane, Post, SegmentClass, linked_levels, segment_class
-from clacad.solid.face_pattern import Region
 from clacad.solid.node_sectors import Corner, Nodes, State, Touch
-from clacad.solid.outline_path import Path
-from clacad.solid.rational_conics import Arc
-from clacad.solid.repeated_cell import Cell, CellFace
 from clacad.solid.shells import Loop, LoopEdge, Segment, Shells, reverse
 from clacad.solid.wall_segments import TOLERANCE, Column, column_of_side, segment_shape, zone_columns
+
+if TYPE_CHECKING:
+    from clacad.sheet.lattice import Lattice
+    from clacad.solid.face_pattern import Region
+    from clacad.solid.outline_path import Path
+    from clacad.solid.rational_conics import Arc
+    from clacad.solid.repeated_cell import Cell, CellFace
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,15 +15,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.sign_changes import sign_changes
 from clacad.base.types import Floats
 from clacad.solid.face_pattern import SNAP, Kind
-from clacad.solid.rational_conics import Arc
-from clacad.solid.repeated_cell import Cell, CellFace
 from clacad.topology.complex_parts import BorderCurve, solid_strips
+
+if TYPE_CHECKING:
+    from clacad.solid.rational_conics import Arc
+    from clacad.solid.repeated_cell import Cell, CellFace
 
 TOLERANCE = 1e-7
 """Length below which CAD programs merge two points (mm)."""
@@ -92,9 +95,7 @@ class CurveShape:
 
 @dataclass(frozen=True, slots=True)
 class WallShape:
-    """A wall between curves `low` and `high` of its piece; `solid` is the column behind it (0 left, 1
-    right).
-    """
+    """A wall between curves `low` and `high` of its piece; `solid`: column behind it (0 left, 1 right)."""
 
     low: int
     high: int

@@ -83,9 +83,7 @@ def launch(stack: Stack, points: Floats, field: float, cells: Ints) -> tuple[Flo
 
 
 def launched(stack: Stack, rays: int, field: float) -> Rays:
-    """Rays over the central cell of the first sheet and a square of slopes, starting before it; lengths of
-    the stack.
-    """
+    """Rays over the first sheet's central cell and a square of slopes, from before it; stack's lengths."""
     middle = np.array([central_cell(stack.sheets[0].window)])
     return started(stack, *launch(stack, sobol(rays, 5), field, middle))
 
@@ -106,9 +104,7 @@ def middle_of_light(stack: Stack) -> Floats:
 
 
 def cone(stack: Stack, points: Floats, field: float, distance: float) -> tuple[Floats, Floats]:
-    """Places and slopes (n, 2) on the first lens plane of light from a point on its axis, within field and
-    lattice.
-    """
+    """Places and slopes (n, 2) on the first lens plane of axial light, within field and lattice."""
     window = stack.sheets[0].window
     where = middle_of_light(stack)
     x0, x1, y0, y1 = window.lattice.extent()

@@ -121,9 +121,7 @@ def roots_between(window: Window, bodies: tuple[Body, Body], array: int, columna
 def _border_lines(
     window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int
 ) -> tuple[ColumnLine, ColumnLine, tuple[Side, ...]]:
-    """The columns of the left and the right cell over their border, and the faces that repeat on the
-    tiling.
-    """
+    """The left and the right cell's columns over their border, and the faces on the tiling."""
     lattice = window.lattice_of(array)
     tile, m = lattice.tile(), len(lattice.steps)
     zone = window.land.seam == 0.0

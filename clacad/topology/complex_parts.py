@@ -238,9 +238,7 @@ def runs_round(solid: Sequence[bool]) -> list[int]:
 
 
 def linked(heights: Floats | Ints, gap: float) -> Ints:
-    """Single linkage: number the clusters of heights (..., n), ascending, whose neighbours differ by at most
-    `gap`.
-    """
+    """Single linkage: numbers, ascending, of clusters of heights (..., n) with steps of at most `gap`."""
     number = np.zeros(heights.shape, dtype=np.int64)
     number[..., 1:] = np.cumsum(np.diff(heights, axis=-1) > gap, axis=-1)
     return number

@@ -322,9 +322,7 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
 
 
 def _covered(gap: Floats, bend: float, spacing: float) -> bool:
-    """Whether the sampled thickness is positive by more than faces of this bend (1/length) can vary between
-    two samples.
-    """
+    """Whether the sampled thickness exceeds what faces of this bend (1/length) vary by between samples."""
     return bool(np.isfinite(gap).all() and gap.min() > bend * spacing * spacing)
 
 

@@ -167,9 +167,7 @@ def task(
 
 
 def _in_numpy(rung: str, effects: Sequence[str], rays: int, faces: int, from_file: bool) -> bool:
-    """Whether the rays are too few for compiled kernels; ideal rungs with effects have none, facets of a file
-    only those.
-    """
+    """Whether rays are too few for kernels; ideal rungs with effects have none, facets of a file no other."""
     if rung in ("law", "thin"):
         return bool(effects) or not worth_compiled(rays, IDEAL_FACES)
     return not (from_file or worth_compiled(rays, faces))

@@ -179,9 +179,7 @@ def worst_of(tried: list[SeenCell], field: float) -> SeenCell:
 
 
 def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
-    """Rms angle (n,) of the light of each cell to the law, by `count` rays; infinite where almost no light
-    gets through.
-    """
+    """Rms angle (n,) of each cell's light to the law, by `count` rays; infinite where almost all is lost."""
     rays, seen = through_all(tried, field, count)
     alive, each = seen.fate == Fate.ALIVE, rays.direction.reshape(len(tried), -1, 3)
     asked = np.concatenate([one.like.law.refract(some) for one, some in zip(tried, each, strict=True)])

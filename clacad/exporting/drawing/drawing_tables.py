@@ -209,29 +209,20 @@ def plate_tables(design: Design, window: Window) -> list[Canvas]:
         made.append(
             table("holes, through (mm about the sheet's origin)", ["hole", "x", "y", "diameter", "for"], rows)
         )
-    edges = plate.loops[0]
-    if len(edges) <= MOST_EDGES:
-        rows = [
-            [
-                str(n),
-                _coordinate(edge[X0], plate, mm),
-                _coordinate(edge[Y0], plate, mm),
-                (
-                    "straight"
-                    if edge[SENSE] == 0.0
-                    else f"{'out' if edge[SENSE] > 0.0 else 'in'}wards, R {mm_text(edge[RADIUS] * mm)}"
-                ),
-            ]
-            for n, edge in enumerate(edges, 1)
-        ]
-        made.append(
-            table(
-                "boundary, counter-clockwise with +x to the right (mm)",
-                ["corner", "x", "y", "to the next"],
-                rows,
-            )
-        )
+    if len(plate.loops[0]) <= MOST_EDGES:
+        made.append(_boundary_table(plate, mm))
     return made
+
+
+def _boundary_table(plate: Plate, mm: float) -> Canvas:
+    """Corners of the boundary of a plate, and the edge from each to the next; `mm`: millimetres a length."""
+    rows = []
+    for n, edge in enumerate(plate.loops[0], 1):
+        way = "out" if edge[SENSE] > 0.0 else "in"
+        to_next = "straight" if edge[SENSE] == 0.0 else f"{way}wards, R {mm_text(edge[RADIUS] * mm)}"
+        rows.append([str(n), _coordinate(edge[X0], plate, mm), _coordinate(edge[Y0], plate, mm), to_next])
+    title = "boundary, counter-clockwise with +x to the right (mm)"
+    return table(title, ["corner", "x", "y", "to the next"], rows)
 
 
 def _coordinate(value: float, plate: Plate, mm: float) -> str:
@@ -328,6 +319,18 @@ AGREE = "to be agreed"
 """Of what the design does not state."""
 
 
+def _datum_sides(window: Window) -> str:
+    """Datums B and C of an outline."""
+    if isinstance(window.outline, Plate):
+        return (
+            "B: the outermost side towards -y; C: towards -x; holes and corners are placed about the middle"
+            " of the cells"
+        )
+    if isinstance(window.outline, Circle):
+        return "B: the round side"
+    return "B: the -y side; C: the -x side; the mark is at the corner +x, +y"
+
+
 def notes(
     window: Window, allowed: Allowances, slope_rms: float, width: float, more: Sequence[str] = ()
 ) -> Canvas:
@@ -339,20 +342,10 @@ def notes(
         else "to be agreed, the design states no roughness"
     )
     slope = f", slope error at most {mrad_text(slope_rms, 3)} rms" if slope_rms > 0.0 else ""
-    sides = (
-        "B: the outermost side towards -y; C: towards -x; holes and corners are placed about the middle of"
-        " the cells"
-        if isinstance(window.outline, Plate)
-        else (
-            "B: the round side"
-            if isinstance(window.outline, Circle)
-            else ("B: the -y side; C: the -x side; the mark is at the corner +x, +y")
-        )
-    )
     said = [
         (
             f"Datum A: the plane z = {mm_text(window.z_range[0] * mm)} through the lowest points of the side"
-            f" of lens 1; {sides}."
+            f" of lens 1; {_datum_sides(window)}."
         ),
         (
             f"Surface finish of lens faces: {rough}{slope}. Land and sides are opaque where the design says"

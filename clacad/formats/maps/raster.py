@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -59,12 +59,11 @@ def write_tiff(
     head = _tiff_head(width, height, bits, pixels_per_cm, description)
     if len(head) + width * height * bits // 8 > LARGEST_TIFF:
         raise FileDisagrees(f"{width} × {height} pixels do not fit a TIFF file of 4 GiB")
-    dtype = "<u2" if bits == 16 else "<f4"
     written = 0
     with path.open("wb") as stream:
         stream.write(head)
         for block in rows:
-            stream.write(np.ascontiguousarray(block, dtype=dtype).tobytes())
+            stream.write(np.ascontiguousarray(block, dtype="<u2" if bits == 16 else "<f4").tobytes())
             written += len(block)
     if written != height:
         raise FileDisagrees(f"{written} rows were drawn, {height} were promised")
@@ -174,6 +173,21 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
+def _chunks(data: bytes, spent: Spending) -> Iterator[tuple[bytes, bytes]]:
+    """Kind and content of every chunk of a PNG file, the last one, IEND, included."""
+    at, kind = 8, b""
+    while kind != b"IEND":
+        if at + 12 > len(data):
+            raise UnreadableFile(f"{spent.name}: cut short")
+        spent.look(f"at byte {at:,}")
+        size = struct.unpack_from(">I", data, at)[0]
+        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
+        if data[at + 8 + size : at + 12 + size] != struct.pack(">I", zlib.crc32(kind + body)):
+            raise UnreadableFile(f"{spent.name}: a damaged {kind!r} chunk")
+        yield kind, body
+        at += 12 + size
+
+
 def read_png(path: Path) -> NDArray[np.uint16]:
     """Read a PNG of the kind that `write_png` writes: (height, width) uint16.
 
@@ -188,22 +202,12 @@ def read_png(path: Path) -> NDArray[np.uint16]:
     data = path.read_bytes()
     if data[:8] != b"\x89PNG\r\n\x1a\n":
         raise UnreadableFile(f"{path.name}: not a PNG file")
-    at, head, packed = 8, b"", []
-    while at + 12 <= len(data):
-        spent.look(f"at byte {at:,}")
-        size = struct.unpack_from(">I", data, at)[0]
-        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
-        if data[at + 8 + size : at + 12 + size] != struct.pack(">I", zlib.crc32(kind + body)):
-            raise UnreadableFile(f"{path.name}: a damaged {kind!r} chunk")
+    head, packed = b"", []
+    for kind, body in _chunks(data, spent):
         if kind == b"IHDR":
             head = body
         elif kind == b"IDAT":
             packed.append(body)
-        at += 12 + size
-        if kind == b"IEND":
-            break
-    else:
-        raise UnreadableFile(f"{path.name}: cut short")
     width, height, *rest = struct.unpack(">IIBBBBB", head) if len(head) == 13 else (0, 0, 0)
     need = height * (1 + 2 * width)
     if rest != [16, 0, 0, 0, 0] or not need > 0:

@@ -120,11 +120,10 @@ def read_ply(path: Path) -> FileMesh:
     end = re.search(rb"\nend_header\r?\n", head)
     if not re.match(rb"ply\r?\n", head) or end is None:
         raise UnreadableFile(f"{path.name}: not a PLY file (no header)")
-    lines = head[: end.start()].decode("latin-1").splitlines()
-    form, elements, comments = _parsed_header(path, lines)
-    by_name = {element.name: element for element in elements}
-    if [e.name for e in elements][:2] != ["vertex", "face"] or len(elements) != 2:
-        raise UnreadableFile(f"{path.name}: its elements are {sorted(by_name)}; vertex and face are read")
+    form, elements, comments = _parsed_header(path, head[: end.start()].decode("latin-1").splitlines())
+    names = [element.name for element in elements]
+    if names != ["vertex", "face"]:
+        raise UnreadableFile(f"{path.name}: its elements are {sorted(set(names))}; vertex and face are read")
     if elements[0].lists or len(elements[1].lists) != 1:
         raise UnreadableFile(f"{path.name}: faces must have one list and vertices plain numbers")
     vertex, face = elements
@@ -137,9 +136,8 @@ def read_ply(path: Path) -> FileMesh:
         spent.count(vertex.count + face.count)
     plain = _plain_header(form, vertex, face, columns)
     with scratch_folder(path) as folder, limited_worker(spent) as worker:
-        wait = longest_wait(spent)
         try:
-            worker.run(f"{__name__}:load", path, end.end(), plain, spent, folder, timeout=wait)
+            worker.run(f"{__name__}:load", path, end.end(), plain, spent, folder, timeout=longest_wait(spent))
         except WorkerDied as error:
             raise (OverBudget if error.over_budget else UnreadableFile)(f"{path.name}: {error}") from error
         values, triangles = (np.load(folder / f"{name}.npy") for name in ("vertices", "triangles"))

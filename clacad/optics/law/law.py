@@ -283,9 +283,7 @@ class Fit:
 
     @property
     def sigma(self) -> dict[str, float]:
-        """Standard deviation (numbers, angles in radians) of each free parameter; infinite where rays do not
-        determine it.
-        """
+        """Standard deviation of each free parameter (numbers, radians); infinite: not determined."""
         deviation = np.sqrt(np.diag(self.covariance))
         return {name: float(deviation[NAMES.index(name)]) for name in self.free}
 

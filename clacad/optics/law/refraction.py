@@ -98,9 +98,7 @@ def _times(matrix: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Flo
 
 
 def _offset_and_divide(m: Floats, m_z: Floats, delta: Floats, eta: Floats) -> tuple[Floats, Cells]:
-    """(m − δ m_z)/η as q · 2**k, δ and η a number or (n,): returns q (n,) and k. The difference is
-    compensated.
-    """
+    """(m − δ m_z)/η as q · 2**k, δ and η a number or (n,): q (n,) and k; difference compensated."""
     eta_significand, eta_exponent = np.frexp(eta)
     up: Cells = np.where(delta != 0.0, np.maximum(np.frexp(delta)[1], 0), 0)
     if np.any(delta):

@@ -95,9 +95,7 @@ def coated(turn: Floats, n1: float, n2: float, ratio: float) -> tuple[Floats, Fl
 def reflected(
     turn: Floats, n1: float, n2: float, coating: str = "none", ratio: float = 1.0
 ) -> tuple[Floats, Floats]:
-    """Reflected shares (R_s, R_p), (m,) each, of a bare or coated interface; see `amplitudes` and
-    `coated`.
-    """
+    """Reflected shares (R_s, R_p), (m,) each, of an interface; see `amplitudes` and `coated`."""
     if coating == "quarter-wave":
         return coated(turn, n1, n2, ratio)
     s, p = amplitudes(turn, n1, n2)

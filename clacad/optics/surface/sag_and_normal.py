@@ -340,9 +340,7 @@ def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple
 
 
 def lateral_square(surface: Surface, x: Floats, y: Floats) -> Floats:
-    """The form cx x² + cy y² (n,), length, of x, y (n,); in pairs for a saddle, the only case whose terms
-    cancel.
-    """
+    """The form cx x² + cy y² (n,), length; in pairs for a saddle, whose terms alone cancel."""
     cx, cy = surface.curvature_x, surface.curvature_y
     if cx * cy < 0:
         in_x = pair_product(pair(cx), two_product(x, x))

@@ -94,14 +94,9 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
 def cell_feasibility(
     whole: Window, cell: Ints, viewer: float | None = None, distance: float | None = None
 ) -> Feasibility:
-    """Derive all numbers of the uniform equivalent of one cell of a window, each lens over a cell of its own
-    array.
+    """Derive all numbers of the uniform equivalent of one cell (2,) of a window, each lens over a cell of its
+    own array; all cells of a uniform window are alike.
 
-    Parameters
-    ----------
-    whole : Window
-    cell : (2,) ints
-        Without effect on a uniform window.
     viewer, distance : float, metres, optional
         As for `feasibility`.
     """
@@ -109,18 +104,11 @@ def cell_feasibility(
     cells = thin_cells(window)
     wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
     width = [float(np.ptp(cells.zone[:, k])) for k in (0, 1)]
-    zone = lit_zone(cells)
-    lit = equivalent_widths(zone)
-    offset = window.thin.offset
+    zone, offset = lit_zone(cells), window.thin.offset
     bodies = tuple(body_facts(window, body) for body in window.bodies)
     fresnel = fresnel_numbers(cells, wave)
-    eye = viewing(
-        focal_ratio(window.thin),
-        fresnel,
-        viewer or VIEWING_DISTANCE,
-        distance or SEPARATIONS * window.thin.separation * window.unit,
-        wave * window.unit,
-    )
+    distance = distance or SEPARATIONS * window.thin.separation * window.unit
+    eye = viewing(focal_ratio(window.thin), fresnel, viewer or VIEWING_DISTANCE, distance, wave * window.unit)
     return Feasibility(
         lenses=(*(_lens_facts(whole, cell, array) for array in (0, 1)), *field_facts(window, width)),
         bodies=bodies,
@@ -134,7 +122,7 @@ def cell_feasibility(
         half_field=half_field(cells),
         ghost_onset=ghost_onset(cells),
         offset_blur=two(w * _offset(window, k) for k, w in enumerate(width)),
-        diffraction_blur=two(wave / lit),
+        diffraction_blur=two(wave / equivalent_widths(zone)),
         first_zero=two(wave * first_zeros(zone)),
         fresnel_number=float(min(fresnel)),
         viewing=eye,

@@ -186,9 +186,7 @@ class Named:
 
 
 def wall(window: Window, facts: Feasibility) -> Named:
-    """Highest vertical wall on the optical sides (length): a step between neighbours, or the edge of a
-    seam.
-    """
+    """Highest vertical wall on the optical sides (length): step between neighbours, or edge of a seam."""
     found = [Named(body.step, f"the step between neighbours of {body.name}") for body in facts.bodies]
     if window.land.seam > 0.0:
         found += [

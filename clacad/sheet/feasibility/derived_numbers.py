@@ -96,9 +96,7 @@ def sharpest_pitch(eta: float, distance: float, wavelength: float) -> float:
 
 
 def sharpest_blur(eta: float, distance: float, viewer: float, wavelength: float) -> float:
-    """Angle at the eye that contains half of the light of a point at the sharpest pitch:
-    .72 λ|z/η|/(w |D + z/η|).
-    """
+    """Angle at the eye of half a point's light at the sharpest pitch: .72 λ|z/η|/(w |D + z/η|)."""
     beam = sharpest_pitch(eta, distance, wavelength) * min(1.0, 1.0 / abs(eta))
     image = distance / eta
     if not isfinite(beam):
@@ -120,9 +118,7 @@ def diffraction_loss(fresnel: Sequence[float]) -> Pair2:
 def viewing(
     etas: Sequence[float], fresnel: Sequence[float], viewer: float, distance: float, wavelength: float
 ) -> EyeAdvice:
-    """All advice for a pair of these η along lens x and y,
-    and Fresnel numbers of the lit part (infinite: no lens).
-    """
+    """All advice for a pair of these η and Fresnel numbers along lens x and y (infinite: no lens)."""
     x, y = etas
     fine = tuple(wavelength / ARC_MINUTE * max(1.0, abs(eta)) for eta in (x, y))
     return EyeAdvice(

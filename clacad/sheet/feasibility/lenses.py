@@ -194,9 +194,7 @@ def _built_focal_length(body: Body, array: int) -> Pair2:
 
 
 def _cover(margin: Heights, zone: Floats) -> float:
-    """Share of the zone where the lens is the face; the lens region is star-shaped about its thickest
-    point.
-    """
+    """Share of the zone where the lens is the face: star-shaped about the lens's thickest point."""
 
     def inside(x: Floats, y: Floats) -> NDArray[np.bool_]:
         return np.asarray(margin(x, y) >= 0.0)
@@ -254,9 +252,7 @@ def least_thickness(window: Window, array: int) -> float:
 
 
 def thicker(body: Body, change: float) -> Body:
-    """Body with `change` (length) more distance between its lens faces along the
-    lens axis (plano: its plane face moves).
-    """
+    """Body with its lens faces `change` (length) farther apart along the axis (plano: its plane moves)."""
 
     def moved(face: Face, sign: float) -> Face:
         if face.array is None:

@@ -201,9 +201,7 @@ def _proud(face: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
-    """Require that rays are in their cell, `margin` inside, where they cross a level; scaled by N to avoid a
-    division.
-    """
+    """Require that rays are in their cell, `margin` inside, where they cross a level; times N, undivided."""
     x, y, z, dx, dy, dz, good = lanes(s, (X, Y, Z, DX, DY, DZ, GOOD))
     real = s.dtype.type
     level, ox, oy, margin, middle = real(level), real(ox), real(oy), real(margin), real(0.5)

@@ -37,9 +37,7 @@ from clacad.tracing.facets.compiled_tiles import facet_normal, locate_facet
 from clacad.tracing.facets.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
 
 SquareGrid = tuple[float, float, float, float, float, float, float, float]
-"""Corner of a grid of halved bins, bins per length, their count, number of the first, and direction of
-diagonals (SPLIT).
-"""
+"""Corner of a grid of halved bins, bins per length, count, first number, direction of diagonals (SPLIT)."""
 
 TRIES = 8
 """Facets looked up before a ray is left to the walk; two suffice for lens-like slopes."""

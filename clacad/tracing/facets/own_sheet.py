@@ -91,9 +91,7 @@ class _Way:
 
 
 def _last_body(bodies: tuple[BodyPlan, ...], result: TraceResult) -> Ints:
-    """Number (n,) of the body in which rays ended; one beyond the last for rays that passed all, −1 for rays
-    that met none.
-    """
+    """Number (n,) of the body in which rays ended; beyond the last if all are passed, −1 if none is met."""
     lows = np.array([body.level + body.low for body in bodies])
     with np.errstate(invalid="ignore"):
         at_wall = np.searchsorted(lows, result.position[:, 2], side="right") - 1

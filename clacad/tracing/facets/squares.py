@@ -177,9 +177,7 @@ def _halved(
 
 
 def _lacking(local: Floats) -> tuple[Ints, Floats]:
-    """Corner (k, 2) of its bin that each of two facets (k, 2, 3, 2) lacks, −1 where it is no half; and their
-    deviation.
-    """
+    """Corner (k, 2) of its bin that two facets (k, 2, 3, 2) each lack, −1 for no half; their deviation."""
     near = np.rint(local)
     far = np.abs(local - near).max(axis=(1, 2, 3), initial=0.0)
     sound = (near >= 0.0).all(axis=(2, 3)) & (near <= 1.0).all(axis=(2, 3)) & (far < NEAR)[:, None]

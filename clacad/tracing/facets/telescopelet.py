@@ -307,9 +307,7 @@ def first_crossing(
 
 
 def _meet(face: AnyFace, position: Floats, direction: Floats, entering: bool) -> tuple[Floats, Floats, Bools]:
-    """Distance (n,) along each ray, NaN for none; normal (n, 3) in the direction of the light; whether it is
-    land.
-    """
+    """Distance (n,) along each ray, NaN for none; normal (n, 3) in the light's direction; land or not."""
     if isinstance(face, FacetFace):
         if not len(face.normals):
             return np.full(len(position), np.nan), position, np.zeros(len(position), dtype=bool)
@@ -387,9 +385,7 @@ class _Passing:
     def cross(
         self, face: AnyFace, live: Rows, number: int, indices: tuple[float, float], entering: bool
     ) -> Rows:
-        """Move live rays (k,) to face `number` and refract them, between two refractive indices; return those
-        that go on.
-        """
+        """Move live rays (k,) to face `number` and refract them between two indices; return those left."""
         distance, normal, on_land = _meet(face, self.position[live], self.direction[live], entering)
         met = np.isfinite(distance)
         self.aside[live[met & on_land]] = True

@@ -237,9 +237,7 @@ def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) ->
 
 
 def _identity(mesh: AnyMesh | int) -> Callable[[], object]:
-    """Function that returns the identity of a mesh: the object, None once it is deleted; of a file, its path,
-    time and size.
-    """
+    """Function that gives a mesh's identity: the object, None once deleted; of a file path, time and size."""
     if isinstance(mesh, int):
         return lambda: mesh
     if not isinstance(mesh, (str, os.PathLike)):

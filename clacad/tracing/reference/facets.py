@@ -185,9 +185,7 @@ NO_STEP = -2
 
 
 def change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Event:
-    """Find where each ray first enters or leaves the body's material, on its facets if it has them: see
-    `column.first_change`.
-    """
+    """Where each ray first enters or leaves the body's material, by facets if any: `column.first_change`."""
     if isinstance(body.front, TiledFace) and isinstance(body.back, TiledFace):
         return _FacetSearch.begun(layout, body, (body.front, body.back), beam, inside).found()
     return first_change(layout, body, beam, inside)
@@ -300,9 +298,7 @@ class _FacetSearch:
             facet[active[fresh]] = facets_over(face.tiles, face.tile, point)
 
     def _next_edge(self, piece: RaysInColumn, active: Rows, limit: Floats) -> tuple[Floats, Ints, Ints, Ints]:
-        """Distance at which rays leave the first of their facets; border and its cell, or edge of the facet
-        and its array.
-        """
+        """Distance at which rays leave the first of their facets; border and cell, or edge and array."""
         border, across = next_border(self.layout, piece)
         end, across = np.minimum(border, limit), np.where(border < limit, across, NO_STEP)
         edge, of = np.full(len(active), -1), np.full(len(active), -1)

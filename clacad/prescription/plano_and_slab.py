@@ -1,4 +1,8 @@
-"""Plano pairs: two lenses with one curved face each, inside or outside, with or without a field plate."""
+"""Pairs of lenses with one curved face each, with or without field plates.
+
+Plano pairs: curved faces inside or outside. Slabs: one body with both arrays on its faces, or cut at the
+focus where it has a field lens.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +23,10 @@ from clacad.prescription.bodies import (
     plano_body,
     plano_outside_axis,
     shallower,
+    slab_body,
 )
 from clacad.prescription.cell_heights import face_range
-from clacad.prescription.field_lens import Chief, one_plate, plate_body
+from clacad.prescription.field_lens import Chief, air_gap, one_plate, plate_body, two_plates
 from clacad.prescription.intent import Intent, separation_of, untraced
 from clacad.prescription.radii import LensPair, NoSuchLens, single_surface, thin_pair
 from clacad.sheet.window import Body, Window
@@ -62,9 +67,7 @@ def _plano_scaled(intent: Intent, scale: float) -> Window:
 
 
 def one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
-    """Lenses with one curved face each: as given, else from the requested η,
-    afocal or with the requested focus.
-    """
+    """Lenses with one curved face each: as given, else for η, afocal or with the requested focus."""
     pair = intent.design.pair
     if pair.given:
         return given_pair(pair, thickness, intent.index)
@@ -97,9 +100,7 @@ def _afocal_gap(intent: Intent, thickness: Pair2, guess: float) -> float:
 
 
 def _plano_auto(intent: Intent, separation: float) -> Pair2:
-    """Smallest vertex-to-plane thickness that leaves the neck under the whole lens,
-    and the land if there is one.
-    """
+    """Least vertex-to-plane thickness with the neck under the whole lens, and under land if any."""
     found = _plano_auto_of(intent, separation, one_faced(intent, separation, (0.0, 0.0)))
     if intent.design.pair.focus is None:
         return found
@@ -134,9 +135,7 @@ def _plano_auto_of(intent: Intent, separation: float, trial: LensPair) -> Pair2:
 
 
 def _plano_placed(intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats, offset: Floats) -> Window:
-    """Window of plano lenses, lens 2's apex at `lens_2` (3,) from lens 1's,
-    both rotated by `turn` (lens → sheet).
-    """
+    """Window of plano lenses, apex 2 at `lens_2` (3,) from apex 1, rotated by `turn` (lens → sheet)."""
     outside = intent.design.pair.curved == "outside"
     t1, t2 = lenses.thickness
     planes = (t1, float(lens_2[2]) - t2) if outside else (-t1, float(lens_2[2]) + t2)
@@ -198,3 +197,51 @@ def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
     field, shift = plate_body(intent, plate, (chief.across(legs[:2]), chief.across(legs[:3])))
     bodies = (arrays[0], field, arrays[1])
     return assemble_window(intent, bodies, moved, lenses, offset, shift, plate.told)
+
+
+def slab(intent: Intent) -> Window:
+    """Window of one body with both arrays on its faces."""
+    return best_scale(intent, lambda scale: _slab_scaled(intent, scale))
+
+
+def _slab_scaled(intent: Intent, scale: float) -> Window:
+    """Slab with its radii times `scale`."""
+    separation = separation_of(intent)
+    if intent.design.pair.field_lens:
+        return _slab_with_field(intent, separation, scale)
+    thickness = intent.index * separation
+    lenses = one_faced(intent, separation, (thickness, thickness)).scaled(scale)
+    offset = intent.built_offset(lenses)
+    lens_2 = intent.turn @ np.array([*offset, thickness])  # the common glass makes it exact for any tilt
+
+    def body(moved: Pair2) -> Body:
+        points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
+        first, second = (LensPose(point, intent.turn) for point in points)
+        return slab_body(lenses, (first, second), intent.shape, intent.index)
+
+    aperture = intent.design.lattice.aperture
+    moved = displacement(aperture, lens_2[:2], float(lens_2[2]), (body((0.0, 0.0)),))
+    return assemble_window(intent, (body(moved),), moved, lenses, offset)
+
+
+def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
+    """Slab cut at the focus: two plates, or array 1, field plate and array 2 if foci differ."""
+    n = intent.index
+    if intent.eta[0] == intent.eta[1]:
+        placed = two_plates(intent, separation, scale)
+        lenses = one_faced(intent, separation, (n * separation, n * separation)).scaled(scale)
+        return assemble_window(
+            intent, placed.bodies, placed.moved, lenses, placed.offset, placed.field, placed.told
+        )
+    first, second = thin_pair(intent.eta, separation)
+    gap = air_gap(intent)
+    thickness = n * (min(first) - gap), n * (min(second) - gap)
+    if min(thickness) <= 0.0:
+        raise NoSuchLens(
+            f"air gaps of {gap:.6g} leave a plate no thickness",
+            key=PAIR.field,
+            hint=f"gap < {min(*first, *second):.6g}",
+            code="CL129",
+        )
+    lenses = one_faced(intent, separation, thickness).scaled(scale)
+    return plano_with_field(intent, lenses)
