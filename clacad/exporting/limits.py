@@ -18,6 +18,7 @@ from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.design.faces import listed_lenses
 from clacad.exporting.formats.registry import format_of, formats
 from clacad.storage.errors import BadRequest, ExportError, LimitRefused, NotPossible
 from clacad.storage.worker import MEMORY_SHARE, free_memory
@@ -75,6 +76,8 @@ def refuse_early(design: Design, words: Sequence[str], quads: Mapping[str, Quads
     if design.lattice.outline is not None:
         return
     faces = 4 if design.pair.form == "biconvex" else 2
+    if design.pair.form == "plates":
+        faces, _ = listed_lenses(design.pair.face)
     for name in words:
         if format_of(name).family == "stream":
             asked = quads.get(name, "auto")

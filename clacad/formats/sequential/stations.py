@@ -106,10 +106,11 @@ def _rotational(terms: tuple[float, ...]) -> bool:
 def stations(window: Window) -> list[Station]:
     """Faces of the telescopelet in the order light meets them."""
     scale = millimetres(window.unit)
-    names = [f"{body.name} {side}" for body in window.bodies for side in ("front", "back")]
-    return [
-        _station(window, *one, scale) for one in zip(names, interfaces(window), window.faces, strict=True)
-    ]
+    found = []
+    for (body, face, _, _), at in zip(window.refractions, interfaces(window), strict=True):
+        name = f"{body.name} {'front' if face is body.front else 'back'}"
+        found.append(_station(window, name, at, face, scale))
+    return found
 
 
 def _station(window: Window, name: str, at: Interface, face: Face, scale: float) -> Station:
