@@ -189,6 +189,16 @@ AIR: Final = "air"
 """Word for the medium behind a face that ends a plate."""
 
 
+def listed_lenses(faces: tuple[FaceSpec, ...]) -> tuple[int, int]:
+    """Number of faces of bodies with lenses, and of bodies; both bodies of a joint have its face."""
+    solid = [before.behind != AIR for before in faces[:-1]]
+    sides = [
+        int(before) + int(behind) for before, behind in zip([False, *solid], [*solid, False], strict=True)
+    ]
+    lenses = sum(count for face, count in zip(faces, sides, strict=True) if face.array is not None)
+    return lenses, sum(solid)
+
+
 def vertex_of(faces: tuple[FaceSpec, ...], number: int) -> float:
     """Place of a listed face's vertex from the first face's (length); no place counts as no distance."""
     z = 0.0

@@ -332,7 +332,7 @@ def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = T
             facet_face(mine + place, place + [0.0, 0.0, body.front.vertex[2]], on_land(window, face, mine))
             for face, mine in ((body.front, corners[~back]), (body.back, corners[back]))
         ]
-        bodies.append(FacetBody(faces[0], faces[1], body.index))
+        bodies.append(FacetBody(faces[0], faces[1], body.index, body.joined))
     return tuple(bodies)
 
 

@@ -133,10 +133,7 @@ def instanceable(window: Window) -> bool:
     False with land between the cells and an outline. False for a body whose two arrays are displaced relative
     to each other: there one cell of one face is opposite parts of several cells of the other.
     """
-    in_columns = all(
-        len({window.shifts[f.array] for f in (b.front, b.back) if f.array is not None}) == 1
-        for b in window.bodies
-    )
+    in_columns = all(len({window.shifts[array] for array in body.arrays}) == 1 for body in window.bodies)
     return window.uniform and window.outline is None and in_columns
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.vectors import doubled_normals, lengths, middles
+from clacad.formats.mesh.compare_instances import body_facing as body_facing
 from clacad.formats.mesh.compare_instances import levels as levels
 from clacad.formats.mesh.compare_instances import owner as owner
 from clacad.formats.mesh.compare_triangles import rounding
@@ -162,7 +163,7 @@ class Gatherer:
             floor = optical & (normal[:, 2] < 0.0) & pocket.on_floor(corners, self._room)
             self.result.engraved -= 0.5 * float(normal[floor, 2].sum()) * (pocket.floor - pocket.land)
             optical &= ~floor
-        body = np.searchsorted(self._levels, middle[:, 2])
+        body = body_facing(self._levels, middle[:, 2], normal[:, 2])
         back = normal[:, 2] > 0.0
         for number, piece in enumerate(self.window.bodies):
             for side, face in enumerate((piece.front, piece.back)):
@@ -255,7 +256,7 @@ def telescopelet(
                 faces.append(_faceted(window, found, (number, side, cell), place, onto_design))
             else:
                 faces.append(ExactFace(face, np.array([*place, 0.0]), window))
-        bodies.append(FacetBody(faces[0], faces[1], body.index))
+        bodies.append(FacetBody(faces[0], faces[1], body.index, body.joined))
     return tuple(bodies)
 
 

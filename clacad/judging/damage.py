@@ -147,7 +147,7 @@ def find_features(
     held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
     number = np.full(len(corners), held[0])
     if len(held) > 1:
-        number = np.searchsorted(levels(window), corners[..., 2].mean(axis=1))
+        number = np.searchsorted(levels(window)[2], corners[..., 2].mean(axis=1))
     found = []
     for k in held:
         mine = corners[number == k]
@@ -166,7 +166,7 @@ def _made_walls(window: Window, corners: Floats, noise: float) -> Floats:
         return steep
     steep = steep[believed(steep, noise)]
     room = OFF_BORDER * min(window.lattice.pitch) + WIDE * noise
-    between = levels(window)
+    between = levels(window)[2]
     body = np.searchsorted(between, steep[..., 2].mean(axis=1))
     keep = np.zeros(len(steep), dtype=bool)
     for number, piece in enumerate(window.bodies):

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
-from clacad.judging.cell_triangles import CellFacets, exact_height, levels, owner, telescopelet
+from clacad.judging.cell_triangles import CellFacets, body_facing, exact_height, levels, owner, telescopelet
+from clacad.sheet.face_order import media_of
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Face, Window, column, face_height, lens_height, lens_height_and_normal
@@ -103,8 +104,8 @@ def distance_to_faces(
     facing : (n, 3)
         Outward unit normals of the part at the points: they determine the side; steep ones belong to no face.
     present : names of the bodies of the part, or None for all
-    between : (bodies − 1,) lengths or None
-        Heights midway between the bodies, where they are already known.
+    between : (3, bodies − 1) lengths or None
+        Heights between the bodies from `levels`, where they are already known.
     aside : (n, 3) lengths or None
         Displacements with which the points determine the cell, and whether lens or land lies under them. The
         distance is that of the undisplaced points from that lens, extended beyond its border.
@@ -120,7 +121,7 @@ def distance_to_faces(
     held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
     body_of = np.full(n, held[0])
     if len(held) != 1:
-        body_of = np.searchsorted(levels(window) if between is None else between, points[:, 2])
+        body_of = body_facing(levels(window) if between is None else between, points[:, 2], facing[:, 2])
     steep = np.abs(facing[:, 2]) < STEEP
     for number in held:
         body = window.bodies[number]
@@ -279,13 +280,11 @@ def forecast_rms(window: Window, found: Deviation) -> float:
     """
     ratio = np.array(focal_ratio(window.thin))
     turns: dict[int, Floats] = {}
-    number = 0
-    for body in window.bodies:
-        for face, sign in ((body.front, -1.0), (body.back, 1.0)):
-            if face.array is not None:
-                error = sign * (body.index - 1.0) * found.slope[number]
-                turns[face.array] = turns.get(face.array, 0.0) + error
-            number += 1
+    media = media_of(window)
+    for number, face in enumerate(window.faces):
+        if face.array is not None:
+            error = (media[number] - media[number + 1]) * found.slope[number]
+            turns[face.array] = turns.get(face.array, 0.0) + error
     total = 0.0
     for array, turn in turns.items():
         known = np.isfinite(turn).all(axis=1)

@@ -85,7 +85,7 @@ def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples)
                 faces.append(sampled_face(window, face, place, held.points, held.step))
             else:
                 faces.append(ExactFace(face, place, window))
-        bodies.append(FacetBody(faces[0], faces[1], body.index))
+        bodies.append(FacetBody(faces[0], faces[1], body.index, body.joined))
     return tuple(bodies)
 
 

@@ -295,7 +295,7 @@ def judge_mesh(
     shells = int(pieces[0].value) if found.closed and isinstance(pieces[0].value, float) else None
     holds = holding(mesh, shells)
     checks = [
-        closed_check(found, gathered, mesh, name, holds, counts),
+        closed_check(found, gathered, mesh, name, holds, counts, held),
         scale_check(design, held, found, name),
         *pieces,
     ]

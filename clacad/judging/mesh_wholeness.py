@@ -17,6 +17,7 @@ from clacad.checks.file_kinds import CLOSED, PIECES, SCALE
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.measure import Measure, crowded_edges, edge_times, vertex_hashes
 from clacad.judging.cell_triangles import CellFacets
+from clacad.sheet.face_order import plates_of
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
@@ -105,6 +106,7 @@ def closed_check(
     name: str,
     holds: Mapping[str, Any],
     counts: Sequence[PartCount] | None,
+    window: Window,
 ) -> Check:
     """Judge whether the surface is closed and consistently wound, and locate a fault.
 
@@ -122,9 +124,10 @@ def closed_check(
             crowded = sum(count.crowded for count in counts)
             facts["crowded_edges"] = crowded
             if crowded:
-                sentence += (
-                    f"; {crowded} edges are shared by four facets, where steps of both signs meet in a corner"
-                )
+                where = "where steps of both signs meet in a corner"
+                if len(plates_of(window)) < len(window.bodies):
+                    where = "on joints, which two bodies share, or where steps meet"
+                sentence += f"; {crowded} edges are shared by four facets, {where}"
         return CLOSED.check("pass", sentence, 0.0, detail=facts, **common)
     sentence = "the surface is not closed or not consistently wound"
     value = None
@@ -181,6 +184,10 @@ def pieces_check(
         return [PIECES.not_run(why, **common)]
     bodies = [body_facts(window, body) for body in window.bodies]
     expected = {sum(b.pieces for b in bodies), len(bodies) * window.lattice.cell_count}
+    fused = len(plates_of(window)) < len(window.bodies) and len(mesh.parts) < len(bodies)
+    if fused:  # facets of a joint have the same corners
+        facts = iter(bodies)
+        expected = {sum(min(next(facts).pieces for _ in plate) for plate in plates_of(window))}
     if "solids" in stated:
         expected = {int(stated["solids"])}
     wanted = " or ".join(str(n) for n in sorted(expected))
@@ -190,6 +197,8 @@ def pieces_check(
         sentence = (
             f"{count_text(pieces, 'connected piece')} with {count_text(holes, 'hole')}; {wanted} expected"
         )
+        if fused:
+            sentence, holes = f"{count_text(pieces, 'connected piece')}; {wanted} expected", None
     else:
         pieces = counted.pieces if counted else sum(connected(p) * len(p.places) for p in mesh.parts)
         sentence = f"{count_text(pieces, 'connected piece')}; {wanted} expected"

@@ -229,7 +229,7 @@ def _through_design(state: _State, window: Window, lit: Bundle, bodies: tuple[Bo
         centre = window.centres(0 if face.array is None else face.array, cell)
         return ExactFace(window.in_cell(face, cell), np.append(centre, 0.0))
 
-    pieces = tuple(FacetBody(exact(body.front), exact(body.back), body.index) for body in bodies)
+    pieces = tuple(FacetBody(exact(body.front), exact(body.back), body.index, body.joined) for body in bodies)
     found = trace_facets(pieces, Rays(state.position[live], state.direction[live]))
     state.position[live], state.direction[live], state.fate[live] = (
         found.position,

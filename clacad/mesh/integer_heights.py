@@ -10,16 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil, frexp, ldexp, sqrt
 from typing import Any
 
 import numpy as np
 
+from clacad.base.arrays import distinct
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import Biconic, Quadric, as_quadric, sag
 from clacad.sheet.pattern import Step
-from clacad.sheet.window import Body, Surface, Window, lens_height
+from clacad.sheet.window import Body, Face, Surface, Window, lens_height
 from clacad.topology.borders import roots_between
 from clacad.topology.complex_parts import CellComplex, Tiling, linked
 
@@ -93,6 +94,8 @@ class CellLevels:
         The cell, if each is a separate piece.
     others : callable or None
         Index → heights of that cell; None: all cells are identical pieces.
+    joined : tuple of CellLevels
+        The other bodies of the plate on the same cells, with which grid and samples of borders are shared.
     known, common : dict
         Cached results of this cell, and of all cells of the tiling.
     """
@@ -106,6 +109,7 @@ class CellLevels:
     bevel: float = 0.0
     index: Step = (0, 0)
     others: Callable[[Step], CellLevels] | None = None
+    joined: tuple[CellLevels, ...] = ()
     known: dict[Any, Any] = field(default_factory=dict, repr=False)
     common: dict[Any, Any] = field(default_factory=dict, repr=False)
 
@@ -115,7 +119,10 @@ class CellLevels:
         faces = [self.window.in_cell(face, at) for face in (self.body.front, self.body.back)]
         front, back = (replace(face, surface=_simplest(face.surface)) for face in faces)
         body = replace(self.body, front=front, back=back)
-        return replace(self, body=body, index=index, others=others, known={})
+        joined = tuple(
+            one.of_cell(index, partial(_joined_at, others, number)) for number, one in enumerate(self.joined)
+        )
+        return replace(self, body=body, index=index, others=others, joined=joined, known={})
 
     def beside(self, step: Step) -> CellLevels:
         """The levels of the cell at an index step from this one, kept or not."""
@@ -124,7 +131,14 @@ class CellLevels:
         return self.others((self.index[0] + step[0], self.index[1] + step[1]))
 
     def roots(self, k: int) -> Floats:
-        """`Border.roots` of border class k between this cell, on the left, and the one on its right."""
+        """`Border.roots` of border class k between this cell, on the left, and the one on its right; with
+        those of the joined bodies.
+        """
+        if not self.joined:
+            return self._own_roots(k)
+        return distinct(np.concatenate([one._own_roots(k) for one in (self, *self.joined)]))
+
+    def _own_roots(self, k: int) -> Floats:
         border = self.tiling.borders[k]
         if self.others is None:
             return border.roots
@@ -135,6 +149,11 @@ class CellLevels:
     def at_corners(self) -> Ints:
         """Front and back level at each corner of the tile, (m, 2), before merging."""
         return self.levels(self.heights(self.tiling.tile))
+
+    @property
+    def faces(self) -> tuple[Face, Face]:
+        """Front and back of the body."""
+        return self.body.front, self.body.back
 
     def meshed(self) -> tuple[bool, bool]:
         """Whether front and back belong to this tiling's mesh."""
@@ -180,6 +199,11 @@ class CellLevels:
     def held(self) -> tuple[bool, bool]:
         """Whether front and back are plane faces, whose level is never changed."""
         return self.body.front.array is None, self.body.back.array is None
+
+
+def _joined_at(others: Callable[[Step], CellLevels], number: int, step: Step) -> CellLevels:
+    """Levels of joined body `number` in another cell."""
+    return others(step).joined[number]
 
 
 def _simplest(surface: Surface) -> Surface:

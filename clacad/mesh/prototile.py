@@ -389,8 +389,8 @@ def _steps(make: CellLevels, quads: int) -> Steps:
     if make.bevel > 0.0:  # bevels need a grid with their own steps on all sides
         return quads, quads
     if ("steps", quads) not in make.common:
-        faces = (make.body.front, make.body.back)
-        mine = [face for face, here in zip(faces, make.meshed(), strict=True) if here]
+        plate = (make, *make.joined)
+        mine = [face for one in plate for face, here in zip(one.faces, one.meshed(), strict=True) if here]
         make.common["steps", quads] = grid_steps(make.window, make.tiling.array, mine, quads)
     found: Steps = make.common["steps", quads]
     return found
@@ -471,9 +471,12 @@ def _diagonal(make: CellLevels, zone: Floats, steps: Steps) -> int:
     places = x * a + y * b
     a, b = a / steps[0], b / steps[1]
 
+    def heights(xy: Floats) -> Floats:
+        return np.concatenate([one.heights(xy) for one in (make, *make.joined)], axis=1)
+
     def bend(step: Floats) -> float:
-        middle = make.heights(places)
-        ends = [make.heights(places + s * step) for s in (1.0, -1.0)]
+        middle = heights(places)
+        ends = [heights(places + s * step) for s in (1.0, -1.0)]
         with np.errstate(invalid="ignore"):
             second = np.abs(ends[0] + ends[1] - 2.0 * middle)
         return float(np.nansum(second[np.isfinite(second)]))

@@ -7,7 +7,7 @@ closed cell, with exact normals at the corners of facets.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -21,12 +21,13 @@ from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_ring import Key, LandRing, Tiled, make_land
 from clacad.mesh.prototile import make_prototile
+from clacad.sheet.grid_steps import plate_of
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Window, lens_height_and_normal
 from clacad.topology.build_complex import cell_complex, saddle_count
-from clacad.topology.complex_parts import CannotBuild, CellComplex, refuse_buried_land
+from clacad.topology.complex_parts import CannotBuild, CellComplex, Tiling, refuse_buried_land
 
 Vertex = tuple[int, int, int, int]  # owner cell, point, level
 
@@ -69,7 +70,7 @@ def make_plain(window: Window, tiled: tuple[Tiled, ...], step: float) -> Plain:
     ValueError
         A cell reaches beyond the outline.
     """
-    own = len(tiled) == 1 and window.form != "slab" and not isinstance(window.outline, Plate)
+    own = len(tiled) == 1 and not window.one_outline and not isinstance(window.outline, Plate)
     centre = tiled[0].shift if own else (0.0, 0.0)
     lands = [make_land(window, t, centre) for t in tiled]
     build = _Builder(step)
@@ -263,7 +264,8 @@ class _Parts:
     def tiled(self, number: int, quads: int) -> Tiled:
         """One tiling: with one prototile, or with one per cell."""
         tiling = self.cells.tilings[number]
-        make = CellLevels(self.window, self.body, self.cells, tiling, self.step, self.gap, self.bevel)
+        make = self._levels(self.body, self.cells, tiling)
+        make = replace(make, joined=tuple(self._joined(tiling)))
         lattice = self.window.lattice_of(tiling.array)
         faces = [self.body.front, self.body.back]
         mine = [face for face, here in zip(faces, make.meshed()) if here and face.change is not None]
@@ -276,6 +278,19 @@ class _Parts:
             row[0] for n in range(self.window.lattice.count[1]) if len(row := self.window.lattice.row(n))
         ).tolist()
         return Tiled(own.at((i, j)), tiling.shift, lattice, own)
+
+    def _levels(self, body: Body, cells: CellComplex, tiling: Tiling) -> CellLevels:
+        return CellLevels(self.window, body, cells, tiling, self.step, self.gap, self.bevel)
+
+    def _joined(self, tiling: Tiling) -> Iterator[CellLevels]:
+        """Levels of the other bodies of the plate, where they have the same cells."""
+        place = self.window.placements[tiling.array]
+        for body in plate_of(self.window, self.body):
+            if body is not self.body:
+                cells = cell_complex(self.window, body, merge=self.gap * self.step, spacing=0.0)
+                for other in cells.tilings:
+                    if self.window.placements[other.array] == place:
+                        yield self._levels(body, cells, other)
 
 
 def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) -> _Parts:
@@ -367,7 +382,7 @@ def cell_solid(window: Window, body: Body, quads: int) -> CellSolid:
         The body's faces repeat on displaced arrays: no cell of it is a column.
     """
     alone = window.with_cells((1, 1))
-    mesh = mesh_body(alone, body, quads)
+    mesh = mesh_body(alone, alone.bodies[window.bodies.index(body)], quads)
     if len(mesh.tiled) > 1:
         raise ValueError(f"body {body.name!r} has displaced faces: none of its cells is a solid of its own")
     maker = mesh.tiled[0].maker

@@ -13,6 +13,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, Quadric
+from clacad.sheet.face_order import plates_of
 from clacad.sheet.window import Body, Face, Window, optical_tile
 
 Steps = tuple[int, int]
@@ -39,13 +40,30 @@ def lens_squares(window: Window, quads: Number) -> Number:
     """Number of grid squares over all lens faces of one cell; a hexagonal cell has three times as many."""
     total = quads - quads
     for body in window.bodies:
-        lenses = [face for face in (body.front, body.back) if face.array is not None]
-        together = bool(lenses) and len(one_tiling(window, body)) == 1
-        for face in lenses:
-            assert face.array is not None
-            along, across = grid_steps(window, face.array, lenses if together else [face], quads)
-            total += along * across
+        for face in (body.front, body.back):
+            if face.array is not None:
+                faces = faces_of_plate(window, body, face.array)
+                along, across = grid_steps(window, face.array, faces, quads)
+                total += along * across
     return total
+
+
+def plate_of(window: Window, body: Body) -> tuple[Body, ...]:
+    """Bodies of the plate that contains a body, itself included."""
+    return next((plate for plate in plates_of(window) if body in plate), (body,))
+
+
+def faces_of_plate(window: Window, body: Body, array: int) -> list[Face]:
+    """Faces of a body's plate that one grid over the cells of an array describes: joined bodies share
+    triangles.
+    """
+    place = window.placements[array]
+    return [
+        face
+        for one in plate_of(window, body)
+        for face in (one.front, one.back)
+        if face.array is None or window.placements[face.array] == place
+    ]
 
 
 def half_axes(zone: Floats) -> tuple[Floats, Floats]:

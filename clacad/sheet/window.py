@@ -145,6 +145,11 @@ class Body:
         """Whether both faces repeat on one array, so that the body is a bundle of columns."""
         return self.front.array is not None and self.front.array == self.back.array
 
+    @property
+    def layer(self) -> bool:
+        """Whether both faces are planes: the body lies between two flat joints."""
+        return self.front.array is None and self.back.array is None
+
     def index_at(self, wavelength: float | None) -> float:
         """Refractive index at a wavelength in metres (None: the design wavelength).
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from clacad.design.faces import listed_lenses
 from clacad.exporting.roles import NO_SURFACE, Role, Storing
 
 if TYPE_CHECKING:
@@ -283,9 +284,12 @@ class RoughSheet:
         """Numbers of a design before it is prescribed."""
         form, lattice = design.pair.form, design.lattice
         n1, n2 = (int(n) for n in lattice.count)
+        lenses, bodies = (4 if form == "biconvex" else 2), (1 if form == "slab" else 2)
+        if form == "plates":
+            lenses, bodies = listed_lenses(design.pair.face)
         return RoughSheet(
-            4 if form == "biconvex" else 2,
-            1 if form == "slab" else 2,
+            lenses,
+            bodies,
             n1 * n2,
             (n1, n2),
             lattice.kind == "hexagonal",

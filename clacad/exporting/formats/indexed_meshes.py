@@ -257,7 +257,7 @@ def _threemf_place_bytes(window: Window) -> int:
     """Bytes of a 3MF file for the positions of the repeated cells of each body."""
     from clacad.formats.placements import Places
 
-    arrays = (next(f.array for f in (b.front, b.back) if f.array is not None) for b in window.bodies)
+    arrays = (body.arrays[0] for body in window.bodies)
     return int(
         sum(
             _places_bytes(Places(window.lattice, window.shifts[array]), millimetres(window.unit))

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from operator import itemgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
@@ -20,7 +20,7 @@ from clacad.base.vectors import doubled_normals
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
 from clacad.formats.mesh.measure import objects
 from clacad.formats.placements import fill
-from clacad.sheet.feasibility import body_range
+from clacad.sheet.feasibility import body_range, inner_range
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import WALL, Body, Face, Window
 
@@ -321,12 +321,12 @@ def _lying(corners: Floats, window: Window) -> Iterator[tuple[Side, Ints, Floats
     normal = doubled_normals(corners)
     optical = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
     middle = corners.mean(axis=1)
-    body = np.searchsorted(levels(window), middle[:, 2])
+    body = body_facing(levels(window), middle[:, 2], normal[:, 2])
     for number, piece in enumerate(window.bodies):
         for side, face in enumerate((piece.front, piece.back)):
             rows = np.flatnonzero(optical & (body == number) & ((normal[:, 2] > 0.0) == bool(side)))
-            if face.array is not None and len(rows):
-                shift = window.shifts[face.array]
+            if (face.array is not None or piece.layer) and len(rows):
+                shift = window.shifts[owner(piece, face)]
                 index, _, _ = window.lattice.locate(middle[rows, 0] - shift[0], middle[rows, 1] - shift[1])
                 yield (number, side), index, 0.5 * np.abs(normal[rows, 2])
 
@@ -382,15 +382,30 @@ def _indices(numbers: Ints) -> Ints:
 
 # -- bodies of a window --------------------------------------------------------------------------
 def owner(body: Body, face: Face) -> int:
-    """Array whose grid is used for a face: its own, or for a plane that of the body's other face."""
+    """Array whose grid is used for a face: its own, or for a plane that of the body."""
     if face.array is not None:
         return face.array
-    other = body.back if face is body.front else body.front
-    assert other.array is not None
-    return other.array
+    return body.arrays[0]
 
 
-def levels(window: Window) -> NDArray[np.float64]:
-    """Heights (bodies − 1,) midway between the bodies of a window."""
+def levels(window: Window) -> Floats:
+    """Heights (3, bodies − 1) between the bodies of a window: for fronts, for backs, and for walls.
+
+    Midway between two bodies with air between them; two facets of a joint differ by where they face.
+    """
     ranges = [body_range(window, body) for body in window.bodies]
-    return np.array([0.5 * (a[1] + b[0]) for a, b in zip(ranges, ranges[1:], strict=False)])
+    found = np.array([[0.5 * (a[1] + b[0]) for a, b in pairwise(ranges)]] * 3)
+    for number, (before, body) in enumerate(pairwise(window.bodies)):
+        if body.joined:
+            high, low = inner_range(window, before)[0], inner_range(window, body)[1]
+            found[:2, number] = 0.5 * (high + ranges[number + 1][0]), 0.5 * (ranges[number][1] + low)
+    return found
+
+
+def body_facing(between: Floats, height: Floats, facing: Floats) -> Ints:
+    """Body (n,) of facets at heights (n,) that face −z or +z, by the sign of `facing` (n,).
+
+    between : (3, bodies − 1) from `levels`
+    """
+    front, back = (np.searchsorted(between[side], height) for side in (0, 1))
+    return np.asarray(np.where(facing > 0.0, back, front))

@@ -21,6 +21,7 @@ from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.optics.surface import ULP, Biconic, EvenPolynomial, Surface, conic_constants, resized
 from clacad.sheet.bundle import Bundle, bundle
+from clacad.sheet.face_order import refractions
 from clacad.sheet.like_cell import interfaces, lens_distance
 from clacad.sheet.window import Face, Window
 from clacad.storage.errors import FileDisagrees
@@ -104,10 +105,11 @@ def _rotational(terms: tuple[float, ...]) -> bool:
 def stations(window: Window) -> list[Station]:
     """Faces of the telescopelet in the order light meets them."""
     scale = millimetres(window.unit)
-    names = [f"{body.name} {side}" for body in window.bodies for side in ("front", "back")]
-    return [
-        _station(window, *one, scale) for one in zip(names, interfaces(window), window.faces, strict=True)
-    ]
+    found = []
+    for (body, face, _, _), at in zip(refractions(window), interfaces(window), strict=True):
+        name = f"{body.name} {'front' if face is body.front else 'back'}"
+        found.append(_station(window, name, at, face, scale))
+    return found
 
 
 def _station(window: Window, name: str, at: Interface, face: Face, scale: float) -> Station:

@@ -304,6 +304,19 @@ def body_range(window: Window, body: Body) -> tuple[float, float]:
     return min([low, *lands]), max([-high, *lands])
 
 
+def inner_range(window: Window, body: Body) -> tuple[float, float]:
+    """Highest point of a body's front and lowest of its back (lengths), land included."""
+    front, back = _heights(window, body)
+    tile = window.lattice.tile()
+    high, _ = least(lambda x, y: np.nan_to_num(-front(x, y), nan=np.inf), tile)
+    low, _ = least(lambda x, y: np.nan_to_num(back(x, y), nan=np.inf), tile)
+    lands = [face.land for face in (body.front, body.back)]
+    return (
+        max(-high, *(z for z in lands[:1] if z is not None), -np.inf),
+        min(low, *(z for z in lands[1:] if z is not None), np.inf),
+    )
+
+
 def whole_body_range(window: Window, body: Body) -> tuple[float, float]:
     """Lowest and highest point (lengths) of a body of the whole sheet, uniform or not."""
     if window.uniform:

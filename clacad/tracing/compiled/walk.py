@@ -177,7 +177,8 @@ def _through_body(
 ) -> int:
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
     index, w, event, hits, turns = sheet.media[2 * b + 1], scratch.walker, scratch.event, out.hits, out.turns
-    event[DISTANCE] = -1.0  # nothing of this body has been met
+    # nothing of this body has been met, but for a joint on which the ray is
+    event[DISTANCE] = -1.0 if sheet.bodies[b, slot.JOINED] == 0.0 else 0.0
     if sheet.bodies[b, slot.JOINED] == 0.0:
         end, inside = _approach(tiles, trees, sheet, b, gap, row, out, scratch)
         if not inside:

@@ -246,11 +246,14 @@ AnyFace = FacetFace | ExactFace | SampledFace
 
 @dataclass(frozen=True, eq=False)
 class FacetBody:
-    """Front and back of one body over one cell, and its refractive index."""
+    """Front and back of one body over one cell, and its refractive index; `joined`: without air between it
+    and the body before, whose back it shares.
+    """
 
     front: AnyFace
     back: AnyFace
     index: float
+    joined: bool = False
 
 
 def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> FacetFace:
@@ -345,10 +348,13 @@ def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
     passing = _Passing.launched(rays)
     live = np.arange(len(rays))
     number, before = 0, 1.0
-    for body in bodies:
-        for face, after, entering in ((body.front, body.index, True), (body.back, 1.0, False)):
-            live = passing.cross(face, live, number, (before, after), entering)
-            number, before = number + 1, after
+    for body, beyond in zip(bodies, (*bodies[1:], None), strict=True):
+        if not body.joined:
+            live = passing.cross(body.front, live, number, (before, body.index), True)
+        joint = beyond is not None and beyond.joined
+        after = beyond.index if beyond is not None and joint else 1.0
+        live = passing.cross(body.back, live, number + 1, (body.index, after), False, joint)
+        number, before = number + 2, after
     passing.fate[live[passing.aside[live]]] = Fate.LAND
     unknown = np.full((len(rays), 2), NO_CELL, dtype=np.int32)
     return TraceResult(
@@ -383,10 +389,26 @@ class _Passing:
         return cls(rays.position.copy(), direction, fate, surface, np.zeros(n), np.zeros(n, dtype=bool))
 
     def cross(
-        self, face: AnyFace, live: Rows, number: int, indices: tuple[float, float], entering: bool
+        self,
+        face: AnyFace,
+        live: Rows,
+        number: int,
+        indices: tuple[float, float],
+        entering: bool,
+        joint: bool = False,
     ) -> Rows:
-        """Move live rays (k,) to face `number` and refract them between two indices; return those left."""
+        """Move live rays (k,) to face `number` and refract them between two indices; return those left.
+
+        A flat `joint` has no cells: light beyond its facets meets the same plane.
+        """
         distance, normal, on_land = _meet(face, self.position[live], self.direction[live], entering)
+        if joint and isinstance(face, FacetFace) and face.trees is not None and np.ptp(face.z_range) == 0.0:
+            level = face.origin[2] + face.z_range[0]
+            way = (level - self.position[live, 2]) / self.direction[live, 2]
+            beside = np.isnan(distance) & (way >= 0.0)
+            distance = np.where(beside, way, distance)
+            normal = np.where(beside[:, None], [0.0, 0.0, 1.0], normal)
+            on_land = on_land & ~beside
         met = np.isfinite(distance)
         self.aside[live[met & on_land]] = True
         self.fate[live[~met]] = Fate.WALL

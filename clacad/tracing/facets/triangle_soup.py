@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.base.vectors import doubled_normals
 from clacad.sheet.cell_places import CellPlacement
-from clacad.sheet.window import Window
+from clacad.sheet.window import WALL, Window
 from clacad.storage.errors import LimitRefused
 from clacad.tracing.facets.hierarchy import hierarchy
 from clacad.tracing.facets.squares import Triangles, find_squares
@@ -122,7 +123,7 @@ def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[
     if normals == "vertex" and soup.normals is None:
         raise UnusableMesh('normals = "vertex", but the mesh has none; they are never estimated')
     exact = lay_out(window)
-    owner = _owners(exact, soup.corners)
+    owner = _of_plates(exact, soup.corners)
     bodies = [np.flatnonzero(owner == b) for b in range(len(exact.bodies))]
     for mine, body in zip(bodies, window.bodies, strict=True):
         if len(mine) == 0:
@@ -151,16 +152,46 @@ def _bounded(plan: BodyPlan, corners: Floats) -> BodyPlan:
     return replace(plan, low=low - pad, high=high + pad)
 
 
-def _owners(layout: Layout, corners: Floats) -> NDArray[np.int64]:
-    """Body (t,) of each triangle: that of its connected piece, by the piece's middle height."""
-    if len(layout.bodies) == 1 or len(corners) == 0:
+def _of_plates(layout: Layout, corners: Floats) -> Ints:
+    """Body (t,) of each triangle: pieces belong to plates, divided at joints by height and facing."""
+    joined = [body.joined for body in layout.window.bodies]
+    first = np.flatnonzero(~np.array(joined))
+    last = np.append(first[1:], len(joined)) - 1
+    plates = [(layout.bodies[a], layout.bodies[b]) for a, b in zip(first, last, strict=True)]
+    owner = _owners(plates, corners)
+    if not any(joined):
+        return owner
+    from clacad.formats.mesh.compare_instances import body_facing, levels
+
+    between = levels(layout.window)
+    normal = doubled_normals(corners)
+    middle = corners.mean(axis=1)
+    optical = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
+    body = np.where(
+        optical,
+        body_facing(between, middle[:, 2], normal[:, 2]),
+        np.searchsorted(between[2], middle[:, 2]),
+    )
+    return np.asarray(np.clip(body, first[owner], last[owner]))
+
+
+def _owners(plates: list[tuple[BodyPlan, BodyPlan]], corners: Floats) -> NDArray[np.int64]:
+    """Plate (t,) of each triangle: that of its connected piece, by the piece's middle height; plates by
+    their first and last body.
+    """
+    if len(plates) == 1 or len(corners) == 0:
         return np.zeros(len(corners), dtype=np.int64)
     piece = _pieces(corners)
     low = np.full(int(piece.max()) + 1, np.inf)
     high = -low
     np.minimum.at(low, piece, corners[..., 2].min(axis=1))
     np.maximum.at(high, piece, corners[..., 2].max(axis=1))
-    middles = np.array([b.level + 0.5 * (b.low + b.high) for b in layout.bodies])
+    middles = np.array(
+        [
+            a.level + 0.5 * (a.low + a.high) if a is b else 0.5 * (a.level + a.low + b.level + b.high)
+            for a, b in plates
+        ]
+    )
     nearest = np.abs(0.5 * (low + high)[:, None] - middles).argmin(axis=1)
     return np.asarray(nearest[piece])
 

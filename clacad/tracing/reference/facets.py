@@ -280,8 +280,8 @@ class _FacetSearch:
         return active
 
     def _face_of(self, array: int) -> TiledFace:
-        """First face in the cells of an array."""
-        return next(face for face in self.faces if face.array == array)
+        """First face in the cells of an array; of a layer of two planes its front."""
+        return next((face for face in self.faces if face.array == array), self.faces[0])
 
     def _look_up(self, piece: RaysInColumn, active: Rows) -> None:
         """Find the facets of rays that entered other cells."""
