@@ -9,17 +9,17 @@ import pytest
 from benchmarks.house import measured
 
 MOST = {
-    "modules": 482,
-    "modules imported by one other only": 83,
+    "modules": 479,
+    "modules imported by one other only": 82,
     "modules under 60 lines": 13,
     "lines over 110 characters": 0,
     "# fmt: skip": 0,
-    "function lines, most, compiled": 72,
-    "methods of the largest class": 20,
-    "parameters, most": 18,
+    "function lines, most, compiled": 70,
+    "methods of the largest class": 18,
+    "parameters, most": 9,
     "class names twice": 2,
     "rings of imports": 0,
-    "deepest chain of imports at heads": 21,
+    "deepest chain of imports at heads": 16,
     "exceptions of the layer test": 0,
 }
 """Largest value of each figure: lower it when the package gets there."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from clacad.checks.check import ALLOWANCE, Check, accepted, passed, wrong
 from clacad.design import Design
@@ -18,7 +19,9 @@ from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
 from clacad.verification.design_rules import design_checks
 from clacad.verification.light.law_checks import judge_light
-from clacad.verification.light.viewed import name_remedies
+
+if TYPE_CHECKING:
+    pass
 
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle (65536 in verify), and of each field point (4096 in verify)."""
@@ -53,6 +56,8 @@ class Judged:
     @cached_property
     def light(self) -> tuple[Check, ...]:
         """Checks by light, through one cell of the exact surfaces."""
+        from clacad.verification.light.viewed import name_remedies
+
         found, _ = judge_light(self.design, self.window, RAYS, POINT_RAYS)
         if self.remedies:
             found = name_remedies([*found, *self.rules], self.design, self.window)[: len(found)]

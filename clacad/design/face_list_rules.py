@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from clacad.config.mistakes import Mistake
 from clacad.design.faces import AIR, FaceSpec, vertex_of
-from clacad.design.rules import Asked
 from clacad.design.sections import BODY, LATTICE, LAW, PAIR, TOLERANCES
+
+if TYPE_CHECKING:
+    from clacad.design.rules import Asked
 
 NOT_ASKED: Final = (
     PAIR.separation,

@@ -78,7 +78,8 @@ class Design:
             made = f"thickness {pair.thickness:g} {self.unit}"
         else:
             made = f"separation {pair.separation:g} {self.unit}"
-        return f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, {made}, {cells[0]} x {cells[1]} cells)"
+        law = f"eta {eta[0]:g} {eta[1]:g}"
+        return f"Design({self.name!r}, {pair.form}, {law}, {made}, {cells[0]} x {cells[1]} cells)"
 
     def _repr_html_(self) -> str:
         from clacad import as_html  # at run time only: the module that makes pictures imports this one

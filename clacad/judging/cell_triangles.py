@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,15 @@ from clacad.base.vectors import doubled_normals, lengths, middles
 from clacad.formats.mesh.compare_instances import body_facing as body_facing
 from clacad.formats.mesh.compare_instances import levels as levels
 from clacad.formats.mesh.compare_instances import owner as owner
-from clacad.formats.mesh.compare_triangles import rounding
 from clacad.mesh.border_samples import in_corners
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import distance_in_cell
 from clacad.sheet.window import WALL, Face, Window, lens_height
 from clacad.solid.marks import pockets
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, FacetFace, facet_face, on_land
+
+if TYPE_CHECKING:
+    pass
 
 CHORD = 0.75
 """Mean height of a chord over a second-order surface across a facet, over that at the facet's middle."""
@@ -132,6 +135,8 @@ class Gatherer:
     """
 
     def __init__(self, window: Window, cells: Iterable[Cell], bevel: float = 0.0) -> None:
+        from clacad.formats.mesh.compare_triangles import rounding
+
         self.window, self._bevel = window, bevel
         self.result = CellFacets(tuple(cells))
         self._levels = levels(window)

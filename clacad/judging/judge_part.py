@@ -30,11 +30,11 @@ from clacad.judging.mesh_file import judge_mesh
 from clacad.judging.mesh_light import MeshEvidence, checks_of_light, lit_cells
 from clacad.judging.mesh_shape import clean_forecast, own_sag_error
 from clacad.judging.mesh_wholeness import is_open_surface, rims
-from clacad.judging.registration import Placed
 from clacad.sheet.volume_and_extent import whole_extent
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.judging.registration import Placed
 
 
 SUSPECT = {SHAPE, VOLUME, PIECES, CLOSED, FAITHFUL_RMS, FILE_LAW_RMS}

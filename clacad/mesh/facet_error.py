@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.vectors import doubled_normals
 from clacad.mesh.integer_heights import LENS
-from clacad.mesh.prototile import Prototile
 from clacad.optics.law.orientation import angle_between
 from clacad.sheet.window import Body, Face, lens_height_and_normal
+
+if TYPE_CHECKING:
+    from clacad.mesh.prototile import Prototile
 
 # edge middles, centroid, and the three inner points of the rule that is exact to degree 2
 _EDGES = np.array([(0.5, 0.5, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (1 / 3, 1 / 3, 1 / 3)])

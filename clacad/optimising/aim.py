@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import atan, degrees, isfinite, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,7 +39,9 @@ from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.tolerance import Parameter, parameters, telescopelet
 from clacad.verification.tolerance.misaligned import SIGMAS
-from clacad.verification.tolerance.study import NO_TOLERANCES, NoTolerances
+
+if TYPE_CHECKING:
+    pass
 
 RAYS = 1024
 """Number of rays of a search, for each field."""
@@ -154,6 +157,8 @@ class AimedRays:
 
 def _errors(design: Design, window: Window) -> Iterator[tuple[Parameter, float, Floats]]:
     """Errors of parts as made, their standard deviations, and the cells in which they are evaluated."""
+    from clacad.verification.tolerance.study import NO_TOLERANCES, NoTolerances
+
     of_sigma = SIGMAS if design.tolerances.distribution == "normal" else sqrt(3.0)
     stated = [error for error in parameters(design, window) if not error.one_sided]
     if not stated:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,12 +22,14 @@ from clacad.base.types import Floats
 from clacad.base.units import MONOMIALS, POWER
 from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import shown
-from clacad.design import Design
 from clacad.design.faces import FaceSpec, SearchRecord, face_table
 from clacad.design.sections import OF_RECIPES, PAIR
 from clacad.optics.surface import EvenPolynomial, Quadric, Surface
 from clacad.prescription.bodies import given_conics, given_surface
 from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
 
 WORDS = ("radii", "conic", "bending", "a4", "a6", "a8", "offset", "field")
 
@@ -300,6 +303,8 @@ def given_design(
     record: SearchRecord | None = None,
 ) -> Design:
     """Design with these faces and all values that its window fixed, checked as a design file is."""
+    from clacad.design import Design
+
     data = {key: dict(value) if isinstance(value, Mapping) else value for key, value in design.given.items()}
     pair = {key: value for key, value in data["pair"].items() if key not in (*OF_RECIPES, "search")}
     if design.pair.form != "slab":

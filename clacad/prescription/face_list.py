@@ -141,7 +141,7 @@ def _refuse_steps(intent: Intent, bodies: tuple[Body, ...], moved: Pair2) -> Non
             raise NoSuchLens(
                 f"face {number + 1} is a curved joint, which has no land for a seam, border or outline",
                 key=key,
-                hint='a flat joint (radius = "inf", no array), or cells that lie over one another, up to the edge',
+                hint='a flat joint (radius = "inf", no array), or cells over one another, up to the edge',
                 code="CL114",
             )
         step = _step(lattice, body.back)

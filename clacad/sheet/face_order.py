@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from clacad.sheet.window import Body, Face, Window
+if TYPE_CHECKING:
+    from clacad.sheet.window import Body, Face, Window
 
 
 class Refraction(NamedTuple):

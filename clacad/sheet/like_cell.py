@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.optics.sequence import Interface
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.face_order import refractions
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.plate import Plate
 
 if TYPE_CHECKING:
+    from clacad.optics.sequence import Interface
     from clacad.sheet.window import ThinPair, Window
 
 
@@ -112,6 +112,8 @@ def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None
     aside : (3,) lengths or None
         Displacement of the field lens.
     """
+    from clacad.optics.sequence import Interface
+
     moved = {1: slide, 2: aside}
     found = []
     for body, face, before, after in refractions(window):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, isfinite, nan, pi
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,10 @@ from clacad.sheet.face_order import outline_centre
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.pattern import relocate, turned
 from clacad.sheet.plate import Plate
-from clacad.sheet.representative_cells import outermost_cells
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
+
+if TYPE_CHECKING:
+    pass
 
 SAMPLES = 49
 """Points a side at which a face's height is sampled for its bounds; slope times half a spacing is added."""
@@ -328,6 +330,8 @@ def _covered(gap: Floats, bend: float, spacing: float) -> bool:
 
 def _farthest_cells(window: Window, body: Body) -> Ints | None:
     """Cells (m, 2) with the largest offsets of lenses from the faces' vertices; None where all are alike."""
+    from clacad.sheet.representative_cells import outermost_cells
+
     found = [outermost_cells(window, face) for face in (body.front, body.back) if face.change is not None]
     return np.unique(np.concatenate(found), axis=0) if found else None
 

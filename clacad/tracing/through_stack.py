@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Rows, Rung
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.stack import BadStack, Stack, StackedSheet
-from clacad.tracing.trace import SheetTracer
 from clacad.tracing.which_path import Path
 
 if TYPE_CHECKING:
     from clacad.tracing.facets.triangle_soup import AnyMesh
+    from clacad.tracing.trace import SheetTracer
 
 ON = (Fate.ALIVE, Fate.GHOST, Fate.LAND)
 """Fates of light that leaves a sheet forwards, from the best to the worst."""
@@ -97,6 +97,8 @@ class StackTracer:
 
     def __post_init__(self) -> None:
         """Lay out every sheet, identical sheets once."""
+        from clacad.tracing.trace import SheetTracer
+
         sheets = self.stack.sheets
         if self.rung in ("law", "thin"):
             for before, after in zip(sheets, sheets[1:]):

@@ -574,12 +574,10 @@ def straight(
 ) -> int:
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
-    Positions are relative to the vertex of the last face. Where lost light is counted (`Packed.losses`) no hit
-    is stored; SHARE and DEPTH gather the transmission of bare faces and the absorption of the bodies.
+    Positions are relative to the face last crossed. Counted losses (`Packed.losses`) are in SHARE and DEPTH.
     """
     faces, bodies, lat, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.own
-    m = len(chosen)
-    array, met, counted = 0, 0, len(sheet.losses) > 0
+    m, array, met, counted = len(chosen), 0, 0, len(sheet.losses) > 0
     for i in range(m if counted else 0):
         s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level

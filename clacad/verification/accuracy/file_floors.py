@@ -19,7 +19,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import asdict, dataclass, field, replace
 from math import hypot, isfinite, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +29,15 @@ from clacad.base.units import millimetres
 from clacad.exporting.formats.registry import formats
 from clacad.exporting.roles import WAYS, Holding, Storing
 from clacad.light.compare import rms_between
-from clacad.mesh import Mesh
 from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.prototile import Prototile
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Window, lens_height
+
+if TYPE_CHECKING:
+    from clacad.mesh import Mesh
 
 FINER = 1 << 20
 """Subdivisions of the mesher's step in which stored heights are counted: far below any rounding of a file."""
