@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from clacad.exporting.rough_sizes import RoughSheet
 
 from clacad import to_trimesh, trace_sequence
 from clacad.design import Design
 from clacad.effects.trace import trace
+from clacad.exporting.formats.format import RoughSheet
 from clacad.exporting.tessellations import Meshes
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.formats.mesh.glb import write_glb
