@@ -156,8 +156,8 @@ class Search:
             if (
                 one is None
                 or not one.good
-                or _rms(one) > self._sharp(one.pitch.value)
-                or self._more(one, found)
+                or _rms(one) > _sharp(self.wish, one.pitch.value)
+                or _more(self.wish, one, found)
             ):
                 break
             found = one
@@ -173,13 +173,10 @@ class Search:
                 return None
         return None
 
-    def _more(self, one: Tried, other: Tried) -> bool:
-        return avoidable(one, self.wish) > avoidable(other, self.wish)
-
     def _first(self, variant: Variant, needed: float) -> int | None:
         """Start index into `RATIOS`: as the law requires, smaller for a stated eye; None if none serves."""
         least = max(needed, least_untangled(self.wish))
-        wanted = max(least, least_ratio(self.wish, self._sharp(wanted_pitch(self.wish).value)))
+        wanted = max(least, least_ratio(self.wish, _sharp(self.wish, wanted_pitch(self.wish).value)))
         start = next((k for k, ratio in enumerate(RATIOS) if ratio >= wanted), len(RATIOS) - 1)
         if self.wish.viewing is None:
             return start
@@ -192,7 +189,9 @@ class Search:
                 return k
             best = max(best, share)
         self.refused.append(
-            fault if fault and not best else f"{variant}: {self._too_little(best)}, for any separation"
+            fault
+            if fault and not best
+            else f"{variant}: {_too_little(self.wish, best, self.limit)}, for any separation"
         )
         return None
 
@@ -237,29 +236,8 @@ class Search:
         except DesignError as problem:
             return 0.0, f"{variant}: {problem.mistakes[0].message}"
 
-    def _too_little(self, share: float) -> str:
-        return (
-            f"at most {percent_text(share)} of the light of an eye at {self.wish.distance:g} mm meets its"
-            f" partner lens ({percent_text(self.limit)} requested)"
-        )
-
     def _built(self, variant: Variant, bound: PitchBound, ratio: float) -> Design:
-        return built(self.wish, variant, self._rounded(bound), ratio, self.name, self.overrides)
-
-    def _rounded(self, bound: PitchBound) -> float:
-        """A pitch of two digits, not below the bound, or that fills the sheet; a wished pitch as it is."""
-        if self.wish.pitch is not None:
-            return bound.value
-        pitch, side = round_to(bound.value, 2, up=True), min(self.wish.size.size)
-        count = floor(side / pitch + 1e-9)
-        counted = self.wish.size.shape == "rectangle" and self.wish.kind == "square"
-        if not counted or count < 1 or side - count * pitch <= UNFILLED * side:
-            return pitch
-        return floor(1e4 * side / count + 1e-6) / 1e4
-
-    def _sharp(self, pitch: float) -> float:
-        """Invisible rms error (radians): the angle of a pixel, but never beyond the limit."""
-        return min(0.8 * 3e-3, pitch / self.wish.distance)
+        return built(self.wish, variant, _rounded(self.wish, bound), ratio, self.name, self.overrides)
 
     def _judged(self, variant: Variant, ratio: float) -> Tried | None:
         """The design at this separation, at the wanted pitch or the nearest one that the process allows."""
@@ -274,7 +252,7 @@ class Search:
                 self.refused.append(f"{variant}: {fault} at {ratio:g} pitches")
                 return None
             self.work.done += JUDGEMENT * (1 if window.uniform else UNEQUAL)
-            one = Tried(variant, ratio, PitchBound(self._rounded(bound), bound.why), judge(design))
+            one = Tried(variant, ratio, PitchBound(_rounded(self.wish, bound), bound.why), judge(design))
         except DesignError as problem:
             self.refused.append(f"{variant}: {problem.mistakes[0].message}")
             return None
@@ -289,7 +267,7 @@ class Search:
         if self.wish.viewing is None:
             return ""
         share = thin_share(window, viewer_of(design))
-        return self._too_little(share) if share < SURE * self.limit else ""
+        return _too_little(self.wish, share, self.limit) if share < SURE * self.limit else ""
 
     def pitch_at(self, variant: Variant, ratio: float) -> PitchBound | None:
         """The pitch that is wished or looks best, or the nearest that can be made; None where none can."""
@@ -377,3 +355,31 @@ def _is_nearer(before: Check, after: Check) -> bool:
         return False
     far, near = (abs(float(c.value or 0.0) - float(c.limit or 0.0)) for c in (before, after))
     return near < 0.97 * far
+
+
+def _more(wish: Wish, one: Tried, other: Tried) -> bool:
+    return avoidable(one, wish) > avoidable(other, wish)
+
+
+def _sharp(wish: Wish, pitch: float) -> float:
+    """Invisible rms error (radians): the angle of a pixel, but never beyond the limit."""
+    return min(0.8 * 3e-3, pitch / wish.distance)
+
+
+def _rounded(wish: Wish, bound: PitchBound) -> float:
+    """A pitch of two digits, not below the bound, or that fills the sheet; a wished pitch as it is."""
+    if wish.pitch is not None:
+        return bound.value
+    pitch, side = round_to(bound.value, 2, up=True), min(wish.size.size)
+    count = floor(side / pitch + 1e-9)
+    counted = wish.size.shape == "rectangle" and wish.kind == "square"
+    if not counted or count < 1 or side - count * pitch <= UNFILLED * side:
+        return pitch
+    return floor(1e4 * side / count + 1e-6) / 1e4
+
+
+def _too_little(wish: Wish, share: float, limit: float) -> str:
+    return (
+        f"at most {percent_text(share)} of the light of an eye at {wish.distance:g} mm meets its"
+        f" partner lens ({percent_text(limit)} requested)"
+    )
