@@ -26,7 +26,7 @@ from clacad.advice.judged import judge
 from clacad.advice.lens_shape import AXIS, FAULTS, JUDGEMENT, UNEQUAL, Work
 from clacad.advice.proposal import NoSuchSheet, design_for, nearest, not_met
 from clacad.advice.wish import KEYS, Wish, parse_wish, read_wish
-from clacad.advice.wish_search import Search, impossible
+from clacad.advice.wish_search import Search, impossible, _rounded
 from clacad.design import DesignError, load, template
 from clacad.design.body import Outline
 from clacad.prescription.prescribe import prescribe
@@ -169,9 +169,9 @@ def test_a_lean_is_refused_only_where_the_arrays_would_cross():
 
 def test_cells_fill_the_width_or_it_is_said():
     search = Search(read_wish({"eta": -1, "width": 40}), "x")
-    assert search._rounded(PitchBound(6.4, "")) == pytest.approx(40 / 6, abs=1e-4)
+    assert _rounded(search.wish, PitchBound(6.4, "")) == pytest.approx(40 / 6, abs=1e-4)
     wished = Search(read_wish({"eta": -1, "width": 40, "pitch": 6.4}), "x")
-    assert wished._rounded(PitchBound(6.4, "")) == 6.4
+    assert _rounded(wished.wish, PitchBound(6.4, "")) == 6.4
     found = list(not_met(wished.wish, built(wished.wish, Variant("slab"), 6.4, 12.0, "x")))
     assert found == ["width: requested 40 mm, 6 x 6.4 = 38.4 mm"]
 

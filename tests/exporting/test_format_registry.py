@@ -57,7 +57,8 @@ OTHER_MEANINGS = {
              "stacking/make_stack.py", "cli/stack_command.py",  # the option --step, a default
              "verification/accuracy/accuracy_plot.py", "verification/accuracy/accuracy_row.py",
              "verification/accuracy/measure_rungs.py",  # a rung
-             "judging/damage.py", "verification/tolerance/parameter_sweep.py",  # steps between cells
+             "judging/damage.py", "sheet/feasibility/as_rows.py",
+             "verification/tolerance/parameter_sweep.py",  # steps between cells
              "verification/run.py"},  # a task whose time is recorded
     "stl": {"exporting/request.py"},  # a default
     "table": {"cli/shape_command.py", "config/edit_text.py", "config/mistakes.py", "design/varying.py",

@@ -33,6 +33,7 @@ NOUNS = {
 ELSEWHERE = {
     "design/read.py": "reads a key of [check]",
     "explain/look_up.py": "describes the limits of a process profile",
+    "design/process_profiles.py": "column of the table of process limits",
     "exporting/light_forecast.py": "names the keys of [check] that a forecast exceeds, for the manifest",
     "exporting/quads_and_roles.py": "names the keys of [check] that a forecast exceeds, for the manifest",
     "formats/mesh/compare_triangles.py": "states in the manifest what was compared",
