@@ -26,7 +26,7 @@ from clacad.advice.judged import judge
 from clacad.advice.lens_shape import AXIS, FAULTS, JUDGEMENT, UNEQUAL, Work
 from clacad.advice.proposal import NoSuchSheet, design_for, nearest, not_met
 from clacad.advice.wish import KEYS, Wish, parse_wish, read_wish
-from clacad.advice.wish_search import Search, impossible, _rounded
+from clacad.advice.wish_search import Search, _rounded, impossible
 from clacad.design import DesignError, load, template
 from clacad.design.body import Outline
 from clacad.prescription.prescribe import prescribe
