@@ -63,6 +63,11 @@ def _focused(a: Ask) -> bool:
     return a(PAIR.focus) is not None
 
 
+def _field_lens(a: Ask) -> bool:
+    """Whether there are faces with cells of a field lens."""
+    return bool(a(PAIR.field_lens)) or any(face.array == "field" for face in a(PAIR.face) or ())
+
+
 def _is_slope(a: Ask) -> bool:
     """Whether the aperture is a slope, neither a word nor a point."""
     aperture = a(LATTICE.aperture)
@@ -138,7 +143,7 @@ FEATURES: Final = (
         lambda a: a(BODY.outline) is not None,
         "body.border, or the edge of lattice.outline",
     ),
-    Feature("field lens", PAIR.field_lens, lambda a: bool(a(PAIR.field_lens)), "field_lens = false"),
+    Feature("field lens", PAIR.field_lens, _field_lens, "field_lens = false"),
     Feature("baffle", BODY.baffle, lambda a: bool(a(BODY.baffle)), "baffle = false"),
     Feature(
         "eta_x and eta_y that differ", LAW.eta, lambda a: a(LAW.eta)[0] != a(LAW.eta)[1], "eta_x = eta_y"

@@ -101,7 +101,7 @@ def faces_make_plates(a: Asked) -> Iterator[Mistake]:
         for name, fault, allowed in _faults(faces, number):
             key = f"{PAIR.face}.{number}.{name}"
             yield Mistake("CL113", f"pair.face[{number}] {fault}", key, allowed=allowed)
-    arrays = [face.array for face in faces if face.array is not None]
+    arrays = [face.array for face in faces if face.array is not None and not face.plane]
     firsts = [arrays.index(array) for array in (1, 2) if array in arrays]
     lasts = [len(arrays) - 1 - arrays[::-1].index(array) for array in (1, 2) if array in arrays]
     if len(firsts) < 2:

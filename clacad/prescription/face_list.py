@@ -51,9 +51,8 @@ def plates(intent: Intent) -> Window:
     places = {1: lens_2[:2] - np.asarray(moved)}
     field = None
     if any(face.array == "field" for face in faces):
-        share = _first_height(faces, "field") / second
-        line = displacement(intent.design.lattice.aperture, lens_2[:2], second)
-        field = (share * line[0], share * line[1])
+        share = _first_height(faces, "field") / second  # on the line from cell 1 to cell 2
+        field = (share * moved[0], share * moved[1])
     bodies = _bodies(intent, places)
     _refuse_steps(intent, bodies, moved)
     f1, f2 = (focal_lengths(pair, intent.eta, array) for array in (1, 2))

@@ -71,7 +71,11 @@ def focal_lengths(pair: PairSpec, eta: Pair2, array: int) -> Pair2:
 
 
 def images_pupils(pair: PairSpec, eta: Pair2) -> bool:
-    """Whether faces near the focus make B clearly less than the distance between the thin lenses."""
+    """Whether faces near the focus have cells of their own, or make B clearly less than the distance between
+    the thin lenses.
+    """
+    if any(face.array == "field" for face in pair.face):
+        return True
     for whole, first, one in zip(matrices(pair), matrices(pair, 1), eta, strict=True):
         length = inverse(-float(first[1, 0])) * (1.0 - one)
         if isfinite(length) and abs(length - float(whole[0, 1])) > IMAGING * abs(length):

@@ -333,6 +333,7 @@ def _thicker(design: Design, check: Check) -> Check:
         "biconvex": "pair.thickness, pair.web, or body.border with a web",
         "plano": "pair.thickness, body.neck, or body.border",
         "slab": PAIR.separation,
+        "plates": "a larger place of a face of pair.face",
     }
     return replace(check, sentence=f"{check.sentence}; {keys[design.pair.form]} makes it thicker")
 
@@ -411,6 +412,6 @@ def residual(built: Built) -> Iterator[Check]:
             "the ray along the lens axis does not get through: it misses a lens or is totally reflected"
         )
     elif value > limit:
-        recipe = "" if design.pair.form == "slab" else 'pair.confocal = "exact" or "best", '
+        recipe = "" if design.pair.form in ("slab", "plates") else 'pair.confocal = "exact" or "best", '
         sentence += f"; another recipe ({recipe}pair.conic), less tilt or another form would leave less"
     yield RESIDUAL.judge(value, limit, sentence, detail=dict(window.residual))

@@ -229,6 +229,7 @@ LAST = {"radius": -2.3, "after": 10, "array": 2, "behind": "air"}
 WRONG = {
     "one face": ([FACE], "CL108", "pair.face"),
     "no array 2": ([FACE, {**LAST, "array": 1}], "CL113", "pair.face"),
+    "no power": ([FACE, {**LAST, "radius": "inf"}], "CL113", "pair.face"),
     "arrays out of order": ([{**FACE, "array": 2}, {**LAST, "array": 1}], "CL113", "pair.face"),
     "air behind the first": ([{**FACE, "behind": "air"}, LAST], "CL113", "pair.face.0.behind"),
     "glass behind the last": ([FACE, {**LAST, "behind": "N-SF6"}], "CL113", "pair.face.1.behind"),
@@ -297,3 +298,24 @@ def test_faces_that_cross_are_named_with_what_would_part_them():
     faces[1]["z"] = 0.02
     with pytest.raises(DesignError, match="faces 1 and 2 cross"):
         clacad.prescribe(Design.from_dict({**data, "pair": {**data["pair"], "face": faces}}))
+
+
+def test_faces_on_cells_of_a_field_lens_lie_on_the_line_between_the_cells():
+    """Two weak field faces at the middle of a PMMA slab: half way to the cells of array 2, and no aiming beside them."""
+    middle = [
+        {"radius": -200, "after": 7.4, "array": "field", "behind": "air"},
+        {"radius": 200, "after": 0.05, "array": "field", "behind": "PMMA"},
+    ]
+    lens = {"radius": 2.4693, "conic": -0.4481, "array": 1, "behind": "PMMA"}
+    faces = [lens, *middle, {**lens, "radius": -2.4693, "array": 2, "after": 7.4, "behind": "air"}]
+    pair = {"form": "plates", "wavelength": "546.1 nm", "face": faces}
+    base = {**design("flat-joints").given, "pair": pair}
+    sheet = clacad.prescribe(
+        Design.from_dict({**base, "lattice": {"pitch": 0.5, "count": 4, "aperture": [0.02, 0.0]}})
+    )
+    first, last, field = sheet.shifts
+    assert field[0] == pytest.approx(0.5 * last[0], rel=0.02)
+    assert (first, field[1], last[1]) == ((0.0, 0.0), 0.0, 0.0)
+    assert sheet.thin.field
+    with pytest.raises(DesignError, match="field lenses would have a different place"):
+        Design.from_dict({**base, "lattice": {"pitch": 0.5, "count": 4, "aperture": {"point": [0, 0, -400]}}})
