@@ -16,6 +16,7 @@ from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.formats.mesh.compare_triangles import compare_mesh
+from clacad.formats.step.rays_through_faces import crossings
 from clacad.judging.delivery import Inspection
 from clacad.judging.step_file import DIRECTION_LIMIT, judge_solid
 from clacad.judging.step_light import FACE_RAYS, OCC_RAYS, SECONDS
@@ -126,7 +127,9 @@ def _light_through(stack: Stack, path: Path, field: float) -> Check:
         return STACK_LIGHT.not_run("no light gets through all sheets of the stack", **common)
     mm = millimetres(stack.unit)
     low, high = _column(stack, exact)
-    indices = [body.index for one in stack.sheets for body in one.window.bodies]
+    faces = [
+        crossing for one in stack.sheets for crossing in crossings(one.window, one.window.bodies, one.z * mm)
+    ]
     try:
         with reading_worker(path) as worker:
             found = worker.run(
@@ -134,7 +137,7 @@ def _light_through(stack: Stack, path: Path, field: float) -> Check:
                 str(path),
                 sent.position * mm,
                 sent.direction,
-                indices,
+                faces,
                 (low * mm).tolist(),
                 (high * mm).tolist(),
                 timeout=SECONDS + longest_wait(path),
@@ -150,7 +153,7 @@ def _light_through(stack: Stack, path: Path, field: float) -> Check:
         return STACK_LIGHT.check("fail", sentence, float((~through).sum()), 0.0, **common)
     worst = float(angle_between(np.array(found["direction"]), exact.direction).max())
     sentence = (
-        f"{len(through)} rays through the {2 * len(indices)} faces of all {len(stack.sheets)} sheets leave"
+        f"{len(through)} rays through the {len(faces)} faces of all {len(stack.sheets)} sheets leave"
         f" within {worst:.3g} rad of those through the exact surfaces"
     )
     return STACK_LIGHT.judge(worst, DIRECTION_LIMIT, sentence, limit_source=default("1e-6 rad"), **common)

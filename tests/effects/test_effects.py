@@ -710,7 +710,7 @@ def test_a_plate_stands_for_a_lens_on_the_homogeneous_sheet():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper-a-covered", "tilted-biconvex", "hexagonal"])
-@pytest.mark.parametrize("wave", [None, 486e-9])
+@pytest.mark.parametrize("wave", [None, pytest.param(486e-9, marks=pytest.mark.long)])
 def test_compiled_passes_say_what_the_numpy_ones_say(name, wave):
     sheet, rays = window(name), bundle(name)
     if wave is not None:

@@ -194,7 +194,7 @@ def test_a_check_of_one_module_is_verified_explained_reported_and_advised(toy, t
     assert (row["code"], row["relation"], row["limit"]) == ("CL399", "<=", 0.01)
 
     page = content(report, lambda *_: None)
-    assert [one["id"] for one in page.failures] == ["toy_pitch"]
+    assert [one["id"] for one in page.checked.failures] == ["toy_pitch"]
     assert any(one["id"] == "toy_pitch" for one in numbers(page)["checks"])
 
     assert explain("CL399").do == explain("toy_pitch").do == "Make it smaller."
