@@ -301,7 +301,7 @@ def test_faces_that_cross_are_named_with_what_would_part_them():
 
 
 def test_faces_on_cells_of_a_field_lens_lie_on_the_line_between_the_cells():
-    """Two weak field faces at the middle of a PMMA slab: half way to the cells of array 2, and no aiming beside them."""
+    """Two weak field faces at the middle of a PMMA slab: half way to the cells of array 2, and no aiming with them."""
     middle = [
         {"radius": -200, "after": 7.4, "array": "field", "behind": "air"},
         {"radius": 200, "after": 0.05, "array": "field", "behind": "PMMA"},
