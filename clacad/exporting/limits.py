@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import number_text, size_text
-from clacad.design.faces import listed_lenses
 from clacad.exporting.formats.format import STREAM_FACET, stream_bytes
 from clacad.exporting.formats.registry import format_of, formats
 from clacad.storage.errors import BadRequest, ExportError, LimitRefused, NotPossible
@@ -77,6 +76,8 @@ def refuse_early(design: Design, words: Sequence[str], quads: Mapping[str, Quads
         return
     faces = 4 if design.pair.form == "biconvex" else 2
     if design.pair.form == "plates":
+        from clacad.design.faces import listed_lenses
+
         faces, _ = listed_lenses(design.pair.face)
     for name in words:
         if format_of(name).family == "stream":

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.design.faces import listed_lenses
 from clacad.exporting.roles import NO_SURFACE, Role, Storing
 
 if TYPE_CHECKING:
@@ -286,6 +285,8 @@ class RoughSheet:
         n1, n2 = (int(n) for n in lattice.count)
         lenses, bodies = (4 if form == "biconvex" else 2), (1 if form == "slab" else 2)
         if form == "plates":
+            from clacad.design.faces import listed_lenses
+
             lenses, bodies = listed_lenses(design.pair.face)
         return RoughSheet(
             lenses,
