@@ -280,7 +280,7 @@ def forecast_rms(window: Window, found: Deviation) -> float:
     """
     ratio = np.array(focal_ratio(window.thin))
     turns: dict[int, Floats] = {}
-    media = media_of(window)
+    media = media_of(window.bodies)
     for number, face in enumerate(window.faces):
         if face.array is not None:
             error = (media[number] - media[number + 1]) * found.slope[number]

@@ -125,7 +125,7 @@ def closed_check(
             facts["crowded_edges"] = crowded
             if crowded:
                 where = "where steps of both signs meet in a corner"
-                if len(plates_of(window)) < len(window.bodies):
+                if len(plates_of(window.bodies)) < len(window.bodies):
                     where = "on joints, which two bodies share, or where steps meet"
                 sentence += f"; {crowded} edges are shared by four facets, {where}"
         return CLOSED.check("pass", sentence, 0.0, detail=facts, **common)
@@ -184,10 +184,10 @@ def pieces_check(
         return [PIECES.not_run(why, **common)]
     bodies = [body_facts(window, body) for body in window.bodies]
     expected = {sum(b.pieces for b in bodies), len(bodies) * window.lattice.cell_count}
-    fused = len(plates_of(window)) < len(window.bodies) and len(mesh.parts) < len(bodies)
+    fused = len(plates_of(window.bodies)) < len(window.bodies) and len(mesh.parts) < len(bodies)
     if fused:  # facets of a joint have the same corners
         facts = iter(bodies)
-        expected = {sum(min(next(facts).pieces for _ in plate) for plate in plates_of(window))}
+        expected = {sum(min(next(facts).pieces for _ in plate) for plate in plates_of(window.bodies))}
     if "solids" in stated:
         expected = {int(stated["solids"])}
     wanted = " or ".join(str(n) for n in sorted(expected))

@@ -109,7 +109,7 @@ def gain(window: Window) -> float:
     laws = window.cell_laws
     if laws is not None and laws.ratios is not None:
         smallest = float(np.abs(laws.ratios_of(window.lattice, window.lattice.cells())).min())
-    for _, face, before, after in refractions(window):
+    for _, face, before, after in refractions(window.bodies):
         if face.array in (
             0,
             1,
@@ -313,7 +313,7 @@ def _solids(
 def _lacking(window: Window, found: Mapping[str, Any]) -> list[str]:
     """Layers that a plate lacks of which others are there."""
     lacking = []
-    for plate in plates_of(window):
+    for plate in plates_of(window.bodies):
         there = [body.name in found.get("volumes", ()) for body in plate]
         if any(there) and not all(there):
             names = [body.name for body, held in zip(plate, there, strict=True) if not held]

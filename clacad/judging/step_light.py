@@ -127,7 +127,7 @@ class FaceTracer:
         face was hit.
         """
         state = _State(lit.rays)
-        for inside, plates in groupby(plates_of(self.window), self._holds):
+        for inside, plates in groupby(plates_of(self.window.bodies), self._holds):
             bodies = tuple(body for plate in plates for body in plate)
             if inside:
                 self._through_file(state, lit, bodies)

@@ -21,6 +21,7 @@ from clacad.optics.law import Law, rotation
 from clacad.optics.sequence import STEP, parabasal
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, as_quadric, refract
 from clacad.prescription.radii import LensPair, NoSuchLens
+from clacad.sheet.face_order import refractions
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import IDENTITY, Body, Face, Surface, Window
 
@@ -318,23 +319,11 @@ def displacement(
     return _chief_landing(bodies, np.array([ax, ay, 1.0]), height)
 
 
-def refracting(bodies: tuple[Body, ...]) -> list[tuple[Face, float]]:
-    """Faces in the order of the light, a joint once, with the refractive index behind each."""
-    found: list[tuple[Face, float]] = []
-    for body in bodies:
-        if body.joined:
-            found[-1] = (found[-1][0], body.index)
-        else:
-            found.append((body.front, body.index))
-        found.append((body.back, 1.0))
-    return found
-
-
 def _chief_landing(bodies: tuple[Body, ...], slope: Floats, height: float) -> tuple[float, float]:
     """Intersection (x, y) of the ray through lens 1's vertex with the height of lens 2's vertex."""
     ray = slope[None] / np.linalg.norm(slope)
     position, index = np.zeros(3), 1.0
-    for face, after in refracting(bodies):
+    for _, face, _, after in refractions(bodies):
         if face.array == 1:
             break
         if face.array == 0:

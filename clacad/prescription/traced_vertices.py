@@ -307,7 +307,10 @@ def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
 
 def _owners(window: Window) -> list[int]:
     """Array with which each face of `interfaces` moves."""
-    return [body.arrays[0] if face.array is None else face.array for body, face, _, _ in refractions(window)]
+    return [
+        body.arrays[0] if face.array is None else face.array
+        for body, face, _, _ in refractions(window.bodies)
+    ]
 
 
 def _unit(rows: Floats) -> Floats:

@@ -69,7 +69,7 @@ def pane_of(
     numbers[kernel.SCALE], numbers[kernel.FRONT] = scale, front
     shining = np.zeros(256, dtype=np.uint8)
     shining[list(passage.shining)] = 1
-    sheet = pack(lay_out(window))._replace(media=np.array(media_of(window, lines[0].wavelength)))
+    sheet = pack(lay_out(window))._replace(media=np.array(media_of(window.bodies, lines[0].wavelength)))
     return kernel.Pane(kind, numbers, opaque, before, sheet, shining, suits(sheet))
 
 

@@ -371,7 +371,7 @@ def _calipers(window: Window, mm: float) -> list[FabricationLine]:
 
     lines = []
     x0, x1, y0, y1 = whole_extent(window)
-    plates = plates_of(window)
+    plates = plates_of(window.bodies)
     named: list[tuple[str, tuple[Body, ...]]] = [(body.name, (body,)) for body in window.bodies]
     if len(plates) > 1:  # of one plate the assembly is its size
         named += [(f"plate{n}", plate) for n, plate in enumerate(plates, 1) if len(plate) > 1]

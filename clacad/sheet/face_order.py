@@ -1,7 +1,8 @@
-"""Faces of a window in the order of the light: media around them, plates, joints, and where outlines lie."""
+"""Faces of bodies in the order of the light: media around them, plates, joints, and where outlines lie."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -19,10 +20,10 @@ class Refraction(NamedTuple):
     after: float
 
 
-def plates_of(window: Window) -> tuple[tuple[Body, ...], ...]:
+def plates_of(bodies: Sequence[Body]) -> tuple[tuple[Body, ...], ...]:
     """Bodies without air between them, in the order light reaches them."""
     found: list[list[Body]] = []
-    for body in window.bodies:
+    for body in bodies:
         if body.joined and found:
             found[-1].append(body)
         else:
@@ -30,7 +31,7 @@ def plates_of(window: Window) -> tuple[tuple[Body, ...], ...]:
     return tuple(map(tuple, found))
 
 
-def media_of(window: Window, wavelength: float | None = None) -> tuple[float, ...]:
+def media_of(bodies: Sequence[Body], wavelength: float | None = None) -> tuple[float, ...]:
     """Refractive index before the first face and behind each face, (2 bodies + 1,).
 
     Of the two faces of a joint, the second has the same medium on both sides.
@@ -42,19 +43,19 @@ def media_of(window: Window, wavelength: float | None = None) -> tuple[float, ..
     ValueError
         The wavelength lies outside a material's data.
     """
-    inside = [body.index_at(wavelength) for body in window.bodies]
+    inside = [body.index_at(wavelength) for body in bodies]
     found = [1.0]
-    for number, body in enumerate(window.bodies[1:], start=1):
+    for number, body in enumerate(bodies[1:], start=1):
         found += [inside[number - 1], inside[number] if body.joined else 1.0]
     return (*found, inside[-1], 1.0)
 
 
-def refractions(window: Window) -> tuple[Refraction, ...]:
+def refractions(bodies: Sequence[Body]) -> tuple[Refraction, ...]:
     """Faces in the order of the light, a joint once."""
-    around = media_of(window)
+    around = media_of(bodies)
     return tuple(
         Refraction(body, face, around[2 * number + side], around[2 * number + side + 1])
-        for number, body in enumerate(window.bodies)
+        for number, body in enumerate(bodies)
         for side, face in enumerate((body.front, body.back))
         if side or not body.joined
     )

@@ -50,7 +50,7 @@ def lens_squares(window: Window, quads: Number) -> Number:
 
 def plate_of(window: Window, body: Body) -> tuple[Body, ...]:
     """Bodies of the plate that contains a body, itself included."""
-    return next((plate for plate in plates_of(window) if body in plate), (body,))
+    return next((plate for plate in plates_of(window.bodies) if body in plate), (body,))
 
 
 def faces_of_plate(window: Window, body: Body, array: int) -> list[Face]:

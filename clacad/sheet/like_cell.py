@@ -116,7 +116,7 @@ def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None
 
     moved = {1: slide, 2: aside}
     found = []
-    for body, face, before, after in refractions(window):
+    for body, face, before, after in refractions(window.bodies):
         shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
         vertex = np.asarray(face.vertex) + [*shift, 0.0]
         change = moved.get(body.arrays[0] if face.array is None else face.array)

@@ -107,6 +107,11 @@ class Face:
         return int(self.surface.side)
 
 
+def arrays_between(front: int | None, back: int | None) -> tuple[int, ...]:
+    """Arrays of a body's two faces, each once; array 0 where both are planes."""
+    return tuple(dict.fromkeys(array for array in (front, back) if array is not None)) or (0,)
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
     """Material between two faces, cut into cells by walls along z.
@@ -137,8 +142,7 @@ class Body:
 
         Array 0 for a layer of two planes, which is cut along its cells.
         """
-        seen = [face.array for face in (self.front, self.back) if face.array is not None]
-        return tuple(dict.fromkeys(seen)) or (0,)
+        return arrays_between(self.front.array, self.back.array)
 
     @property
     def columnar(self) -> bool:

@@ -19,7 +19,15 @@ from clacad.sheet.face_order import outline_centre
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.pattern import relocate, turned
 from clacad.sheet.plate import Plate
-from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
+from clacad.sheet.window import (
+    Body,
+    Face,
+    Surface,
+    Window,
+    arrays_between,
+    in_optical_tile,
+    lens_height_and_normal,
+)
 
 if TYPE_CHECKING:
     pass
@@ -119,8 +127,7 @@ class BodyPlan:
         """Lens arrays that this body carries, each once, in the order of the light; array 0 for a layer of
         two planes.
         """
-        seen = [face.array for face in (self.front, self.back) if face.array is not None]
-        return tuple(dict.fromkeys(seen)) or (0,)
+        return arrays_between(self.front.array, self.back.array)
 
 
 @dataclass(frozen=True, eq=False)

@@ -231,7 +231,7 @@ def _compiled(
     line = common_line(rays)
     if line is not False:  # the kernels write every row themselves
         ledger = Ledger.blank(len(rays), recorded)
-        media = media_of(layout.window, line)
+        media = media_of(layout.window.bodies, line)
         rows = np.arange(len(rays)) if recorded else range(len(rays))
         trace_compiled(layout, rays, ledger, rows, media, count, facets, single)
     else:
@@ -259,18 +259,18 @@ def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tupl
     """
     window = layout.window
     if rays.wavelength is None:
-        yield rows, media_of(window)
+        yield rows, media_of(window.bodies)
         return
     each = rays.wavelength[rows]
     if len(each) and bool((each == each[0]).all()):  # pictures are traced line by line: nothing to sort
-        yield rows, media_of(window, float(each[0]))
+        yield rows, media_of(window.bodies, float(each[0]))
         return
     waves, which = np.unique(each, return_inverse=True)
     order = np.argsort(which, kind="stable")
     bounds = np.searchsorted(which[order], np.arange(len(waves) + 1))
     for k, wave in enumerate(waves):
         chosen = rows[order[bounds[k] : bounds[k + 1]]]
-        yield chosen, media_of(window, float(wave))
+        yield chosen, media_of(window.bodies, float(wave))
 
 
 def trace(

@@ -199,7 +199,7 @@ def trace_with(window: Window, rays: Rays, number: int) -> Job:
     from clacad.tracing.layout import lay_out
     from clacad.tracing.ledger import Ledger
 
-    ledger, layout, media = Ledger.blank(len(rays), 0), lay_out(window), media_of(window)
+    ledger, layout, media = Ledger.blank(len(rays), 0), lay_out(window), media_of(window.bodies)
     return lambda: trace_compiled(layout, rays, ledger, np.arange(len(rays)), media, number)
 
 

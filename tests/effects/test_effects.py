@@ -589,7 +589,7 @@ def test_the_straight_path_followed_is_the_trace(name):
     sheet, rays = window(name), bundle(name)
     result = trace(sheet, rays)
     met = np.flatnonzero(result.fate < Fate.MISSED)
-    out = trace_nonsequential(sheet, rays, met, Rules(media=media_of(sheet)))
+    out = trace_nonsequential(sheet, rays, met, Rules(media=media_of(sheet.bodies)))
     going = np.flatnonzero(result.fate <= Fate.LAND)
     assert np.array_equal(np.sort(out.parent), going)
     turn = np.argsort(out.parent)
@@ -616,7 +616,7 @@ def test_shares_of_all_paths_sum_to_one_without_noise(name, order):
     sheet, rays = window(name), bundle(name, 512)
     met = np.flatnonzero(trace(sheet, rays).fate < Fate.MISSED)
     rules = Rules(walls=True, total=True, losses=True, order=order,
-                  media=media_of(sheet),
+                  media=media_of(sheet.bodies),
                   attenuation=tuple(0.01 / max(sheet.lattice.pitch) for _ in sheet.bodies))  # fmt: skip
     out = trace_nonsequential(sheet, rays, met, rules)
     total = sum(out.share.values())[met]
@@ -687,7 +687,7 @@ def test_total_reflection_loses_no_light():
     bare = trace(sheet, rays)
     caught = np.flatnonzero(bare.fate == Fate.TIR)
     assert len(caught) > 50
-    rules = Rules(walls=True, total=True, media=media_of(sheet))
+    rules = Rules(walls=True, total=True, media=media_of(sheet.bodies))
     out = trace_nonsequential(sheet, rays, caught, rules)
     total = sum(out.share.values())[caught]
     assert np.abs(total - 1.0).max() < 1e-12

@@ -119,7 +119,7 @@ def test_no_light_is_lost_on_any_way_through_cells_that_differ(kind):
     at = np.column_stack([rng.uniform(x0, x1, 400), rng.uniform(y0, y1, 400), np.full(400, -1.0)])
     rays = clacad.Rays(at, np.column_stack([rng.normal(0.0, 0.15, (400, 2)), np.ones(400)]))
     met = np.flatnonzero(trace(window, rays, path="numpy").fate < Fate.MISSED)
-    rules = Rules(walls=True, total=True, losses=True, order=1, media=media_of(window))
+    rules = Rules(walls=True, total=True, losses=True, order=1, media=media_of(window.bodies))
     out = trace_nonsequential(window, rays, met, rules)
     total = sum(out.share.values())
     assert np.abs(total[met] - 1.0).max() < 1e-12

@@ -102,7 +102,7 @@ def beam(count, spread=0.1, slope=0.004):
 def through_list(name, rays):
     """Directions after the listed faces of one telescopelet, by Snell's law at explicit surfaces."""
     window = WINDOWS[name]
-    media, place = media_of(window), [0.5 * PITCH, 0.5 * PITCH]
+    media, place = media_of(window.bodies), [0.5 * PITCH, 0.5 * PITCH]
     known = iter(media[1:])
     sequence, before = [], 1.0
     for radius, conic, z, array, behind in LISTS[name]:

@@ -181,7 +181,7 @@ def test_what_joints_reflect_is_fresnels_share():
         assert seen.flux[0] == pytest.approx(passed[0] ** 2 * passed[1] ** 2, rel=1e-12)
     rays = rays_over(sheet, 0.02, 300)
     met = np.flatnonzero(clacad.trace(sheet, rays).fate < Fate.MISSED)
-    rules = Rules(walls=True, total=True, losses=True, order=2, media=media_of(sheet))
+    rules = Rules(walls=True, total=True, losses=True, order=2, media=media_of(sheet.bodies))
     out = trace_nonsequential(sheet, rays, met, rules)
     assert np.abs(sum(out.share.values())[met] - 1.0).max() < 1e-12
     once = 1 - passed[0] * passed[0] * passed[1] * passed[1]

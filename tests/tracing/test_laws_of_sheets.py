@@ -269,7 +269,7 @@ def test_a_sheet_conserves_energy(data, seed, order, dark):
     window, rays = window_of(data), bundle(seed, count=30)
     met = np.flatnonzero(trace(window, rays).fate < Fate.MISSED)
     assume(len(met))
-    media = media_of(window)
+    media = media_of(window.bodies)
     rules = Rules(walls=True, total=True, losses=True, order=order, media=media,
                   attenuation=tuple(dark / 2.0**-8 for _ in window.bodies))  # fmt: skip
     shares = trace_nonsequential(window, rays, met, rules).share

@@ -79,7 +79,7 @@ class RayBlock:
     @property
     def media(self) -> Floats:
         """Refractive index before the first face and behind each, (faces + 1,)."""
-        return np.array(media_of(self.window, self.wavelength))
+        return np.array(media_of(self.window.bodies, self.wavelength))
 
     @property
     def air_wavelength(self) -> float:
@@ -106,7 +106,7 @@ def crossings(block: RayBlock) -> Iterator[FaceCrossing]:
     if block.rung in ("law", "thin"):
         yield from plate_crossings(block)
         return
-    result, media = block.result, media_of(block.window, block.wavelength)
+    result, media = block.result, media_of(block.window.bodies, block.wavelength)
     assert result.hits is not None
     assert result.directions is not None
     everywhere = bool((result.fate <= Fate.GHOST).all())

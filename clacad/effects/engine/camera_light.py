@@ -52,7 +52,7 @@ def rules_for(window: Window, setting: Setting, wavelength: float | None, order:
         order=order,
         faces=setting.faces,
         attenuation=attenuation,
-        media=media_of(window, wavelength),
+        media=media_of(window.bodies, wavelength),
         coating=setting.coating,
         ratio=ratio,
     )

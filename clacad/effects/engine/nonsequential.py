@@ -374,7 +374,11 @@ class _Packets:
         bodies = layout.bodies
         joined = inside and number + 1 < len(bodies) and bodies[number + 1].joined
         at_joint = np.isin(event.kind, (BACK, BACK_LAND)) & joined
-        for rows, beyond in ((at_joint, (up, number + 1, True)), (~at_joint, (up, number, not inside))):
+        across = (up, number, not inside)
+        if not at_joint.any():
+            self.divide((state, across), packet, normal, astray, nudge)
+            return
+        for rows, beyond in ((at_joint, (up, number + 1, True)), (~at_joint, across)):
             if rows.any():
                 hit = packet.take(rows)
                 self.divide((state, beyond), hit, normal[rows], astray[rows], nudge[rows])

@@ -59,7 +59,7 @@ class OrderedResult:
 
     def traced_in_place(self, rows: slice, rays: Rays, wavelength: float | None, keep: bool) -> TraceResult:
         """Trace a block by the compiled kernels straight into its slice; hits may be kept for it alone."""
-        media = media_of(self.window, wavelength)
+        media = media_of(self.window.bodies, wavelength)
         return self.traced(rows, rays, media, 2 * len(self.window.bodies) if keep else 0)
 
     def traced_with_losses(
@@ -69,7 +69,7 @@ class OrderedResult:
         from clacad.effects.engine.compiled_passes import Traced, losses_pass
 
         bodies = self.window.bodies
-        media = media_of(self.window, wavelength)
+        media = media_of(self.window.bodies, wavelength)
         asked = [effect.losses(wavelength) for effect in lossy if effect.losses is not None]
         rates = np.zeros(len(bodies))
         for _, own in asked:

@@ -115,7 +115,7 @@ def _terms(face: Face, order: str, mm: float) -> str:
 def layers_table(window: Window) -> Canvas:
     """Every layer and plate: medium, thickness at the vertices, sizes for a caliper, volume and mass."""
     rows = []
-    for number, plate in enumerate(plates_of(window), 1):
+    for number, plate in enumerate(plates_of(window.bodies), 1):
         rows += [_layer(window, body.name, (body,)) for body in plate]
         if len(plate) > 1:
             rows.append(_layer(window, f"plate{number}", plate))

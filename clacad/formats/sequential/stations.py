@@ -106,7 +106,7 @@ def stations(window: Window) -> list[Station]:
     """Faces of the telescopelet in the order light meets them."""
     scale = millimetres(window.unit)
     found = []
-    for (body, face, _, _), at in zip(refractions(window), interfaces(window), strict=True):
+    for (body, face, _, _), at in zip(refractions(window.bodies), interfaces(window), strict=True):
         name = f"{body.name} {'front' if face is body.front else 'back'}"
         found.append(_station(window, name, at, face, scale))
     return found

@@ -92,7 +92,7 @@ def crossings(window: Window, bodies: Sequence[Body], up: float = 0.0) -> list[C
 
     scale, found = millimetres(window.unit), []
     ahead = {first: second for first, second in pairwise(window.bodies) if second.joined}
-    for body, face, before, after in refractions(window):
+    for body, face, before, after in refractions(window.bodies):
         if body not in bodies:
             continue
         joint = None

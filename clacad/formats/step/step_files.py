@@ -257,7 +257,7 @@ def _of_plates(window: Window, part: Part21, bodies: Mapping[str, Part]) -> Part
     """An assembly of plates, each an assembly of its bodies."""
     plates = [
         (_assembled(part, f"plate{n}", [(bodies[one.name], np.zeros(2), one.name) for one in plate]), n)
-        for n, plate in enumerate(plates_of(window), 1)
+        for n, plate in enumerate(plates_of(window.bodies), 1)
     ]
     return _assembled(part, window.name, [(plate, np.zeros(2), f"plate{n}") for plate, n in plates])
 

@@ -144,7 +144,7 @@ def pack_array_1(layout: Layout) -> Packed:
         bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
         lattice=lattice,
         rows=_rows(layout),
-        media=np.array(media_of(layout.window)),
+        media=np.array(media_of(layout.window.bodies)),
         losses=np.zeros(0),
         edges=np.zeros((0, EDGE_NUMBERS)) if (plate := layout.bodies[0].plate) is None else plate.edges,
         lattices=lattice[None, :],

@@ -105,7 +105,7 @@ def _compared(
 def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
     """Faces of the telescopelet of cell (2,) and order (2,), in the order of the light."""
     steps = []
-    for _, face, before, after in refractions(window):
+    for _, face, before, after in refractions(window.bodies):
         vertex = _vector(face.vertex)
         if face.array is not None:
             # light that keeps to its pair passes its own field lens

@@ -115,12 +115,13 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
     made = as_made(window, errors)
     motions = (_first(errors), _second(made, errors), _field(errors))
     seq, faces = [], []
-    plate_of = [number for number, plate in enumerate(plates_of(made)) for _ in plate]
-    for body, face, before, after in refractions(made):
+    plates = plates_of(made.bodies)
+    plate_of = [number for number, plate in enumerate(plates) for _ in plate]
+    for body, face, before, after in refractions(made.bodies):
         array = body.arrays[0] if face.array is None else face.array
         vertex = np.asarray(face.vertex) + [*made.shifts[array], 0.0]
-        number, plates = plate_of[made.bodies.index(body)], len(plates_of(made))
-        motion = motions[array if plates == 1 else _moves_with(number, plates)]
+        number = plate_of[made.bodies.index(body)]
+        motion = motions[array if len(plates) == 1 else _moves_with(number, len(plates))]
         moved = vertex + motion.moves(vertex + [*at, 0.0])
         turn = motion.turn @ face.rotation
         plain = np.array_equal(turn, np.eye(3))
@@ -279,9 +280,9 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     for array, half in enumerate(spec.decentre, 1):
         found += [Parameter(f"decentre.{array}.{axis}", "decentre", half, unit) for axis in "xy"]
     found.append(Parameter("rotation", "rotation", spec.rotation, "rad"))
-    if len(plates_of(window)) > 1:
+    if len(plates_of(window.bodies)) > 1:
         found.append(Parameter("separation", "separation", spec.separation, unit))
-    if len(plates_of(window)) > 2:
+    if len(plates_of(window.bodies)) > 2:
         aside = spec.of_array(spec.decentre, 2)
         found += [Parameter(f"decentre.3.{axis}", "decentre", aside, unit) for axis in "xy"]
     for array, part, _ in _curved(window):
@@ -325,7 +326,7 @@ def _curved(window: Window) -> list[tuple[int, str, Face]]:
     The name is the array, then ".front" or ".back" where a lens has two, or its number in a list of faces.
     """
     found = []
-    for number, (body, face, _, _) in enumerate(refractions(window), start=1):
+    for number, (body, face, _, _) in enumerate(refractions(window.bodies), start=1):
         if face.array is None:
             continue
         part = ".front" if face is body.front else ".back"
