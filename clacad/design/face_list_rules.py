@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 from clacad.config.mistakes import Mistake
-from clacad.design.faces import AIR, FaceSpec, vertex_of
+from clacad.design.faces import AIR, FaceSpec, vertices_of
 from clacad.design.sections import BODY, LATTICE, LAW, PAIR, TOLERANCES
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def faces_make_plates(a: Asked) -> Iterator[Mistake]:
 
 def _faults(faces: tuple[FaceSpec, ...], number: int) -> Iterator[tuple[str, str, str]]:
     """Faults of one face: key, words that follow "pair.face[k]", and what is allowed."""
-    face, last = faces[number], number == len(faces) - 1
+    face, last, z = faces[number], number == len(faces) - 1, vertices_of(faces)
     if face.behind is None:
         yield "behind", "does not say what lies behind it", '"air", or the name of a material'
     elif last and face.behind != AIR:
@@ -137,8 +137,8 @@ def _faults(faces: tuple[FaceSpec, ...], number: int) -> Iterator[tuple[str, str
         yield "z", "is the first one: places count from it", "leave after and z out"
     elif number and (face.after is None) == (face.z is None):
         yield "after", "needs its place", "after = a length > 0, or z = a length (exactly one)"
-    elif number and vertex_of(faces, number) <= vertex_of(faces, number - 1):
-        yield "z", f"lies at {vertex_of(faces, number):g}, not behind the face before it", "a larger z"
+    elif number and z[number] <= z[number - 1]:
+        yield "z", f"lies at {z[number]:g}, not behind the face before it", "a larger z"
     if face.array is None and not face.plane:
         yield "array", "is curved and on no array", 'array = 1, 2 or "field", or radius = "inf" alone'
 

@@ -199,12 +199,12 @@ def listed_lenses(faces: tuple[FaceSpec, ...]) -> tuple[int, int]:
     return lenses, sum(solid)
 
 
-def vertex_of(faces: tuple[FaceSpec, ...], number: int) -> float:
-    """Place of a listed face's vertex from the first face's (length); no place counts as no distance."""
-    z = 0.0
-    for face in faces[1 : number + 1]:
-        z = face.z if face.z is not None else z + (face.after or 0.0)
-    return z
+def vertices_of(faces: tuple[FaceSpec, ...]) -> list[float]:
+    """Places of the vertices of listed faces from the first (lengths); no place counts as no distance."""
+    found = [0.0]
+    for face in faces[1:]:
+        found.append(face.z if face.z is not None else found[-1] + (face.after or 0.0))
+    return found
 
 
 def face_table(face: FaceSpec) -> dict[str, Any]:

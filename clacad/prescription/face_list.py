@@ -7,26 +7,26 @@ media other than air; a face between two of them is a joint.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isfinite
 from typing import Any, cast
 
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.base.units import A4, A6, A8
-from clacad.design.faces import AIR, FaceSpec, vertex_of
+from clacad.design.faces import AIR, FaceSpec, vertices_of
 from clacad.design.sections import PAIR
 from clacad.optics.material.catalogue import find
 from clacad.optics.material.material import Material
 from clacad.optics.surface import Surface
 from clacad.prescription.assemble import assemble_window
 from clacad.prescription.bodies import LensPose, displacement, given_surface
-from clacad.prescription.face_matrices import focal_lengths, images_pupils, inverse, matrices, separation
+from clacad.prescription.face_matrices import equivalent, matrices
 from clacad.prescription.intent import Intent
 from clacad.prescription.radii import LensPair, NoSuchLens
+from clacad.sheet.feasibility.convex_extremes import border
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.volume_and_extent import FIELD
-from clacad.sheet.window import IDENTITY, PLANE, Body, Face, FieldLens, Window, lens_height
+from clacad.sheet.window import IDENTITY, PLANE, Body, Face, Window, lens_height
 
 NUMBER: dict[Any, int] = {1: 0, 2: 1, "field": FIELD}
 """Array of a face's word."""
@@ -42,43 +42,40 @@ def plates(intent: Intent) -> Window:
     """
     pair = intent.design.pair
     faces = pair.face
-    height = vertex_of(faces, len(faces) - 1)
+    height = vertices_of(faces)[-1]
     offset = _offset(intent)
-    second = _first_height(faces, 2)
+    second = _height_of(faces, 2)
     lens_2 = intent.turn @ np.array([*offset, second])
     still = _bodies(intent, {})
     moved = displacement(intent.design.lattice.aperture, lens_2[:2], second, still)
     places = {1: lens_2[:2] - np.asarray(moved)}
     field = None
     if any(face.array == "field" for face in faces):
-        share = _first_height(faces, "field") / second  # on the line from cell 1 to cell 2
+        share = _height_of(faces, "field") / second  # on the line from cell 1 to cell 2
         field = (share * moved[0], share * moved[1])
     bodies = _bodies(intent, places)
     _refuse_steps(intent, bodies, moved)
-    f1, f2 = (focal_lengths(pair, intent.eta, array) for array in (1, 2))
-    lenses = LensPair((f1, f2), (faces[0].radius, faces[-1].radius), (height, height))
-    window = assemble_window(
-        intent, bodies, moved, lenses, offset, field, {} if images_pupils(pair, intent.eta) else None
-    )
-    return replace(window, thin=replace(window.thin, field=_thin_field(intent)))
+    thin = equivalent(pair, intent.eta)
+    lenses = LensPair(thin.focal_length, (faces[0].radius, faces[-1].radius), (height, height))
+    window = assemble_window(intent, bodies, moved, lenses, offset, field, {} if thin.field else None)
+    return replace(window, thin=replace(window.thin, field=thin.field))
 
 
 def _bodies(intent: Intent, places: dict[int, Floats]) -> tuple[Body, ...]:
     """Bodies between neighbouring faces; places : vertices (2,) of an array's lenses from their cells."""
     faces, wavelength = intent.design.pair.face, intent.design.pair.wavelength
     found: list[Body] = []
-    plate = 0
+    plate, z = 0, vertices_of(faces)
     for number, (front, back) in enumerate(zip(faces, faces[1:])):
         if front.behind == AIR:
             continue
         joined = number > 0 and faces[number - 1].behind != AIR
         plate += not joined
         material = find(str(front.behind))
-        z = vertex_of(faces, number), vertex_of(faces, number + 1)
         found.append(
             Body(
-                _face(front, z[0], +1, intent, places),
-                _face(back, z[1], -1, intent, places),
+                _face(front, z[number], +1, intent, places),
+                _face(back, z[number + 1], -1, intent, places),
                 float(material.index(wavelength)),
                 _name(plate, len(found), material),
                 material,
@@ -155,26 +152,12 @@ def _refuse_steps(intent: Intent, bodies: tuple[Body, ...], moved: Pair2) -> Non
 
 def _step(lattice: Lattice, face: Face) -> float:
     """Largest step (length) of a face between two neighbouring cells, at samples of their border."""
-    tile, part = lattice.tile(), np.linspace(0.0, 1.0, 33)[:, None]
-    found = 0.0
+    tile, found = lattice.tile(), 0.0
     for number, step in enumerate(lattice.steps):
-        here = (1.0 - part) * tile[number] + part * tile[(number + 1) % len(tile)]
+        here = border(tile, number)
         there = here - np.asarray(lattice.offset(*step))
         found = max(found, float(np.abs(lens_height(face, *here.T) - lens_height(face, *there.T)).max()))
     return found
-
-
-def _thin_field(intent: Intent) -> tuple[FieldLens, ...]:
-    """Ideal lens at the focus that gives the B of the list; none where that of two thin lenses is."""
-    pair, eta = intent.design.pair, intent.eta
-    if not images_pupils(pair, eta):
-        return ()
-    s, (f1, f2) = separation(pair, eta), (focal_lengths(pair, eta, array) for array in (1, 2))
-    focal = [
-        inverse((s - float(matrix[0, 1])) / (f1[axis] * f2[axis]))
-        for axis, matrix in enumerate(matrices(pair))
-    ]
-    return (FieldLens((focal[0], focal[1]), float(np.mean([f for f in f1 if isfinite(f)]))),)
 
 
 def _offset(intent: Intent) -> Floats:
@@ -197,7 +180,7 @@ def _offset(intent: Intent) -> Floats:
     return found
 
 
-def _first_height(faces: tuple[FaceSpec, ...], array: object) -> float:
+def _height_of(faces: tuple[FaceSpec, ...], array: object) -> float:
     """Vertex (length) of the last face of array 2, or of the middle face of another array."""
     own = [k for k, face in enumerate(faces) if face.array == array]
-    return vertex_of(faces, own[-1] if array == 2 else own[len(own) // 2])
+    return vertices_of(faces)[own[-1] if array == 2 else own[len(own) // 2]]

@@ -11,15 +11,16 @@ separation f1 + f2. Where faces between them image lens 1 towards lens 2, f1 = â
 
 from __future__ import annotations
 
-from functools import reduce
+from dataclasses import dataclass
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.faces import AIR, vertex_of
+from clacad.design.faces import AIR, vertices_of
 from clacad.optics.material.catalogue import find
+from clacad.sheet.window import FieldLens
 
 if TYPE_CHECKING:
     from clacad.design.sections import PairSpec
@@ -28,21 +29,61 @@ IMAGING = 0.25
 """Share of the separation by which B must be less than it where faces between the lenses image pupils."""
 
 
+@dataclass(frozen=True, slots=True)
+class ThinEquivalent:
+    """Thin lenses that act as listed faces do.
+
+    Attributes
+    ----------
+    focal_length : ((f1x, f1y), (f2x, f2y)), lengths
+        Infinite without power.
+    separation : float, length
+        Mean of the meridians with power.
+    field : tuple of FieldLens
+        None where B is that of two lenses.
+    """
+
+    focal_length: tuple[Pair2, Pair2]
+    separation: float
+    field: tuple[FieldLens, ...]
+
+
+def equivalent(pair: PairSpec, eta: Pair2) -> ThinEquivalent:
+    """Thin lenses equivalent to the faces of a list, for the requested Î· of both meridians."""
+    whole, alone = (
+        [float(m[k]) for m in found] for found, k in ((matrices(pair), (0, 1)), (matrices(pair, 1), (1, 0)))
+    )
+    built = [inf if one == 1.0 else _inverse(-c) for c, one in zip(alone, eta, strict=True)]
+    imaging = any(face.array == "field" for face in pair.face) or any(
+        isfinite(f) and abs(f * (1.0 - one) - b) > IMAGING * abs(f * (1.0 - one))
+        for f, b, one in zip(built, whole, eta, strict=True)
+    )
+    if not imaging:
+        built = [inf if one == 1.0 else b / (1.0 - one) for b, one in zip(whole, eta, strict=True)]
+    first, second = (built[0], built[1]), (-eta[0] * built[0], -eta[1] * built[1])
+    powered = [axis for axis in (0, 1) if isfinite(built[axis])]
+    s = float(np.mean([built[axis] * (1.0 - eta[axis]) for axis in powered]))
+    if not imaging:
+        return ThinEquivalent((first, second), s, ())
+    focal = [_inverse((s - b) / (f1 * f2)) for b, f1, f2 in zip(whole, first, second, strict=True)]
+    depth = float(np.mean([first[axis] for axis in powered]))
+    return ThinEquivalent((first, second), s, (FieldLens((focal[0], focal[1]), depth),))
+
+
 def matrices(pair: PairSpec, array: object = None) -> tuple[Floats, Floats]:
     """(A B; C D) from the first to the last vertex along x and y, or through the faces of one array alone."""
-    faces, index = pair.face, _media(pair)
+    faces, z, index = pair.face, vertices_of(pair.face), _media(pair)
     chosen = [k for k, face in enumerate(faces) if array is None or face.array == array]
     first, last = (chosen[0], chosen[-1]) if chosen else (0, -1)
     found = []
     for axis in (0, 1):
-        steps = []
+        whole = np.eye(2)
         for k in range(first, last + 1):
             if k > first:
-                length = (vertex_of(faces, k) - vertex_of(faces, k - 1)) / index[k]
-                steps.append(np.array([[1.0, length], [0.0, 1.0]]))
+                whole = np.array([[1.0, (z[k] - z[k - 1]) / index[k]], [0.0, 1.0]]) @ whole
             power = (index[k + 1] - index[k]) * faces[k].curvature[axis]
-            steps.append(np.array([[1.0, 0.0], [-power, 1.0]]))
-        found.append(reduce(lambda whole, step: step @ whole, steps, np.eye(2)))
+            whole = np.array([[1.0, 0.0], [-power, 1.0]]) @ whole
+        found.append(whole)
     return found[0], found[1]
 
 
@@ -52,37 +93,6 @@ def _media(pair: PairSpec) -> list[float]:
     return [1.0] + [1.0 if name == AIR else float(find(name).index(pair.wavelength)) for name in names]
 
 
-def separation(pair: PairSpec, eta: Pair2) -> float:
-    """Distance s between the equivalent thin lenses (length): mean of the meridians with power."""
-    focal = focal_lengths(pair, eta, 1)
-    return float(np.mean([f * (1.0 - one) for f, one in zip(focal, eta, strict=True) if isfinite(f)]))
-
-
-def focal_lengths(pair: PairSpec, eta: Pair2, array: int) -> Pair2:
-    """Focal lengths (x, y) of the equivalent thin lens of array 1 or 2; infinite without power."""
-    imaging, whole, first = images_pupils(pair, eta), matrices(pair), matrices(pair, 1)
-    found = []
-    for axis, one in enumerate(eta):
-        f1 = inf
-        if one != 1.0:
-            f1 = inverse(-float(first[axis][1, 0])) if imaging else float(whole[axis][0, 1]) / (1.0 - one)
-        found.append(f1 if array == 1 else -one * f1)
-    return found[0], found[1]
-
-
-def images_pupils(pair: PairSpec, eta: Pair2) -> bool:
-    """Whether faces near the focus have cells of their own, or make B clearly less than the distance between
-    the thin lenses.
-    """
-    if any(face.array == "field" for face in pair.face):
-        return True
-    for whole, first, one in zip(matrices(pair), matrices(pair, 1), eta, strict=True):
-        length = inverse(-float(first[1, 0])) * (1.0 - one)
-        if isfinite(length) and abs(length - float(whole[0, 1])) > IMAGING * abs(length):
-            return True
-    return False
-
-
-def inverse(power: float) -> float:
+def _inverse(power: float) -> float:
     """Focal length of a power, infinite for 0."""
     return 1.0 / power if power else inf

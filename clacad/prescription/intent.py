@@ -184,9 +184,9 @@ def separation_of(intent: Intent) -> float:
     """Distance f1 + f2 (length) between the thin lenses equivalent to the pair."""
     pair = intent.design.pair
     if pair.form == "plates":
-        from clacad.prescription.face_matrices import separation
+        from clacad.prescription.face_matrices import equivalent
 
-        return separation(pair, intent.eta)
+        return equivalent(pair, intent.eta).separation
     if pair.separation is not None:
         return pair.separation
     thickness = pair.thicknesses
