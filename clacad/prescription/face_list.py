@@ -23,7 +23,6 @@ from clacad.prescription.bodies import LensPose, displacement, given_surface
 from clacad.prescription.face_matrices import equivalent, matrices
 from clacad.prescription.intent import Intent
 from clacad.prescription.radii import LensPair, NoSuchLens
-from clacad.sheet.feasibility.convex_extremes import border
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.volume_and_extent import FIELD
 from clacad.sheet.window import IDENTITY, PLANE, Body, Face, Window, lens_height
@@ -152,6 +151,8 @@ def _refuse_steps(intent: Intent, bodies: tuple[Body, ...], moved: Pair2) -> Non
 
 def _step(lattice: Lattice, face: Face) -> float:
     """Largest step (length) of a face between two neighbouring cells, at samples of their border."""
+    from clacad.sheet.feasibility.convex_extremes import border
+
     tile, found = lattice.tile(), 0.0
     for number, step in enumerate(lattice.steps):
         here = border(tile, number)
